@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Depth and intrinsics to points in the optical frame (REP-103: x right, y down, z forward)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.types import CameraIntrinsics
+
+
+def pixel_rays(intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the slopes x/z of each column (W,) and y/z of each row (H,), float32.
+
+    The pinhole model: x/z = (u - cx) / fx, y/z = (v - cy) / fy.
+    """
+    ray_x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
+    ray_y = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
+    return ray_x.astype(np.float32), ray_y.astype(np.float32)
+
+
+def check_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> None:
+    """
+    Check that a depth image is one, and of the size that the intrinsics are for.
+
+    Raises
+    ------
+    ValueError
+        It is not a 2-D floating point array, or of another size.
+
+    """
+    if depth_m.ndim != 2 or not np.issubdtype(depth_m.dtype, np.floating):
+        raise ValueError('depth must be a 2-D floating point array in metres, not '
+                         f'{depth_m.ndim}-D {depth_m.dtype}')
+    if depth_m.shape != (intrinsics.height, intrinsics.width):
+        raise ValueError(f'depth is {depth_m.shape[1]} x {depth_m.shape[0]}, the intrinsics are '
+                         f'for {intrinsics.width} x {intrinsics.height}')
+
+
+def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """
+    Back-project a depth image.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Depth along the optical axis in metres; not finite or not positive is invalid.
+    intrinsics : CameraIntrinsics
+        Of the same picture.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        Points in metres, NaN where the depth is invalid.
+
+    Raises
+    ------
+    ValueError
+        Depth and intrinsics do not fit together.
+
+    """
+    check_depth(depth_m, intrinsics)
+    ray_x, ray_y = pixel_rays(intrinsics)
+    points_m = np.empty((*depth_m.shape, 3), np.float32)
+    points_m[..., 2] = depth_m
+    points_m[~valid_depth(depth_m), 2] = np.nan
+    np.multiply(points_m[..., 2], ray_x, out=points_m[..., 0])
+    np.multiply(points_m[..., 2], ray_y[:, None], out=points_m[..., 1])
+    return points_m
+
+
+def points_to_pixels(points_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Project points (..., 3) in metres to pixels (..., 2); NaN for points not in front."""
+    z_m = np.where(points_m[..., 2] > 0, points_m[..., 2], np.nan)
+    u_px = points_m[..., 0] / z_m * intrinsics.fx + intrinsics.cx
+    v_px = points_m[..., 1] / z_m * intrinsics.fy + intrinsics.cy
+    return np.stack([u_px, v_px], axis=-1)
+
+
+def valid_depth(depth_m: np.ndarray) -> np.ndarray:
+    """Return where depth is finite and positive, (H, W) bool."""
+    return (depth_m > 0) & (depth_m < np.inf)

@@ -1,0 +1,186 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Every setting of the pipeline: one frozen dataclass per stage.
+
+This is the only place where a default lives. The ROS parameters, the yaml file and the
+README table are made from these fields; a field's metadata holds its description, unit,
+range and choices, and every instance is checked against them when it is made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+
+def _setting(default: Any, doc: str, unit: str = '', low: float | None = None,
+             high: float | None = None, choices: tuple[str, ...] = (),
+             read_only: bool = False) -> Any:
+    """Declare a field with what a user must know of it."""
+    return field(default=default, metadata={
+        'doc': doc, 'unit': unit, 'low': low, 'high': high,
+        'choices': choices, 'read_only': read_only})
+
+
+class Checked:
+    """Base of the settings: raises ValueError when a value is out of its range."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not isinstance(value, Checked):
+                check_value(f.name, value, f.default, f.metadata)
+
+
+def check_value(name: str, value: Any, default: Any, metadata: Any) -> None:
+    """
+    Check one value against the type of its default and its metadata.
+
+    Raises
+    ------
+    ValueError
+        The type is another one, or the value is out of range or not one of the choices.
+
+    """
+    if not _same_type(value, default):
+        raise ValueError(f'{name} must be of type {type(default).__name__}, not {value!r}')
+    if metadata['choices'] and value not in metadata['choices']:
+        raise ValueError(f'{name} must be one of {", ".join(metadata["choices"])}, not {value!r}')
+    low, high = metadata['low'], metadata['high']
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers:
+        if (low is not None and not number >= low) or (high is not None and not number <= high):
+            raise ValueError(f'{name} must be in [{low}, {high}], not {value!r}')
+
+
+def _same_type(value: Any, default: Any) -> bool:
+    if isinstance(default, tuple):
+        return isinstance(value, tuple) and all(_same_type(v, default[0]) for v in value)
+    if isinstance(default, float):
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return type(value) is type(default)
+
+
+@dataclass(frozen=True)
+class DepthConfig(Checked):
+    """Where depth comes from, and how the network is run."""
+
+    source: str = _setting(
+        'model', 'depth from the network (model) or from the depth topic (topic)',
+        choices=('model', 'topic'), read_only=True)
+    model: str = _setting(
+        'auto', 'name of a network of the zoo, path of an .onnx file, or auto: the best one that '
+        'is cached or can be fetched now', read_only=True)
+    output: str = _setting(
+        'auto', 'what the network gives: metric_depth (metres), disparity (1/metres), '
+        'relative_disparity (unknown scale and shift), auto: what the zoo says; must be given '
+        'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'),
+        read_only=True)
+    input_width: int = _setting(
+        0, 'width of the network input, 0: the network\'s own', 'px', 0, 8192, read_only=True)
+    input_height: int = _setting(
+        0, 'height of the network input, 0: the network\'s own', 'px', 0, 8192, read_only=True)
+    mean: tuple[float, ...] = _setting(
+        (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; a network of the zoo brings its '
+        'own', read_only=True)
+    std: tuple[float, ...] = _setting(
+        (0.229, 0.224, 0.225), 'the scaled RGB less the mean is divided by this; a network of '
+        'the zoo brings its own', low=1e-6, read_only=True)
+    input_scale: float = _setting(
+        1.0 / 255.0, 'pixel values are multiplied with this first; a network of the zoo brings '
+        'its own', low=1e-9, read_only=True)
+    max_depth: float = _setting(
+        80.0, 'depth beyond this is taken as invalid', 'm', 0.01, 1e4)
+    providers: tuple[str, ...] = _setting(
+        ('CPUExecutionProvider',), 'ONNX Runtime execution providers, the first that runs is '
+        'taken', read_only=True)
+    threads: int = _setting(
+        0, 'threads within one operator of the network, 0: ONNX Runtime\'s choice', '', 0, 256,
+        read_only=True)
+    cache_dir: str = _setting(
+        '', 'folder of the downloaded networks, empty: $XDG_CACHE_HOME/plane_detector',
+        read_only=True)
+
+
+@dataclass(frozen=True)
+class ScaleConfig(Checked):
+    """From disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift."""
+
+    disparity_scale: float = _setting(
+        0.0, 'factor on the network\'s relative disparity, 0: unknown', '1/m', 0.0, 1e6)
+    disparity_shift: float = _setting(
+        0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
+
+
+@dataclass(frozen=True)
+class SegmentationConfig(Checked):
+    """Which planes are looked for."""
+
+    method: str = _setting(
+        'disparity', 'disparity: ours; paper: pyRANSAC-3D peeled plane by plane, then DBSCAN, '
+        'with metric thresholds', choices=('disparity', 'paper'))
+    max_planes: int = _setting(32, 'most planes to find', '', 1, 255)
+    min_plane_share: float = _setting(
+        0.004, 'smallest plane as a share of the pixels', '', 0.0, 1.0)
+    disparity_noise: float = _setting(
+        0.0, 'standard deviation of 1/depth, 0: estimated from the picture, at least what the '
+        'network is known for', '1/m', 0.0, 10.0)
+
+
+@dataclass(frozen=True)
+class RansacConfig(Checked):
+    """The search for the best plane."""
+
+    inlier_threshold: float = _setting(
+        3.0, 'a pixel within this many standard deviations of the noise is an inlier', '', 0.1,
+        100.0)
+    noise_floor: float = _setting(
+        0.0005, 'depth noise is taken to be at least this', 'm', 1e-6, 1.0)
+    confidence: float = _setting(
+        0.99, 'probability with which the search may stop early', '', 0.0, 0.999999)
+    max_iterations: int = _setting(1000, 'most hypotheses per search', '', 1, 1000000)
+    seed: int = _setting(0, 'seed of the random generator', '', 0, 2**31 - 1)
+
+
+@dataclass(frozen=True)
+class DbscanConfig(Checked):
+    """Density clustering of the cells of one plane, in the grid of the picture."""
+
+    eps: float = _setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
+    min_samples: int = _setting(3, 'neighbours, itself included, of a core cell', '', 1, 1000)
+
+
+@dataclass(frozen=True)
+class PaperConfig(Checked):
+    """The metric thresholds of the paper's own method, the baseline."""
+
+    distance_threshold: float = _setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
+    max_iterations: int = _setting(1000, 'RANSAC iterations per plane', '', 1, 1000000)
+    dbscan_eps: float = _setting(0.1, 'DBSCAN radius', 'm', 1e-4, 10.0)
+    dbscan_min_samples: int = _setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
+    max_points: int = _setting(
+        20000, 'points are thinned to this many before the search', '', 100, 10000000)
+
+
+@dataclass(frozen=True)
+class Config(Checked):
+    """All settings of the pipeline."""
+
+    depth: DepthConfig = field(default_factory=DepthConfig)
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+    ransac: RansacConfig = field(default_factory=RansacConfig)
+    dbscan: DbscanConfig = field(default_factory=DbscanConfig)
+    paper: PaperConfig = field(default_factory=PaperConfig)
+
+
+@dataclass(frozen=True)
+class NodeConfig(Checked):
+    """What only the ROS node needs."""
+
+    autostart: bool = _setting(
+        True, 'configure and activate at start, without a lifecycle manager', read_only=True)
+    input_reliability: str = _setting(
+        'auto', 'reliability of the inputs; auto: what their publishers offer',
+        choices=('auto', 'reliable', 'best_effort'), read_only=True)

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What flows between the stages. All frozen; lengths in metres, optical frame (REP-103)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class CameraIntrinsics:
+    """
+    Pinhole model of a rectified image.
+
+    Parameters
+    ----------
+    fx, fy : float
+        Focal lengths in pixels.
+    cx, cy : float
+        Principal point in pixels; the centre of the first pixel is (0, 0).
+    width, height : int
+        Size of the image in pixels.
+
+    Raises
+    ------
+    ValueError
+        A focal length or a side is not positive, or a value is not finite.
+
+    """
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.fx, self.fy, self.cx, self.cy]).all():
+            raise ValueError(f'camera intrinsics must be finite, not {self}')
+        if min(self.fx, self.fy) <= 0:
+            raise ValueError(f'focal lengths must be positive, not fx {self.fx}, fy {self.fy}: '
+                             'is the camera calibrated?')
+        if min(self.width, self.height) <= 0:
+            raise ValueError(f'image size must be positive, not {self.width} x {self.height}')
+
+    @classmethod
+    def from_field_of_view(cls, width: int, height: int, horizontal_deg: float):
+        """Return the intrinsics of a centred camera with square pixels."""
+        focal_px = 0.5 * width / np.tan(np.radians(horizontal_deg) / 2)
+        return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """
+    One plane, normal . p + offset = 0 in the optical frame.
+
+    The normal has length 1 and looks at the camera, so that ``offset_m >= 0`` is the distance
+    from camera to plane.
+
+    Attributes
+    ----------
+    normal : (3,) float64
+        Unit normal.
+    offset_m : float
+        Distance from the camera.
+    centroid_m : (3,) float64
+        Mean of the pixels' points, brought onto the plane.
+    inlier_count : int
+        Pixels with this plane's label; at least 1.
+    rms_m : float
+        Root mean square distance of those pixels' points from the plane.
+    area_m2 : float
+        Area that those pixels cover on the plane.
+    covariance : (4, 4) float64
+        Covariance of (normal, offset_m) from the fit.
+    confidence : float
+        Probability, 0 to 1, that the plane is one of the scene.
+
+    """
+
+    normal: np.ndarray
+    offset_m: float
+    centroid_m: np.ndarray
+    inlier_count: int
+    rms_m: float
+    area_m2: float
+    covariance: np.ndarray
+    confidence: float
+
+
+@dataclass(frozen=True)
+class PlaneSegmentation:
+    """
+    The planes of one picture, largest first, and the plane of each pixel.
+
+    Attributes
+    ----------
+    planes : tuple of Plane
+        Empty when there is none.
+    labels : (H, W) int32
+        Index into ``planes``, -1 for no plane. Never a label where depth is invalid.
+    disparity_noise : float
+        Standard deviation of 1/depth that the segmentation worked with, per metre.
+
+    """
+
+    planes: tuple[Plane, ...]
+    labels: np.ndarray
+    disparity_noise: float
+
+
+@dataclass(frozen=True)
+class Detection(PlaneSegmentation):
+    """
+    What the whole pipeline gives for one picture.
+
+    Attributes
+    ----------
+    depth_m : (H, W) float32
+        The depth that was segmented; NaN invalid. In an unknown unit when ``scale_method`` is
+        ``relative``.
+    scale_method : str
+        How the depth came by its unit: ``metric``, ``fixed``, ..., or ``relative``.
+    stage_seconds : mapping of str to float
+        Time of each stage.
+
+    """
+
+    depth_m: np.ndarray
+    scale_method: str
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
