@@ -1,0 +1,229 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Rendered scenes with exact depth, labels and plane coefficients.
+
+A scene is a list of rectangles in a world with z up; each pixel's ray is cut with all of them
+and the nearest hit wins. Every rectangle is a plane of its own, also where two are coplanar.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plane_detector.backprojection import pixel_rays
+from plane_detector.types import CameraIntrinsics
+
+VGA = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
+# Columns: the axes x right, y down, z forward of a level camera that looks along world y.
+LEVEL_WORLD_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Scene:
+    """
+    A rendered picture and the truth about it.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    depth_m : (H, W) float32
+        Exact depth; NaN where the ray hits nothing.
+    labels : (H, W) int32
+        Index into ``planes``, -1 for none.
+    planes : (N, 4) float64
+        Unit normal towards the camera and offset of every visible plane, camera frame.
+    intrinsics : CameraIntrinsics
+    down_camera : (3,) float64
+        Direction of gravity in the camera frame.
+
+    """
+
+    rgb: np.ndarray
+    depth_m: np.ndarray
+    labels: np.ndarray
+    planes: np.ndarray
+    intrinsics: CameraIntrinsics
+    down_camera: np.ndarray
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """A corner and the two edges that leave it, perpendicular to each other, metres."""
+
+    corner: np.ndarray
+    edge_u: np.ndarray
+    edge_v: np.ndarray
+
+
+def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
+    """Return world_from_camera (3, 3); yaw turns left about up, pitch up looks up."""
+    yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
+    about_up = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    about_x = np.array(
+        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    about_z = np.array(
+        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+    return about_up @ LEVEL_WORLD_FROM_CAMERA @ about_x @ about_z
+
+
+def box(center: np.ndarray, size: np.ndarray, yaw_deg: float = 0.0) -> list[Rectangle]:
+    """Return the six faces of an upright box."""
+    yaw = np.radians(yaw_deg)
+    axes = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    edges = axes * np.asarray(size, float)[:, None]
+    low = np.asarray(center, float) - edges.sum(axis=0) / 2
+    faces = []
+    for k in range(3):
+        u, v = edges[(k + 1) % 3], edges[(k + 2) % 3]
+        faces += [Rectangle(low, u, v), Rectangle(low + edges[k], u, v)]
+    return faces
+
+
+def render(rectangles: list[Rectangle], world_from_camera: np.ndarray, position: np.ndarray,
+           intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Scene:
+    """Cut every pixel's ray with every rectangle; the generator only colours the picture."""
+    ray_x, ray_y = pixel_rays(intrinsics)
+    shape = (intrinsics.height, intrinsics.width)
+    depth_m = np.full(shape, np.inf, np.float64)
+    surface = np.full(shape, -1, np.int32)
+    planes = np.zeros((len(rectangles), 4))
+    for k, rectangle in enumerate(rectangles):
+        corner = world_from_camera.T @ (rectangle.corner - position)
+        edge_u, edge_v = (world_from_camera.T @ e for e in (rectangle.edge_u, rectangle.edge_v))
+        planes[k] = _plane_towards_camera(corner, edge_u, edge_v)
+        z_m = _depth_of_rectangle(ray_x, ray_y[:, None], corner, edge_u, edge_v, planes[k])
+        nearer = z_m < depth_m
+        depth_m[nearer] = z_m[nearer]
+        surface[nearer] = k
+    depth_m[surface < 0] = np.nan
+    visible, labels = np.unique(surface, return_inverse=True)
+    labels = labels.reshape(shape).astype(np.int32) - int(visible[0] < 0)
+    planes = planes[visible[visible >= 0]]
+    return Scene(_colour(labels, planes, rng), depth_m.astype(np.float32), labels, planes,
+                 intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]))
+
+
+def _plane_towards_camera(corner: np.ndarray, edge_u: np.ndarray, edge_v: np.ndarray):
+    normal = np.cross(edge_u, edge_v)
+    normal /= np.linalg.norm(normal)
+    offset_m = -normal @ corner
+    return np.append(normal, offset_m) * (1.0 if offset_m >= 0 else -1.0)
+
+
+def _depth_of_rectangle(ray_x, ray_y, corner, edge_u, edge_v, plane) -> np.ndarray:
+    """Return the depth at which each ray meets the rectangle, inf where it does not."""
+    with np.errstate(divide='ignore', invalid='ignore'):
+        z_m = -plane[3] / (plane[0] * ray_x + plane[1] * ray_y + plane[2])
+        along_u = _along(ray_x, ray_y, z_m, corner, edge_u)
+        along_v = _along(ray_x, ray_y, z_m, corner, edge_v)
+        hit = (z_m > 0.05) & (abs(along_u - 0.5) <= 0.5) & (abs(along_v - 0.5) <= 0.5)
+    return np.where(hit, z_m, np.inf)
+
+
+def _along(ray_x, ray_y, z_m, corner, edge) -> np.ndarray:
+    """Return the coordinate of the hit along an edge, 0 to 1 inside."""
+    along = edge / (edge @ edge)
+    return z_m * (along[0] * ray_x + along[1] * ray_y + along[2]) - along @ corner
+
+
+def _colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Give each plane a colour, with a little grain so that nothing is perfectly flat."""
+    colours = rng.uniform(60, 220, (len(planes) + 1, 3)).astype(np.float32)
+    grain = rng.normal(0, 6, labels.shape).astype(np.float32)
+    return np.clip(colours[labels] + grain[..., None], 0, 255).astype(np.uint8)
+
+
+def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return a furnished room: boxes on the floor, cupboards and pictures at the walls."""
+    size = rng.uniform([3.5, 4.0, 2.3], [7.0, 8.0, 3.2])
+    position = np.append(rng.uniform(0.1, 0.9, 2) * size[:2], rng.uniform(0.9, 1.8))
+    to_x, to_y = rng.uniform(0.3, 0.7, 2) * size[:2] - position[:2]
+    rotation = camera_rotation(np.degrees(np.arctan2(-to_x, to_y)), rng.uniform(-25, 5),
+                               rng.uniform(-4, 4))
+    furniture: list[Rectangle] = []
+    for _ in range(rng.integers(6, 16)):
+        furniture += _furniture(rng, size, position)
+    return render(box(size / 2, size) + furniture, rotation, position, intrinsics, rng)
+
+
+def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -> list[Rectangle]:
+    """Return one box clear of the camera: free on the floor, at a wall, or hung on a wall."""
+    while True:
+        kind = rng.integers(3)
+        side, end = rng.integers(2), rng.integers(2)
+        size = rng.uniform([0.3, 0.3, 0.25], [1.4, 1.0, 1.4])
+        center = np.append(rng.uniform(0.1, 0.9, 2) * room[:2], size[2] / 2)
+        yaw_deg = rng.uniform(0, 90)
+        if kind == 2:
+            size[side], center[2] = rng.uniform(0.02, 0.06), rng.uniform(1.2, 1.7)
+        if kind > 0:
+            yaw_deg, center[side] = 0.0, size[side] / 2 + end * (room[side] - size[side])
+        clear = np.linalg.norm(center[:2] - camera[:2]) > 0.6 + np.linalg.norm(size[:2]) / 2
+        if clear:
+            return box(center, size, yaw_deg)
+
+
+def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
+    """Return stairs seen from the front: treads 0.3 m deep and risers 0.18 m high."""
+    rise, run, width = np.array([0, 0, 0.18]), np.array([0, 0.3, 0]), np.array([4.0, 0, 0])
+    floor = Rectangle(np.array([-2.0, -3.0, 0.0]), width, np.array([0, 5.0, 0]))
+    faces = [floor]
+    for k in range(steps):
+        foot = np.array([-2.0, 2.0, 0.0]) + k * (rise + run)
+        faces += [Rectangle(foot, width, rise), Rectangle(foot + rise, width, run)]
+    return render(faces, camera_rotation(0, -20, 0), np.array([0, 0, 1.6]), intrinsics,
+                  np.random.default_rng(0))
+
+
+def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
+                distance_m: float = 3.0) -> Scene:
+    """Return one wall that fills the picture, turned away by the yaw."""
+    wall = Rectangle(np.array([-500.0, distance_m, -500.0]), np.array([1000.0, 0, 0]),
+                     np.array([0, 0, 1000.0]))
+    return render([wall], camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
+                  np.random.default_rng(0))
+
+
+def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return a scene without any plane: everything in it is strongly curved."""
+    v, u = np.mgrid[0:intrinsics.height, 0:intrinsics.width] / intrinsics.width * 640.0
+    depth_m = 2.0 + 0.6 * np.sin(u / 9.0) * np.cos(v / 11.0) + 0.3 * np.sin(v / 4.0)
+    labels = np.full(depth_m.shape, -1, np.int32)
+    planes = np.zeros((0, 4))
+    return Scene(_colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
+                 labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]))
+
+
+def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Generator,
+                         smooth_share: float = 0.5, correlation_px: float = 12.0) -> np.ndarray:
+    """
+    Add noise of constant standard deviation to 1/depth, as stereo and depth networks have it.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+    sigma : float
+        Standard deviation of the sum, per metre.
+    rng : numpy.random.Generator
+    smooth_share : float
+        Share of the variance that is smooth over the picture; the rest is grain.
+    correlation_px : float
+        Standard deviation of the Gaussian that the smooth part is blurred with.
+
+    Returns
+    -------
+    (H, W) float32
+        NaN where the disparity would not be positive.
+
+    """
+    grain, smooth = rng.standard_normal((2, *depth_m.shape)).astype(np.float32)
+    smooth = cv2.GaussianBlur(smooth, (0, 0), correlation_px)
+    smooth /= max(float(smooth.std()), 1e-12)
+    disparity = 1.0 / depth_m + sigma * (
+        np.sqrt(1.0 - smooth_share) * grain + np.sqrt(smooth_share) * smooth)
+    with np.errstate(divide='ignore'):
+        return np.where(disparity > 0, 1.0 / disparity, np.nan).astype(np.float32)
