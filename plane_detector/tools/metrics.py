@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How good a segmentation is, as the evaluation code of PlaneRCNN and ZeroPlane measures it.
+
+Label images are (H, W) int, -1 for no plane, which is one more class on each side. Only the
+pixels of the mask count: those whose true depth is valid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """
+    The pixels that true plane i and predicted plane j share.
+
+    Attributes
+    ----------
+    counts : (I + 1, J + 1) int64
+        The last row and column stand for no plane.
+    iou : (I, J) float64
+        Intersection over union of the planes proper.
+
+    """
+
+    counts: np.ndarray
+    iou: np.ndarray
+
+
+def overlap(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray) -> Overlap:
+    """Count the shared pixels of two label images."""
+    true_count = int(true_labels.max(initial=-1)) + 2
+    count = int(labels.max(initial=-1)) + 2
+    true_class = np.where(true_labels < 0, true_count - 1, true_labels)[mask].astype(np.int64)
+    predicted_class = np.where(labels < 0, count - 1, labels)[mask]
+    counts = np.bincount(true_class * count + predicted_class, minlength=true_count * count)
+    counts = counts.reshape(true_count, count)
+    union = counts.sum(1)[:, None] + counts.sum(0)[None, :] - counts
+    return Overlap(counts, (counts / np.maximum(union, 1))[:-1, :-1])
+
+
+def rand_index(counts: np.ndarray) -> float:
+    """Return the share of pixel pairs that both segmentations treat alike."""
+    counts = counts.astype(np.float64)
+    pixels = counts.sum()
+    apart = ((counts.sum(0) ** 2).sum() + (counts.sum(1) ** 2).sum()) / 2 - (counts**2).sum()
+    return float(1.0 - apart / (pixels * (pixels - 1) / 2))
+
+
+def variation_of_information(counts: np.ndarray) -> float:
+    """Return H1 + H2 - 2 MI in bits."""
+    joint = counts / counts.sum()
+    return float(2 * _entropy(joint.ravel()) - _entropy(joint.sum(0)) - _entropy(joint.sum(1)))
+
+
+def _entropy(probabilities: np.ndarray) -> float:
+    positive = probabilities[probabilities > 0]
+    return float(-(positive * np.log2(positive)).sum())
+
+
+def segmentation_covering(counts: np.ndarray) -> float:
+    """Return the mean best IoU of either side's segments, by their pixels."""
+    rows, columns = counts.sum(1), counts.sum(0)
+    iou = counts / np.maximum(rows[:, None] + columns[None, :] - counts, 1)
+    return float(((rows * iou.max(1)).sum() + (columns * iou.max(0)).sum()) / (2 * counts.sum()))
+
+
+@dataclass(frozen=True)
+class Score:
+    """The metrics of one picture; see the functions and :func:`score`."""
+
+    rand_index: float
+    variation_of_information: float
+    segmentation_covering: float
+    recall: float
+    precision: float
+    true_planes: int
+    predicted_planes: int
+    normal_error_deg: float
+    offset_error_m: float
+
+
+def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
+          planes: np.ndarray, mask: np.ndarray, min_pixels: int = 1500) -> Score:
+    """
+    Compare a segmentation with the truth.
+
+    Parameters
+    ----------
+    true_labels, labels : (H, W) int
+    true_planes, planes : (I, 4), (J, 4) float
+        Unit normal and offset.
+    mask : (H, W) bool
+        Pixels that count.
+    min_pixels : int
+        Only true planes of more pixels can be missed. A predicted plane may match any.
+
+    Returns
+    -------
+    Score
+        Recall and precision count matches of IoU > 0.5; without any plane to find or found they
+        are NaN. The errors are medians over the matched planes.
+
+    """
+    shared = overlap(true_labels, labels, mask)
+    large = shared.counts[:-1].sum(1) > min_pixels
+    matches = shared.iou > 0.5
+    true_index, index = np.nonzero(matches)
+    cosine = np.abs((true_planes[true_index, :3] * planes[index, :3]).sum(1)).clip(0, 1)
+    offset_error_m = np.abs(true_planes[true_index, 3] - planes[index, 3])
+    return Score(
+        rand_index(shared.counts), variation_of_information(shared.counts),
+        segmentation_covering(shared.counts),
+        _share(matches[large].any(1)), _share(matches.any(0)), int(large.sum()), len(planes),
+        _median(np.degrees(np.arccos(cosine))), _median(offset_error_m))
+
+
+def _share(hits: np.ndarray) -> float:
+    return float(hits.mean()) if hits.size else float('nan')
+
+
+def _median(values: np.ndarray) -> float:
+    return float(np.median(values)) if values.size else float('nan')
+
+
+RECALL_DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.6)
+RECALL_ANGLES_DEG = (5.0, 10.0, 30.0)
+
+
+def depth_recall(true_labels: np.ndarray, true_depth_m: np.ndarray, labels: np.ndarray,
+                 depth_m: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return plane recall and pixel recall at each of RECALL_DEPTHS_M.
+
+    A true plane is found at a depth when some predicted plane has IoU > 0.5 with it and their
+    depths differ by no more on average over the intersection.
+    """
+    shared = overlap(true_labels, labels, mask)
+    planes_found = np.zeros((len(shared.iou), len(RECALL_DEPTHS_M)), bool)
+    pixels_found = np.zeros(planes_found.shape)
+    for i, j in zip(*np.nonzero(shared.iou > 0.5), strict=True):
+        both = mask & (true_labels == i) & (labels == j)
+        error_m = np.abs(true_depth_m[both] - depth_m[both]).mean()
+        planes_found[i] = error_m <= np.array(RECALL_DEPTHS_M)
+        pixels_found[i] = planes_found[i] * shared.counts[i, j]
+    true_pixels = max(shared.counts[:-1].sum(), 1)
+    return planes_found.mean(0), pixels_found.sum(0) / true_pixels
+
+
+def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
+                  planes: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return plane recall at each of RECALL_ANGLES_DEG: IoU > 0.5 and normals that near."""
+    shared = overlap(true_labels, labels, mask)
+    cosine = np.abs(true_planes[:, :3] @ planes[:, :3].T).clip(0, 1)
+    angle_deg = np.where(shared.iou > 0.5, np.degrees(np.arccos(cosine)), np.inf)
+    nearest_deg = angle_deg.min(axis=1, initial=np.inf)
+    return (nearest_deg[:, None] <= np.array(RECALL_ANGLES_DEG)).mean(0)
