@@ -78,9 +78,17 @@ class DepthConfig(Checked):
         'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'),
         read_only=True)
     input_width: int = _setting(
-        0, 'width of the network input, 0: the network\'s own', 'px', 0, 8192, read_only=True)
+        0, 'width of the network input, which the picture is stretched to; 0: fixed by the '
+        'network or by short_side', 'px', 0, 8192, read_only=True)
     input_height: int = _setting(
-        0, 'height of the network input, 0: the network\'s own', 'px', 0, 8192, read_only=True)
+        0, 'height of the network input, which the picture is stretched to; 0: fixed by the '
+        'network or by short_side', 'px', 0, 8192, read_only=True)
+    short_side: int = _setting(
+        0, 'short side of a network input of free size, the other keeps the aspect of the '
+        'picture; 0: the network\'s own', 'px', 0, 8192, read_only=True)
+    side_multiple: int = _setting(
+        14, 'the sides of a network input of free size are multiples of this; a network of the '
+        'zoo brings its own', 'px', 1, 1024, read_only=True)
     mean: tuple[float, ...] = _setting(
         (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; a network of the zoo brings its '
         'own', read_only=True)
@@ -102,15 +110,63 @@ class DepthConfig(Checked):
         '', 'folder of the downloaded networks, empty: $XDG_CACHE_HOME/plane_detector',
         read_only=True)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ('mean', 'std'):
+            if len(getattr(self, name)) != 3:
+                raise ValueError(f'{name} must be 3 numbers, not {getattr(self, name)!r}')
+        if (self.input_width == 0) != (self.input_height == 0):
+            raise ValueError('input_width and input_height must be given together, not '
+                             f'{self.input_width} and {self.input_height}')
+        if not self.providers:
+            raise ValueError('providers must name at least one execution provider')
+
 
 @dataclass(frozen=True)
 class ScaleConfig(Checked):
     """From disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift."""
 
+    method: str = _setting(
+        'auto', 'what fixes the unit of depth; auto: the first of metric, depth_topic, '
+        'camera_height, manhattan, fixed that the network, the inputs and the scene allow',
+        choices=('auto', 'metric', 'depth_topic', 'camera_height', 'manhattan', 'fixed', 'none'))
     disparity_scale: float = _setting(
         0.0, 'factor on the network\'s relative disparity, 0: unknown', '1/m', 0.0, 1e6)
     disparity_shift: float = _setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
+    reference_focal_px: float = _setting(
+        0.0, 'focal length, at the width of this picture, of the camera that a metric network '
+        'assumes: depth is multiplied by fx / this; 0: off', 'px', 0.0, 1e5)
+    camera_height: float = _setting(
+        0.0, 'height of the camera above the floor, 0: unknown', 'm', 0.0, 1000.0)
+    gravity: tuple[float, ...] = _setting(
+        (0.0, 0.0, 0.0), 'direction down in the optical frame, of any length; 0 0 0: unknown',
+        '', -1e6, 1e6)
+    gravity_tolerance: float = _setting(
+        2.0, 'how far the direction of gravity may be off; above 5 it is coarse: it only tells '
+        'the floor from the walls', 'deg', 0.0, 45.0)
+    imu_to_camera: tuple[float, ...] = _setting(
+        (0.0, 0.0, 0.0, 1.0), 'quaternion x y z w that turns vectors of the IMU\'s frame into '
+        'the optical frame', '', -1.0, 1.0)
+    smoothing: float = _setting(
+        0.8, 'share of the previous scale and shift kept at every frame, 0: none', '', 0.0, 0.999)
+    max_jump: float = _setting(
+        0.15, 'a frame whose scale and shift would change depth by a larger share is an outlier',
+        '', 0.001, 10.0)
+    reset_after: int = _setting(
+        3, 'outlier frames in a row that agree with each other are a new scene', 'frames', 1,
+        1000)
+    hold_frames: int = _setting(
+        90, 'how long the last scale and shift are held while nothing fixes them', 'frames', 0,
+        1000000)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, length in (('gravity', 3), ('imu_to_camera', 4)):
+            if len(getattr(self, name)) != length:
+                raise ValueError(f'{name} must be {length} numbers, not {getattr(self, name)!r}')
+        if not any(self.imu_to_camera):
+            raise ValueError('imu_to_camera must be a quaternion, not all zeros')
 
 
 @dataclass(frozen=True)

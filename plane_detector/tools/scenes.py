@@ -227,3 +227,31 @@ def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Gener
         np.sqrt(1.0 - smooth_share) * grain + np.sqrt(smooth_share) * smooth)
     with np.errstate(divide='ignore'):
         return np.where(disparity > 0, 1.0 / disparity, np.nan).astype(np.float32)
+
+
+def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return the empty space under a gable roof: a floor, two slopes of 30 to 55 degrees."""
+    half_width, length = rng.uniform(2.0, 3.5), rng.uniform(4.0, 8.0)
+    ridge = half_width * np.tan(np.radians(rng.uniform(30.0, 55.0)))
+    along, up = np.array([0.0, length, 0.0]), np.array([0.0, 0.0, ridge])
+    width = np.array([2 * half_width, 0.0, 0.0])
+    faces = [Rectangle(np.zeros(3), width, along), Rectangle(np.zeros(3), width, up),
+             Rectangle(along, width, up), Rectangle(np.zeros(3), along, width / 2 + up),
+             Rectangle(width, along, up - width / 2)]
+    position = np.array([rng.uniform(0.7, 1.3) * half_width, rng.uniform(0.15, 0.5) * length,
+                         rng.uniform(0.3, 0.6) * ridge])
+    rotation = camera_rotation(rng.uniform(-180, 180), rng.uniform(-15, 15), rng.uniform(-4, 4))
+    return render(faces, rotation, position, intrinsics, rng)
+
+
+def hexagon_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return an empty room on a regular hexagon: its walls meet at 120 degrees."""
+    radius, height = rng.uniform(2.5, 4.5), np.array([0.0, 0.0, rng.uniform(2.3, 3.2)])
+    angles = np.radians(60.0 * np.arange(7))
+    corners = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(7)], axis=1)
+    faces = [Rectangle(corners[k], corners[k + 1] - corners[k], height) for k in range(6)]
+    floor = (np.array([-radius, -radius, 0]), 2 * radius * np.eye(3)[0], 2 * radius * np.eye(3)[1])
+    faces += [Rectangle(*floor), Rectangle(floor[0] + height, *floor[1:])]
+    position = np.append(rng.uniform(-0.4, 0.4, 2) * radius, rng.uniform(0.3, 1.8))
+    rotation = camera_rotation(rng.uniform(-180, 180), rng.uniform(-25, 5), rng.uniform(-4, 4))
+    return render(faces, rotation, position, intrinsics, rng)
