@@ -240,3 +240,19 @@ class NodeConfig(Checked):
     input_reliability: str = _setting(
         'auto', 'reliability of the inputs; auto: what their publishers offer',
         choices=('auto', 'reliable', 'best_effort'), read_only=True)
+    image_transport: str = _setting(
+        'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
+        'image/compressed', choices=('raw', 'compressed'), read_only=True)
+    rectify: str = _setting(
+        'auto', 'undo the lens distortion that CameraInfo tells of; auto: where there is any and '
+        'the topic is not named as rectified', choices=('auto', 'true', 'false'))
+    stamp_slop: float = _setting(
+        0.02, 'a depth image this far in time from its picture still belongs to it, if none has '
+        'the very same stamp', 's', 0.0, 10.0)
+    mode: str = _setting(
+        'continuous', 'continuous: every frame, as far as there is time; on_demand: one frame per '
+        'call of ~/detect', choices=('continuous', 'on_demand'))
+    points_decimation: int = _setting(
+        1, 'the clouds hold every n-th row and column, 1: all', '', 1, 64)
+    marker_lifetime: float = _setting(
+        0.0, 'markers vanish after this time without new ones, 0: never', 's', 0.0, 1e6)

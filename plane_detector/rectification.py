@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Pictures and depth images of a real lens to those of a pinhole camera.
+
+The models are those of sensor_msgs/CameraInfo as OpenCV implements them: plumb_bob (Brown, 5
+coefficients), rational_polynomial (8) and equidistant (Kannala and Brandt, 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
+
+
+@dataclass(frozen=True)
+class Rectification:
+    """
+    Where each pixel of the rectified picture comes from.
+
+    Attributes
+    ----------
+    map_x, map_y : (H, W) float32
+        Column and row in the picture of the lens, in pixels.
+    depth_factor : (H, W) float32
+        Depth along the rectified optical axis per depth along the original one: 1 where the
+        camera is not rotated.
+
+    """
+
+    map_x: np.ndarray
+    map_y: np.ndarray
+    depth_factor: np.ndarray
+
+    def picture(self, rgb: np.ndarray) -> np.ndarray:
+        """Rectify a picture (H, W, 3) uint8; black outside of the original."""
+        self._check(rgb)
+        return cv2.remap(rgb, self.map_x, self.map_y, cv2.INTER_LINEAR,
+                         borderMode=cv2.BORDER_CONSTANT)
+
+    def depth(self, depth_m: np.ndarray) -> np.ndarray:
+        """Rectify a depth image (H, W) float32 by nearest pixels; NaN outside of the original."""
+        self._check(depth_m)
+        nearest = cv2.remap(depth_m, self.map_x, self.map_y, cv2.INTER_NEAREST,
+                            borderMode=cv2.BORDER_CONSTANT, borderValue=np.nan)
+        return nearest * self.depth_factor
+
+    def inside(self) -> np.ndarray:
+        """Return which pixels (H, W) the original picture covers, bool."""
+        height, width = self.map_x.shape
+        return ((self.map_x >= 0) & (self.map_x <= width - 1)
+                & (self.map_y >= 0) & (self.map_y <= height - 1))
+
+    def _check(self, image: np.ndarray) -> None:
+        if image.shape[:2] != self.map_x.shape:
+            raise ValueError(f'the picture is {image.shape[1]} x {image.shape[0]}, its calibration '
+                             f'is for {self.map_x.shape[1]} x {self.map_x.shape[0]}')
+
+
+def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.ndarray,
+                       rotation: np.ndarray, rectified_matrix: np.ndarray,
+                       size: tuple[int, int]) -> Rectification:
+    """
+    Compute the maps of a calibration, once.
+
+    Parameters
+    ----------
+    model : str
+        plumb_bob, rational_polynomial or equidistant.
+    distortion : (N,) float64
+        Its coefficients.
+    camera_matrix : (3, 3) float64
+        Of the picture as it comes (K).
+    rotation : (3, 3) float64
+        From the camera's frame to the rectified one (R); all zeros is taken as none.
+    rectified_matrix : (3, 3) float64
+        Of the rectified picture (the left part of P).
+    size : (int, int)
+        Width and height of both pictures.
+
+    Raises
+    ------
+    ValueError
+        The model is not known, or the number of its coefficients is wrong.
+
+    """
+    if model not in _COEFFICIENTS:
+        raise ValueError(f'distortion model {model!r} is not known: '
+                         f'{", ".join(_COEFFICIENTS)} are; rectify the picture before this node')
+    if len(distortion) not in _COEFFICIENTS[model]:
+        raise ValueError(f'{model} has {_COEFFICIENTS[model][-1]} coefficients, not '
+                         f'{len(distortion)}')
+    rotation = np.asarray(rotation, float) if np.any(rotation) else np.eye(3)
+    lens = cv2.fisheye if model == 'equidistant' else cv2
+    map_x, map_y = lens.initUndistortRectifyMap(
+        np.asarray(camera_matrix, float), np.asarray(distortion, float), rotation,
+        np.asarray(rectified_matrix, float), size, cv2.CV_32FC1)
+    return Rectification(map_x, map_y, _depth_factor(rotation, rectified_matrix, size))
+
+
+def _depth_factor(rotation: np.ndarray, rectified_matrix: np.ndarray,
+                  size: tuple[int, int]) -> np.ndarray:
+    """A rectified ray (x, y, 1) has the depth 1, and the third of R^T (x, y, 1) before."""
+    columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1)
+    original_depth = pixels @ np.linalg.inv(rectified_matrix).T @ rotation[:, 2]
+    return (1 / original_depth).astype(np.float32)

@@ -1,0 +1,183 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the core works with from messages, and messages from what it gives. No state.
+
+Every output takes over the header of the image that it comes from, so that the stamp and the
+optical frame (REP-103) are those of the picture. Labels in messages are above 0; 0 is no plane.
+"""
+
+from __future__ import annotations
+
+import array
+
+import cv2
+import numpy as np
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from std_msgs.msg import Header
+
+from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
+
+POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4'),
+                        ('label', '<u4')])
+PLANE_DTYPE = np.dtype([
+    ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
+    ('normal_x', '<f4'), ('normal_y', '<f4'), ('normal_z', '<f4'), ('d', '<f4'),
+    ('label', '<u4'), ('num_inliers', '<u4'), ('rms', '<f4'), ('area', '<f4'),
+    ('class', 'u1'), ('confidence', '<f4')], align=True)
+_FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
+
+
+def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
+    """
+    Return the pinhole model of the picture that a CameraInfo belongs to.
+
+    Binning and region of interest are applied as image_geometry's PinholeCameraModel does.
+
+    Parameters
+    ----------
+    msg : sensor_msgs.msg.CameraInfo
+        Its K holds for the picture as it comes, its P for the rectified one.
+    rectified : bool
+        The picture is rectified: P holds, or K where P is not filled in.
+
+    Raises
+    ------
+    ValueError
+        K is all zeros (the camera is not calibrated) or the picture has no size.
+
+    """
+    if not np.any(msg.k):
+        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
+    matrix = projection_from_msg(msg) if rectified else np.reshape(msg.k, (3, 3))
+    matrix = crop_and_bin(matrix, msg)
+    width, height = picture_size(msg)
+    return CameraIntrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
+                            width, height)
+
+
+def projection_from_msg(msg: CameraInfo) -> np.ndarray:
+    """Return the camera matrix (3, 3) of the rectified picture, uncropped: of P, or else K."""
+    projection = np.reshape(msg.p, (3, 4))[:, :3]
+    return projection if projection[0, 0] else np.reshape(msg.k, (3, 3))
+
+
+def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
+    """Return a camera matrix (3, 3) of the full picture for the one that is sent."""
+    binning = max(msg.binning_x, 1), max(msg.binning_y, 1)
+    sent = matrix.copy()
+    sent[0, 2] -= msg.roi.x_offset
+    sent[1, 2] -= msg.roi.y_offset
+    sent[0] /= binning[0]
+    sent[1] /= binning[1]
+    return sent
+
+
+def picture_size(msg: CameraInfo) -> tuple[int, int]:
+    """Return width and height of the picture that is sent: cropped, then binned."""
+    width, height = msg.roi.width or msg.width, msg.roi.height or msg.height
+    return width // max(msg.binning_x, 1), height // max(msg.binning_y, 1)
+
+
+def plane_labels(segmentation: PlaneSegmentation) -> np.ndarray:
+    """Return the label of each plane in the messages, (N,) uint32, all above 0."""
+    return np.arange(1, len(segmentation.planes) + 1, dtype=np.uint32)
+
+
+def pixel_labels(segmentation: PlaneSegmentation) -> np.ndarray:
+    """Return the label of each pixel in the messages, (H, W) uint32, 0 for no plane."""
+    lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(segmentation)])
+    return lookup[segmentation.labels + 1]
+
+
+def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
+                  labels: np.ndarray) -> PointCloud2:
+    """
+    Return the organised, coloured and labelled cloud.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the picture.
+    points_m : (H, W, 3) float32
+        Metres, optical frame, NaN where there is no depth.
+    rgb : (H, W, 3) uint8
+        The picture; packed as PCL does, 0x00RRGGBB in the bits of a float.
+    labels : (H, W) uint32
+        0 for no plane.
+
+    """
+    height, width = labels.shape
+    data = array.array('B', [0]) * (height * width * POINT_DTYPE.itemsize)
+    cloud = np.frombuffer(data, POINT_DTYPE).reshape(height, width)
+    for axis, name in enumerate('xyz'):
+        cloud[name] = points_m[..., axis]
+    cloud['rgb'] = _packed_colour(rgb)
+    cloud['label'] = labels
+    return _cloud_msg(header, POINT_DTYPE, data, height, width)
+
+
+def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray) -> PointCloud2:
+    """
+    Return the coefficients: one point per plane, at its centroid; none is an empty cloud.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the picture.
+    planes : tuple of Plane
+        normal . p + d = 0 with d >= 0.
+    labels : (N,) uint32
+        Of these planes.
+
+    """
+    table = np.zeros(len(planes), PLANE_DTYPE)
+    for row, plane, label in zip(table, planes, labels, strict=True):
+        row['x'], row['y'], row['z'] = plane.centroid_m
+        row['normal_x'], row['normal_y'], row['normal_z'] = plane.normal
+        row['d'], row['label'], row['num_inliers'] = plane.offset_m, label, plane.inlier_count
+        row['rms'], row['area'] = plane.rms_m, plane.area_m2
+        row['confidence'] = plane.confidence
+    data = array.array('B', table.tobytes())
+    return _cloud_msg(header, PLANE_DTYPE, data, 1, len(planes))
+
+
+def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
+    """Return the label image (H, W) as 16UC1."""
+    return _image_msg(header, '16UC1', labels.astype('<u2'))
+
+
+def depth_to_msg(header: Header, depth_m: np.ndarray) -> Image:
+    """Return the depth image (H, W), metres with NaN for invalid, as 32FC1."""
+    return _image_msg(header, '32FC1', depth_m.astype('<f4', copy=False))
+
+
+def rgb_to_msg(header: Header, rgb: np.ndarray) -> Image:
+    """Return the picture (H, W, 3) uint8 as rgb8."""
+    return _image_msg(header, 'rgb8', rgb)
+
+
+def _packed_colour(rgb: np.ndarray) -> np.ndarray:
+    """Return (H, W, 3) uint8 as (H, W) float32 with the bits 0x00RRGGBB."""
+    packed = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGRA).view('<u4')[..., 0]
+    return np.bitwise_and(packed, 0x00FFFFFF, out=packed).view('<f4')
+
+
+def _cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
+               width: int) -> PointCloud2:
+    fields = [PointField(name=name, offset=offset, count=1, datatype=_FIELD_TYPES[kind.str[1:]])
+              for name, (kind, offset) in dtype.fields.items()]
+    msg = PointCloud2(header=header, height=height, width=width, fields=fields,
+                      is_bigendian=False, point_step=dtype.itemsize,
+                      row_step=dtype.itemsize * width, is_dense=dtype is PLANE_DTYPE)
+    msg.data = data  # after the constructor, which would copy it item by item
+    return msg
+
+
+def _image_msg(header: Header, encoding: str, pixels: np.ndarray) -> Image:
+    data = array.array('B')
+    data.frombytes(np.ascontiguousarray(pixels).data.cast('B'))
+    msg = Image(header=header, height=pixels.shape[0], width=pixels.shape[1], encoding=encoding,
+                is_bigendian=0, step=len(data) // pixels.shape[0])
+    msg.data = data
+    return msg

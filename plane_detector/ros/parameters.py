@@ -1,0 +1,118 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The settings as ROS parameters: one parameter per field, declared and checked by a loop.
+
+A nested dataclass becomes a prefix: ``depth.model``. Nothing is named here twice; name, type,
+default, range and description all come from the fields.
+"""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Iterable, Iterator
+from dataclasses import Field, fields, replace
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from plane_detector.config import Checked
+
+Settings = TypeVar('Settings', bound=Checked)
+_LARGEST = 1.7e308
+
+
+def declare(node: Node, defaults: Settings) -> Settings:
+    """
+    Declare every field as a parameter, and return the settings with their initial values.
+
+    Raises
+    ------
+    ValueError
+        An initial value is out of range.
+    rclpy.exceptions.ParameterException
+        An initial value has another type.
+
+    """
+    values = [node.declare_parameter(name, list(value) if isinstance(value, tuple) else value,
+                                     descriptor(field, value))
+              for name, field, value in parameters_of(defaults)]
+    return updated(defaults, values)
+
+
+def updated(settings: Settings, parameters: Iterable[Parameter]) -> Settings:
+    """
+    Return settings with the values of those parameters that are theirs; others are left out.
+
+    Raises
+    ------
+    ValueError
+        A value is out of range, or does not go with another one.
+
+    """
+    values = {parameter.name: parameter.value for parameter in parameters}
+    return _replaced(settings, values, '')
+
+
+def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
+    """Yield name, field and value of every parameter."""
+    for field in fields(settings):
+        value = getattr(settings, field.name)
+        if isinstance(value, Checked):
+            yield from parameters_of(value, f'{prefix}{field.name}.')
+        else:
+            yield prefix + field.name, field, value
+
+
+def descriptor(field: Field, default: Any) -> ParameterDescriptor:
+    """Return what `ros2 param describe` shows: description, unit, range, choices."""
+    meta = field.metadata
+    unit = f' [{meta["unit"]}]' if meta['unit'] else ''
+    result = ParameterDescriptor(description=meta['doc'] + unit, read_only=meta['read_only'])
+    result.additional_constraints = _constraints(meta)
+    result.dynamic_typing = _is_switch(meta)
+    low, high = meta['low'], meta['high']
+    if low is None and high is None:
+        return result
+    if isinstance(default, float):
+        result.floating_point_range = [FloatingPointRange(
+            from_value=float(-_LARGEST if low is None else low),
+            to_value=float(_LARGEST if high is None else high))]
+    elif isinstance(default, int):
+        result.integer_range = [IntegerRange(
+            from_value=int(-2**63 if low is None else low),
+            to_value=int(2**63 - 1 if high is None else high))]
+    return result
+
+
+def _constraints(meta: Any) -> str:
+    """Return in words what a range of the descriptor cannot say: choices, limits of arrays."""
+    if meta['choices']:
+        return 'one of ' + ', '.join(meta['choices'])
+    limits = [f'at least {meta["low"]:g}' if meta['low'] is not None else '',
+              f'at most {meta["high"]:g}' if meta['high'] is not None else '']
+    return ', '.join(limit for limit in limits if limit)
+
+
+def _is_switch(meta: Any) -> bool:
+    """Whether true and false are among the choices: yaml files give them as bool."""
+    return 'true' in meta['choices']
+
+
+def _field_value(field: Field, value: Any) -> Any:
+    if isinstance(value, bool) and _is_switch(field.metadata):
+        return str(value).lower()
+    return tuple(value) if isinstance(value, (list, array.array)) else value
+
+
+def _replaced(settings: Settings, values: dict[str, Any], prefix: str) -> Settings:
+    changes = {}
+    for field in fields(settings):
+        name, old = prefix + field.name, getattr(settings, field.name)
+        if isinstance(old, Checked):
+            changes[field.name] = _replaced(old, values, f'{name}.')
+        elif name in values:
+            changes[field.name] = _field_value(field, values[name])
+    return replace(settings, **changes)
