@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures to the inputs of depth networks, and their outputs back to the size of the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+_SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA}
+
+
+@dataclass(frozen=True)
+class InputRecipe:
+    """
+    How a picture becomes the network's input: resized, scaled, normalised.
+
+    Attributes
+    ----------
+    scale : float
+        Pixel values are multiplied with this first.
+    mean, std : (3,) floats
+        Of the scaled RGB.
+    shrink : str
+        Interpolation when the picture gets smaller, ``cubic`` or ``area``; growing is cubic.
+
+    """
+
+    scale: float
+    mean: tuple[float, ...]
+    std: tuple[float, ...]
+    shrink: str = 'cubic'
+
+
+def lower_bound_size(width: int, height: int, short_side: int, multiple: int) -> tuple[int, int]:
+    """
+    Return (width, height) of a network input that keeps the aspect of the picture.
+
+    The short side becomes ``short_side``, the other follows; both are rounded to ``multiple``,
+    never below the short side. The method of MiDaS and Depth Anything (Resize, lower_bound).
+    """
+    factor = max(short_side / width, short_side / height)
+
+    def rounded(side: int) -> int:
+        nearest = round(side * factor / multiple) * multiple
+        return nearest if nearest >= short_side else nearest + multiple
+
+    return rounded(width), rounded(height)
+
+
+def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -> np.ndarray:
+    """
+    Make a network's input of a picture.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+        The picture.
+    size : (int, int)
+        Width and height of the input.
+    recipe : InputRecipe
+        What the network was trained with.
+
+    Returns
+    -------
+    (3, height, width) float32
+        Planes of normalised R, G and B.
+
+    """
+    picture = rgb.astype(np.float32)
+    if size != (rgb.shape[1], rgb.shape[0]):
+        shrinks = size[0] * size[1] < rgb.shape[0] * rgb.shape[1]
+        kind = _SHRINKING[recipe.shrink] if shrinks else cv2.INTER_CUBIC
+        picture = cv2.resize(picture, size, interpolation=kind)
+    planes = np.empty((3, size[1], size[0]), np.float32)
+    for channel, (mean, std) in enumerate(zip(recipe.mean, recipe.std, strict=True)):
+        np.multiply(picture[..., channel], np.float32(recipe.scale / std), out=planes[channel])
+        planes[channel] -= np.float32(mean / std)
+    return planes
+
+
+def finish_output(raw: np.ndarray, size: tuple[int, int], output: str,
+                  max_depth_m: float) -> np.ndarray:
+    """
+    Bring a network's output to the size of the picture and mark what is invalid.
+
+    It is interpolated as disparity, in which planes are linear: interpolated depth would bend
+    them.
+
+    Parameters
+    ----------
+    raw : (h, w) floating
+        What the network gave.
+    size : (int, int)
+        Width and height of the picture.
+    output : str
+        ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    max_depth_m : float
+        Farther is invalid; without meaning for relative disparity.
+
+    Returns
+    -------
+    (H, W) float32
+        Of the same kind as ``raw``; NaN where it is not finite, not positive or too far.
+
+    """
+    values = np.array(raw, np.float32)
+    values[~((values > 0) & (values < np.inf))] = np.nan
+    disparity = 1 / values if output == 'metric_depth' else values
+    if size != (disparity.shape[1], disparity.shape[0]):
+        disparity = cv2.resize(disparity, size, interpolation=cv2.INTER_LINEAR)
+    if output != 'relative_disparity':
+        disparity[disparity < np.float32(1 / max_depth_m)] = np.nan
+    return 1 / disparity if output == 'metric_depth' else disparity

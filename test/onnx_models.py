@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Small ONNX networks whose depth is a known function of the pixels.
+
+`millimetres_as_rgb` writes a depth image into the red and green of a picture, and the network
+of `write_depth_network` reads it back, so that a test knows the depth that a network gives.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper, numpy_helper
+
+PLAIN = {'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
+"""Settings of `DepthConfig` under which the networks here read metres."""
+_TYPES = {np.float32: TensorProto.FLOAT, np.float16: TensorProto.FLOAT16}
+# Of R, G, B in 0 to 1: depth_m = (256 R + G) * 255 / 1000.
+METRES_OF_RGB = (65.28, 0.255, 0.0)
+
+
+def millimetres_as_rgb(depth_m: np.ndarray) -> np.ndarray:
+    """Return a picture (H, W, 3) uint8 with the depth in whole millimetres; NaN becomes 0."""
+    millimetres = np.rint(np.nan_to_num(depth_m) * 1000).astype(np.uint16)
+    rgb = np.zeros((*depth_m.shape, 3), np.uint8)
+    rgb[..., 0], rgb[..., 1] = millimetres >> 8, millimetres & 255
+    return rgb
+
+
+def write_depth_network(path: Path, *, height: int | str = 'height', width: int | str = 'width',
+                        channels_last: bool = False, dtype: type = np.float32,
+                        weights: tuple[float, float, float] = METRES_OF_RGB,
+                        bias: float = 0.0) -> Path:
+    """
+    Write a network that gives weights . (R, G, B) + bias at every pixel.
+
+    Parameters
+    ----------
+    path : Path
+        The .onnx file.
+    height, width : int or str
+        Sides of the input, a name where they are free.
+    channels_last : bool
+        [1, H, W, 3] -> [1, H, W, 1] instead of [1, 3, H, W] -> [1, 1, H, W].
+    dtype : numpy.float32 or numpy.float16
+        Of input and output; it is computed in float32.
+    weights, bias
+        Of the network's normalised input.
+
+    """
+    def shape(channels: int) -> list[int | str]:
+        return [1, height, width, channels] if channels_last else [1, channels, height, width]
+
+    kernel = np.reshape(np.float32(weights), (3, 1) if channels_last else (1, 3, 1, 1))
+    end = _TYPES[dtype]
+    nodes = [
+        helper.make_node('Cast', ['image'], ['image32'], to=TensorProto.FLOAT),
+        helper.make_node('MatMul' if channels_last else 'Conv', ['image32', 'kernel'], ['mixed']),
+        helper.make_node('Add', ['mixed', 'bias'], ['depth32']),
+        helper.make_node('Cast', ['depth32'], ['depth'], to=end)]
+    constants = [numpy_helper.from_array(kernel, 'kernel'),
+                 numpy_helper.from_array(np.float32(bias), 'bias')]
+    return write_network(path, nodes, [('image', end, shape(3))], [('depth', end, shape(1))],
+                         constants)
+
+
+def write_network(path: Path, nodes: list, inputs: list[tuple], outputs: list[tuple],
+                  constants: list = ()) -> Path:
+    """Write a network of these nodes; inputs and outputs are (name, element type, shape)."""
+    graph = helper.make_graph(
+        nodes, 'test', [helper.make_tensor_value_info(*end) for end in inputs],
+        [helper.make_tensor_value_info(*end) for end in outputs], list(constants))
+    # The oldest versions that do, so that every supported ONNX Runtime loads it.
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid('', 13)], ir_version=8)
+    onnx.checker.check_model(model)
+    onnx.save(model, str(path))
+    return path
