@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Which messages belong together, and which of them is worked on next.
+Which messages belong together.
 
 The same code pairs the messages of live topics and those of a bag: what goes with what depends
 on the stamps and on the order within each topic, not on how the topics interleave.
@@ -9,7 +9,6 @@ on the stamps and on the order within each topic, not on how the topics interlea
 
 from __future__ import annotations
 
-import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -61,12 +60,12 @@ class FrameAssembler:
 
     def __init__(self, needs_depth: bool = False, stamp_slop_s: float = 0.0):
         self._needs_depth = needs_depth
-        self._slop_ns = round(stamp_slop_s * 1e9)
+        self.stamp_slop_s = stamp_slop_s
         self._images = _StampedCache()
         self._infos = _StampedCache()
         self._depths = _StampedCache()
-        self._epoch = 0
-        self.dropped = 0
+        self._dropped = 0
+        self.epoch = 0
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -76,11 +75,17 @@ class FrameAssembler:
             needed['depth'] = self._depths
         return tuple(name for name, cache in needed.items() if cache.latest is None)
 
+    def take_dropped(self) -> int:
+        """Return how many pictures were dropped for want of a partner since the last call."""
+        count, self._dropped = self._dropped, 0
+        return count
+
     def add_image(self, msg: Image | CompressedImage) -> list[Frame]:
         """Take a picture; return the frames that are complete now, oldest first."""
         if self._images.add(msg):
-            self._epoch += 1
-        self.dropped += self._images.shrink_to(_CACHED if self._needs_depth else 1)
+            self.epoch += 1
+            self._depths.forget_after(_stamp_ns(msg) + _JUMP_NS)
+        self._dropped += self._images.shrink_to(_CACHED if self._needs_depth else 1)
         return self._complete()
 
     def add_camera_info(self, msg: CameraInfo) -> list[Frame]:
@@ -89,7 +94,7 @@ class FrameAssembler:
         self._infos.add(msg)
         self._infos.shrink_to(_CACHED)
         if first:  # of the pictures from before any calibration only its own is of any use
-            self.dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == _stamp_ns(msg))
+            self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == _stamp_ns(msg))
         return self._complete()
 
     def add_depth(self, msg: Image) -> list[Frame]:
@@ -100,51 +105,19 @@ class FrameAssembler:
 
     def _complete(self) -> list[Frame]:
         frames = []
-        if self._infos.latest is None:
-            return frames
-        for stamp_ns, image in self._images.items():
+        for stamp_ns, image in self._images.items() if self._infos.latest else ():
             depth = self._depths.exact(stamp_ns)
             if self._needs_depth and depth is None:
                 if not self._depths.is_past(stamp_ns):
                     continue
-                depth = self._depths.nearest(stamp_ns, self._slop_ns)
+                depth = self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))
             self._images.keep(lambda _, other, done=image: other is not done)
             if self._needs_depth and depth is None:
-                self.dropped += 1
+                self._dropped += 1
                 continue
             info = self._infos.exact(stamp_ns) or self._infos.latest
-            frames.append(Frame(image, info, depth, self._epoch))
+            frames.append(Frame(image, info, depth, self.epoch))
         return frames
-
-
-class FrameSlot:
-    """A single place between two threads: a newer frame replaces the one that waits."""
-
-    def __init__(self) -> None:
-        self._changed = threading.Condition()
-        self._frame: Frame | None = None
-        self._closed = False
-
-    def put(self, frame: Frame) -> bool:
-        """Leave a frame; return whether it replaced one that still waited."""
-        with self._changed:
-            replaced = self._frame is not None
-            self._frame = frame
-            self._changed.notify()
-            return replaced
-
-    def take(self) -> Frame | None:
-        """Wait for a frame and take it; None when the slot is closed."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._closed or self._frame is not None)
-            frame, self._frame = self._frame, None
-            return None if self._closed else frame
-
-    def close(self) -> None:
-        """Let the taker go; nothing is handed out any more."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
 
 
 class _StampedCache:
@@ -178,6 +151,11 @@ class _StampedCache:
         self._messages = deque(entry for entry in self._messages if condition(*entry))
         return before - len(self._messages)
 
+    def forget_after(self, stamp_ns: int) -> None:
+        """Forget what is later: it is from before a jump back in time."""
+        self.keep(lambda other_ns, _: other_ns <= stamp_ns)
+        self._latest_ns = min(self._latest_ns, stamp_ns) if self._messages else 0
+
     def items(self) -> list[tuple[int, Any]]:
         """Return stamp and message of each, in the order of arrival."""
         return list(self._messages)
@@ -189,7 +167,7 @@ class _StampedCache:
 
     def is_past(self, stamp_ns: int) -> bool:
         """Whether a later message has come, so that none with this stamp will."""
-        return self.latest is not None and self._latest_ns > stamp_ns
+        return self._latest_ns > stamp_ns
 
     def nearest(self, stamp_ns: int, slop_ns: int) -> Any:
         """Return the message nearest in time within the slop, or None."""

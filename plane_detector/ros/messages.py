@@ -13,6 +13,8 @@ import array
 
 import cv2
 import numpy as np
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
@@ -142,6 +144,15 @@ def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray)
     return _cloud_msg(header, PLANE_DTYPE, data, 1, len(planes))
 
 
+def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
+    """
+    Return a pose per plane: at its centroid, z along the normal.
+
+    The x axis is the camera's x axis laid onto the plane (its y axis, where that is the normal).
+    """
+    return PoseArray(header=header, poses=[_pose(plane) for plane in planes])
+
+
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
     """Return the label image (H, W) as 16UC1."""
     return _image_msg(header, '16UC1', labels.astype('<u2'))
@@ -155,6 +166,17 @@ def depth_to_msg(header: Header, depth_m: np.ndarray) -> Image:
 def rgb_to_msg(header: Header, rgb: np.ndarray) -> Image:
     """Return the picture (H, W, 3) uint8 as rgb8."""
     return _image_msg(header, 'rgb8', rgb)
+
+
+def _pose(plane: Plane) -> Pose:
+    z_axis = plane.normal
+    reference = np.eye(3)[1 if abs(z_axis[0]) > 0.9 else 0]
+    x_axis = reference - (reference @ z_axis) * z_axis
+    x_axis /= np.linalg.norm(x_axis)
+    axes = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+    position = dict(zip('xyz', plane.centroid_m.tolist(), strict=True))
+    orientation = dict(zip('xyzw', Rotation.from_matrix(axes).as_quat().tolist(), strict=True))
+    return Pose(position=Point(**position), orientation=Quaternion(**orientation))
 
 
 def _packed_colour(rgb: np.ndarray) -> np.ndarray:

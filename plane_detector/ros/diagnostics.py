@@ -1,0 +1,168 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node tells of itself: rate, latency per stage, drops, the network, the last error."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from plane_detector.ros.qos import overriding_options
+
+_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True)
+class Report:
+    """
+    What happened since the report before, and in total.
+
+    Attributes
+    ----------
+    processed, dropped, skipped : int
+        Frames in total: worked on; replaced by a newer one or without partner; not usable.
+    rate_hz : float
+        Frames worked on per second since the report before.
+    stage_seconds : mapping of str to float
+        Mean time of each stage since the report before; empty without a frame.
+    skipped_lately : bool
+        Whether frames were skipped since the report before.
+    last_error : str
+        Empty when there was none.
+
+    """
+
+    processed: int
+    dropped: int
+    skipped: int
+    rate_hz: float
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    skipped_lately: bool = False
+    last_error: str = ''
+
+
+class Statistics:
+    """Counts frames and adds up times; the threads of the node may call it at once."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._processed = self._dropped = self._skipped = 0
+        self._last_error = ''
+        self._start_window()
+
+    def add_processed(self, stage_seconds: Mapping[str, float]) -> None:
+        """Count a frame that was worked on."""
+        with self._lock:
+            self._processed += 1
+            self._window_processed += 1
+            for stage, seconds in stage_seconds.items():
+                self._window_seconds[stage] += seconds
+
+    def add_dropped(self, count: int) -> None:
+        """Count frames that were never looked at."""
+        with self._lock:
+            self._dropped += count
+
+    def add_skipped(self, error: str) -> None:
+        """Count a frame that could not be processed."""
+        with self._lock:
+            self._skipped += 1
+            self._window_skipped += 1
+            self._last_error = error
+
+    def set_error(self, error: str) -> None:
+        """Remember an error that is not one of a frame."""
+        with self._lock:
+            self._last_error = error
+
+    def report(self) -> Report:
+        """Return what happened, and begin anew what is counted since the last report."""
+        with self._lock:
+            elapsed_s = max(time.monotonic() - self._window_start_s, 1e-9)
+            count = self._window_processed
+            result = Report(
+                self._processed, self._dropped, self._skipped, count / elapsed_s,
+                {stage: seconds / count for stage, seconds in self._window_seconds.items()},
+                self._window_skipped > 0, self._last_error)
+            self._start_window()
+            return result
+
+    def _start_window(self) -> None:
+        self._window_start_s = time.monotonic()
+        self._window_processed = self._window_skipped = 0
+        self._window_seconds: defaultdict[str, float] = defaultdict(float)
+
+
+class DiagnosticsPublisher:
+    """
+    Publishes the state of the node on /diagnostics once a second, whatever its lifecycle state.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        The stamps are of its clock; the period is of the steady one, so that a simulation that
+        stands still does not silence the diagnostics.
+    statistics : Statistics
+        What is counted.
+    describe : callable
+        Report to (level, message, facts).
+
+    """
+
+    def __init__(self, node: Node, statistics: Statistics,
+                 describe: Callable[[Report], tuple[bytes, str, Mapping[str, str]]]):
+        self._node = node
+        self._statistics = statistics
+        self._describe = describe
+        self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10,
+                                                qos_overriding_options=overriding_options())
+        self._timer = node.create_timer(_PERIOD_S, self._publish,
+                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _publish(self) -> None:
+        report = self._statistics.report()
+        level, message, facts = self._describe(report)
+        msg = DiagnosticArray()
+        msg.header.stamp = self._node.get_clock().now().to_msg()
+        name = self._node.get_fully_qualified_name().lstrip('/')
+        msg.status = [status_to_msg(name, level, message, report, facts)]
+        self._publisher.publish(msg)
+
+
+def status_to_msg(name: str, level: bytes, message: str, report: Report,
+                  facts: Mapping[str, str]) -> DiagnosticStatus:
+    """
+    Return a diagnostic status.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    level : bytes
+        DiagnosticStatus.OK, WARN or ERROR.
+    message : str
+        In one line.
+    report : Report
+        Counts and times.
+    facts : mapping of str to str
+        Further keys and values, put first.
+
+    """
+    values = dict(facts)
+    values['rate_hz'] = f'{report.rate_hz:.2f}'
+    for stage, seconds in report.stage_seconds.items():
+        values[f'latency.{stage}_ms'] = f'{seconds * 1e3:.2f}'
+    values['latency.total_ms'] = f'{sum(report.stage_seconds.values()) * 1e3:.2f}'
+    values['frames_processed'] = str(report.processed)
+    values['frames_dropped'] = str(report.dropped)
+    values['frames_skipped'] = str(report.skipped)
+    values['last_error'] = report.last_error
+    return DiagnosticStatus(name=name, level=level, message=message, hardware_id='',
+                            values=[KeyValue(key=k, value=v) for k, v in values.items()])

@@ -1,0 +1,289 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The lifecycle node: subscribe, convert, call, publish, log.
+
+The executor's thread receives messages and answers services, a worker thread processes frames:
+see worker.py.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from std_srvs.srv import Trigger
+
+from plane_detector.config import Config, NodeConfig
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros import parameters, qos
+from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics
+from plane_detector.ros.frames import Frame, FrameAssembler
+from plane_detector.ros.outputs import OUTPUTS
+from plane_detector.ros.process import answer_impossible_transitions, run
+from plane_detector.ros.processing import FrameProcessor
+from plane_detector.ros.worker import FrameWorker
+
+_WARN_PERIOD_S = 5.0
+
+
+class PlaneDetectorNode(LifecycleNode):
+    """
+    The node ``plane_detector``.
+
+    Parameters
+    ----------
+    estimate_depth : callable, optional
+        Takes the place of the network: rgb (H, W, 3) uint8 to depth (H, W) float32.
+    **node_options
+        Of rclpy.node.Node.
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        A parameter has a value that is not possible.
+
+    """
+
+    def __init__(self, estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None,
+                 **node_options: Any):
+        super().__init__('plane_detector', **node_options)
+        self._estimate_depth = estimate_depth
+        self._config = parameters.declare(self, Config())
+        self._settings = parameters.declare(self, NodeConfig())
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        compressed = self._settings.image_transport == 'compressed'
+        self._image_type = CompressedImage if compressed else Image
+        self._image_topic = 'image/compressed' if compressed else 'image'
+        self._statistics = Statistics()
+        self._assembler = FrameAssembler()
+        self._processor: FrameProcessor | None = None
+        self._worker: FrameWorker | None = None
+        self._inputs: list[qos.InputSubscription] = []
+        self._outputs: dict[str, Any] = {}
+        self._frame_requested = self._reset_requested = False
+        self._failure = self._last_reason = self._scale_method = ''
+        self.create_service(Trigger, '~/detect', self._on_detect)
+        self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
+        self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
+        answer_impossible_transitions(self)
+        if self._settings.autostart:
+            self._autostart = self.create_timer(0.0, self._start)
+
+    def destroy_node(self) -> None:
+        """Wait for the frame that is worked on, then end the node."""
+        self._stop_work()
+        super().destroy_node()
+
+    # Lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Load the network and create the outputs."""
+        try:
+            detector = PlaneDetector(self._config, self._estimate_depth)
+        except Exception as error:  # whatever a model file may provoke: the node stays
+            self._fail(f'cannot be configured: {error}')
+            return TransitionCallbackReturn.FAILURE
+        self._failure = ''
+        self._processor = FrameProcessor(
+            detector, self._settings, self.resolve_topic_name(self._image_topic))
+        for name, output in OUTPUTS.items():
+            self._outputs[name] = self.create_lifecycle_publisher(
+                output.msg_type, f'~/{name}', qos.output_profile(),
+                qos_overriding_options=qos.overriding_options())
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Subscribe and start the worker."""
+        from_topic = self._config.depth.source == 'topic'
+        self._assembler = FrameAssembler(from_topic, self._settings.stamp_slop)
+        self._worker = FrameWorker(self._work_on)
+        inputs = [(self._image_type, self._image_topic, self._on_image),
+                  (CameraInfo, 'camera_info', self._on_camera_info)]
+        if from_topic:
+            inputs.append((Image, 'depth', self._on_depth))
+        self._inputs = [qos.InputSubscription(self, *i, self._settings.input_reliability)
+                        for i in inputs]
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the subscriptions and the worker."""
+        self._stop_work()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Free the network and the outputs."""
+        return self._release()
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and free everything."""
+        return self._release()
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Return to where the node can be configured again."""
+        return self._release()
+
+    # Frames, in the executor's thread
+
+    def _on_image(self, msg: Image | CompressedImage) -> None:
+        epoch = self._assembler.epoch
+        self._accept(self._assembler.add_image(msg))
+        if self._assembler.epoch != epoch:
+            self.get_logger().warning('time jumped back: caches and tracking start anew')
+        if self._assembler.missing:
+            self.get_logger().warning(
+                f'{self._missing_text(self._assembler.missing)}: frames are dropped',
+                throttle_duration_sec=_WARN_PERIOD_S)
+
+    def _on_camera_info(self, msg: CameraInfo) -> None:
+        self._accept(self._assembler.add_camera_info(msg))
+
+    def _on_depth(self, msg: Image) -> None:
+        self._accept(self._assembler.add_depth(msg))
+
+    def _accept(self, frames: list[Frame]) -> None:
+        self._statistics.add_dropped(self._assembler.take_dropped())
+        for frame in frames:
+            if self._settings.mode == 'on_demand' and not self._frame_requested:
+                continue
+            self._frame_requested = False
+            if self._worker.put(frame):
+                self._statistics.add_dropped(1)
+
+    # Frames, in the worker's thread
+
+    def _work_on(self, frame: Frame) -> None:
+        try:
+            self._apply_changes()
+            wanted = [n for n, output in self._outputs.items() if output.get_subscription_count()]
+            processed = self._processor.process(frame, wanted)
+            start_s = time.perf_counter()
+            for name, msg in processed.messages.items():
+                self._outputs[name].publish(msg)
+            self._statistics.add_processed({**processed.stage_seconds,
+                                            'publish': time.perf_counter() - start_s})
+        except ValueError as error:
+            self._skip(str(error))
+        except Exception:  # one frame must not end the node
+            if self.context.ok():
+                self._skip(traceback.format_exc())
+
+    def _skip(self, reason: str) -> None:
+        self._statistics.add_skipped(reason)
+        text = f'frame skipped: {reason}'
+        if reason != self._last_reason:
+            self.get_logger().warning(text)
+        else:
+            self.get_logger().warning(text, throttle_duration_sec=_WARN_PERIOD_S)
+        self._last_reason = reason
+
+    def _apply_changes(self) -> None:
+        """Take over, between two frames, what was asked for in the meantime."""
+        processor = self._processor
+        processor.settings = self._settings
+        if processor.detector.config is not self._config:
+            processor.detector.config = self._config
+        if self._reset_requested:
+            self._reset_requested = False
+            processor.reset()
+
+    # Parameters and services
+
+    def _check_parameters(self, changed: list[Parameter]) -> SetParametersResult:
+        try:
+            parameters.updated(self._config, changed)
+            parameters.updated(self._settings, changed)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, changed: list[Parameter]) -> None:
+        self._config = parameters.updated(self._config, changed)
+        self._settings = parameters.updated(self._settings, changed)
+        self._assembler.stamp_slop_s = self._settings.stamp_slop
+
+    def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
+        response.success = self._frame_requested = self._worker is not None
+        response.message = ('the next frame will be processed' if response.success
+                            else 'the node is not active')
+        return response
+
+    def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
+        response.success = self._reset_requested = self._processor is not None
+        response.message = ('tracking starts anew with the next frame' if response.success
+                            else 'the node is not configured')
+        return response
+
+    # What the node tells of itself
+
+    def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
+        """Return level, message and facts for the diagnostics."""
+        facts = {'state': self._state_machine.current_state[1], 'mode': self._settings.mode,
+                 'scale': self._scale_method}
+        if self._processor is not None:
+            facts.update(self._processor.detector.facts)
+        if self._failure:
+            return DiagnosticStatus.ERROR, self._failure, facts
+        if self._worker is None:
+            return DiagnosticStatus.OK, facts['state'], facts
+        if self._assembler.missing:
+            return DiagnosticStatus.WARN, self._missing_text(self._assembler.missing), facts
+        if report.skipped_lately:
+            return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}', facts
+        if not report.stage_seconds and self._settings.mode == 'continuous':
+            return DiagnosticStatus.WARN, 'no frame lately', facts
+        return DiagnosticStatus.OK, 'active', facts
+
+    def _missing_text(self, missing: tuple[str, ...]) -> str:
+        names = {'image': self._image_topic}
+        topics = ', '.join(self.resolve_topic_name(names.get(name, name)) for name in missing)
+        return f'nothing received yet on {topics}'
+
+    # Parts of the transitions
+
+    def _start(self) -> None:
+        """Go to the active state without a lifecycle manager."""
+        self.destroy_timer(self._autostart)
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    def _fail(self, reason: str) -> None:
+        self._failure = reason
+        self._statistics.set_error(reason)
+        self.get_logger().error(reason)
+
+    def _stop_work(self) -> None:
+        for subscription in self._inputs:
+            subscription.destroy()
+        self._inputs = []
+        if self._worker is not None:
+            self._worker.stop()
+            self._worker = None
+
+    def _release(self) -> TransitionCallbackReturn:
+        self._stop_work()
+        for publisher in self._outputs.values():
+            self.destroy_lifecycle_publisher(publisher)
+        self._outputs = {}
+        self._processor = None
+        return TransitionCallbackReturn.SUCCESS
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node until SIGINT or SIGTERM; return the exit code."""
+    return run(PlaneDetectorNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

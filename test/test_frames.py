@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages are put together."""
+
+import numpy as np
+from ros_helpers import camera_info_msg, image_msg
+
+from plane_detector.ros.frames import FrameAssembler
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(50.0, 50.0, 3.5, 2.5, 8, 6)
+
+
+def image(stamp_s):
+    return image_msg(np.zeros((6, 8, 3), np.uint8), 'rgb8', stamp_s)
+
+
+def depth(stamp_s):
+    return image_msg(np.ones((6, 8), np.float32), '32FC1', stamp_s)
+
+
+def info(stamp_s):
+    return camera_info_msg(CAMERA, stamp_s)
+
+
+def test_pictures_before_the_first_calibration_are_dropped():
+    assembler = FrameAssembler()
+    for stamp_s in (1.0, 1.1, 1.2):
+        assert assembler.add_image(image(stamp_s)) == []
+    assert assembler.missing == ('camera_info',)
+    assert assembler.add_camera_info(info(1.3)) == []
+    assert assembler.take_dropped() == 3
+    assert assembler.missing == ()
+    assert len(assembler.add_image(image(1.3))) == 1
+
+
+def test_the_first_picture_waits_for_its_own_calibration():
+    assembler = FrameAssembler()
+    first = image(1.0)
+    assembler.add_image(first)
+    (frame,) = assembler.add_camera_info(info(1.0))
+    assert frame.image is first
+    assert assembler.take_dropped() == 0
+
+
+def test_calibration_of_the_same_stamp_comes_before_the_latest():
+    assembler = FrameAssembler()
+    own, latest = info(1.0), info(2.0)
+    assembler.add_camera_info(own)
+    assembler.add_camera_info(latest)
+    assert assembler.add_image(image(1.0))[0].camera_info is own
+    assert assembler.add_image(image(1.5))[0].camera_info is latest
+
+
+def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
+    assembler = FrameAssembler(needs_depth=True)
+    assembler.add_camera_info(info(0.0))
+    first, second = depth(1.0), depth(2.0)
+    assert assembler.add_image(image(1.0)) == []
+    assert assembler.add_depth(first)[0].depth is first
+    assert assembler.add_depth(second) == []
+    assert assembler.add_image(image(2.0))[0].depth is second
+
+
+def test_an_exact_match_comes_before_a_near_one():
+    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.05)
+    assembler.add_camera_info(info(0.0))
+    assembler.add_depth(depth(0.98))
+    assert assembler.add_image(image(1.0)) == []
+    own = depth(1.0)
+    assert assembler.add_depth(own)[0].depth is own
+
+
+def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
+    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.05)
+    assembler.add_camera_info(info(0.0))
+    near = depth(0.98)
+    assembler.add_depth(near)
+    assembler.add_image(image(1.0))
+    (frame,) = assembler.add_depth(depth(1.03))
+    assert frame.depth is near
+
+
+def test_a_picture_without_depth_within_the_slop_is_dropped():
+    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.01)
+    assembler.add_camera_info(info(0.0))
+    assembler.add_depth(depth(0.98))
+    assembler.add_image(image(1.0))
+    assert assembler.add_depth(depth(1.03)) == []
+    assert assembler.take_dropped() == 1
+
+
+def test_pictures_do_not_pile_up_while_depth_is_missing():
+    assembler = FrameAssembler(needs_depth=True)
+    assembler.add_camera_info(info(0.0))
+    for index in range(100):
+        assembler.add_image(image(1 + index / 30))
+    assert assembler.missing == ('depth',)
+    assert 80 <= assembler.take_dropped() < 100
+
+
+def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
+    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.05)
+    assembler.add_camera_info(info(100.0))
+    assembler.add_depth(depth(100.0))
+    assert assembler.add_image(image(100.0))[0].epoch == 0
+    assert assembler.add_image(image(5.0)) == []
+    (frame,) = assembler.add_depth(depth(5.0))
+    assert frame.epoch == 1
+    (frame,) = assembler.add_image(image(4.99))
+    assert frame.epoch == 1, 'a picture that is only out of order is no jump'
