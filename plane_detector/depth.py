@@ -18,6 +18,7 @@ _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
 # memory of the host and leaves them there.
 _DEVICES = {'CUDAExecutionProvider': 'cuda', 'TensorrtExecutionProvider': 'cuda'}
 _WARM_UP_SIZE = (640, 480)
+RUNTIME = f'ONNX Runtime {ort.__version__}'
 
 
 def available_providers() -> tuple[str, ...]:
@@ -252,6 +253,10 @@ class _Session:
                    zip(self._fixed_size, self._wanted_size, strict=True)):
                 raise self._misfit('its input has another fixed size than depth.input_width x '
                                    f'depth.input_height, {self._wanted_size}')
+            if any(wanted % self._multiple for fixed, wanted in
+                   zip(self._fixed_size, self._wanted_size, strict=True) if not fixed):
+                raise ValueError(f'depth.input_width and depth.input_height, {self._wanted_size},'
+                                 f' must be multiples of depth.side_multiple, {self._multiple}')
         elif not all(self._fixed_size) and not self._short_side:
             raise self._misfit('the size of its input is free: set depth.short_side, or '
                                'depth.input_width and depth.input_height')

@@ -33,6 +33,7 @@ ANSWER_TIMEOUT_S = 5.0
 """A host that does not answer within this time counts as out of reach."""
 NPM_PACK_TIMEOUT_S = 300.0
 _CHUNK_BYTES = 1 << 20
+_MOST_BYTES = 1 << 30  # of a file whose size is not known: no server may fill the disk
 _SHOW_PROGRESS_AFTER_S = 2.0
 
 
@@ -98,7 +99,7 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
     url : str
         The address; proxies are taken from the environment.
     size_bytes : int
-        Expected size for the progress bar, 0: what the server says.
+        Size of the file; more is refused. 0: not known.
     unreachable : set of str
         Hosts that did not answer before; they are not asked again. A host that does not answer
         within `ANSWER_TIMEOUT_S`, or falls silent for as long, is added.
@@ -118,6 +119,8 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
             with _progress(url.rsplit('/', 1)[-1], total) as bar:
                 while chunk := response.read(_CHUNK_BYTES):
                     bar.update(len(chunk))
+                    if bar.n > (size_bytes or _MOST_BYTES):
+                        raise OSError('it sends more than the file has')
                     yield chunk
     except urllib.error.HTTPError as error:
         raise OSError(f'{host} answered {error.code} {error.reason}') from error

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 _SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA}
+_LONGEST_ASPECT = 10
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,16 @@ def lower_bound_size(width: int, height: int, short_side: int, multiple: int) ->
 
     The short side becomes ``short_side``, the other follows; both are rounded to ``multiple``,
     never below the short side. The method of MiDaS and Depth Anything (Resize, lower_bound).
+
+    Raises
+    ------
+    ValueError
+        The picture is so elongated that the input would take gigabytes.
+
     """
+    if max(width, height) > _LONGEST_ASPECT * min(width, height):
+        raise ValueError(f'a picture of {width} x {height} is too elongated for a network of free '
+                         f'input size, one side may be {_LONGEST_ASPECT} times the other')
     factor = max(short_side / width, short_side / height)
 
     def rounded(side: int) -> int:
@@ -69,7 +79,7 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
         Planes of normalised R, G and B.
 
     """
-    picture = rgb.astype(np.float32)
+    picture = rgb.astype(np.float32, order='C')  # OpenCV takes no reversed or transposed views
     if size != (rgb.shape[1], rgb.shape[0]):
         shrinks = size[0] * size[1] < rgb.shape[0] * rgb.shape[1]
         kind = _SHRINKING[recipe.shrink] if shrinks else cv2.INTER_CUBIC

@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from onnx import TensorProto, helper
+from onnx import TensorProto, helper, numpy_helper
 from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
 
 from plane_detector import depth as depth_module
@@ -87,6 +87,8 @@ def test_sizes_keep_the_aspect_and_never_fall_below_the_short_side():
     assert lower_bound_size(640, 640, 518, 14) == (518, 518)
     assert lower_bound_size(640, 480, 250, 14) == (336, 252)  # 250 is no multiple: rounded up
     assert lower_bound_size(100, 100, 224, 32) == (224, 224)
+    with pytest.raises(ValueError, match='4000 x 2 is too elongated'):
+        lower_bound_size(4000, 2, 518, 14)
 
 
 def test_preparing_leaves_the_picture_as_it_was():
@@ -95,6 +97,13 @@ def test_preparing_leaves_the_picture_as_it_was():
     prepare_input(rgb, (40, 30), IMAGENET)
     prepare_input(rgb, (20, 15), IMAGENET)
     np.testing.assert_array_equal(rgb, before)
+
+
+def test_a_picture_may_be_a_reversed_or_transposed_view():
+    rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    for view in (rgb[..., ::-1], rgb[::-1, ::2], rgb.transpose(1, 0, 2)):
+        np.testing.assert_array_equal(prepare_input(view, (28, 14), IMAGENET),
+                                      prepare_input(view.copy('C'), (28, 14), IMAGENET))
 
 
 def test_shrinking_by_area_averages():
@@ -201,7 +210,7 @@ def test_the_same_picture_gives_the_same_depth(tmp_path):
 def test_a_free_size_follows_the_short_side_or_the_given_sides(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx')
     assert DepthEstimator(config_for(path, short_side=252)).input_size(640, 480) == (336, 252)
-    given = DepthEstimator(config_for(path, input_width=100, input_height=50))
+    given = DepthEstimator(config_for(path, input_width=100, input_height=50, side_multiple=10))
     assert given.input_size(640, 480) == (100, 50)
     half_free = write_depth_network(tmp_path / 'h.onnx', height=28)
     assert DepthEstimator(config_for(half_free, short_side=28)).input_size(64, 48) == (42, 28)
@@ -245,6 +254,15 @@ def test_a_missing_file_names_what_there_is():
         DepthEstimator(config_for('/nowhere.onnx'))
 
 
+def test_a_network_that_fails_on_its_input_is_told(tmp_path):
+    nodes = [helper.make_node('Reshape', ['image', 'to'], ['depth'])]
+    path = write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 'h', 'w'])],
+                         [('depth', FLOAT, [3, 4])],
+                         [numpy_helper.from_array(np.array([3, 4]), 'to')])
+    with pytest.raises(ValueError, match=r'\(1, 3, 14, 14\) fails, .*inputs: image .*depth'):
+        DepthEstimator(config_for(path, input_width=14, input_height=14))
+
+
 def test_a_file_that_is_no_network_is_refused(tmp_path):
     (tmp_path / 'n.onnx').write_bytes(b'not a network')
     with pytest.raises(ValueError, match=r'no execution provider runs .*n\.onnx'):
@@ -256,6 +274,8 @@ def test_a_size_that_the_network_cannot_take_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r'fixed size.*\(64, 48\).*image tensor\(float\)'):
         DepthEstimator(config_for(path, input_width=64, input_height=48))
     free = write_depth_network(tmp_path / 'f.onnx')
+    with pytest.raises(ValueError, match=r'\(100, 98\), must be multiples of .*side_multiple, 14'):
+        DepthEstimator(config_for(free, input_width=100, input_height=98))
     with pytest.raises(ValueError, match=r'is free: set depth\.short_side'):
         DepthEstimator(config_for(free))
 

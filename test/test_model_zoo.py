@@ -32,14 +32,15 @@ SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT whole, damaged, broken off or stalled, and counts what it is asked for."""
+    """Serves CONTENT whole, damaged, broken off, stalled or too long, and counts what it is asked for."""
 
     def do_GET(self):
         self.server.asked.append(self.path)
         if self.path == '/missing.onnx':
             self.send_error(404)
             return
-        content = CONTENT[:-1] + b'!' if self.path == '/other.onnx' else CONTENT
+        content = {'/other.onnx': CONTENT[:-1] + b'!', '/longer.onnx': CONTENT * 2}.get(
+            self.path, CONTENT)
         self.send_response(200)
         self.send_header('Content-Length', str(len(content)))
         self.end_headers()
@@ -100,6 +101,7 @@ def test_a_fetched_file_is_whole_verified_and_then_cached(server, tmp_path, monk
 @pytest.mark.parametrize(('file', 'said'), [
     ('/other.onnx', f'has SHA-256 [0-9a-f]{{64}} .1280000 bytes., not {SHA256}'),
     ('/broken.onnx', r'\(1000 bytes\).*broke off|is out of reach'),
+    ('/longer.onnx', 'sends more than the file has'),
     ('/stalled.onnx', 'is out of reach .*timed out'),
     ('/missing.onnx', '404')])
 def test_nothing_stays_of_a_download_that_is_not_the_right_one(
