@@ -10,7 +10,8 @@ range and choices, and every instance is checked against them when it is made.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import Field, dataclass, field, fields
 from typing import Any
 
 
@@ -60,6 +61,16 @@ def _same_type(value: Any, default: Any) -> bool:
     if isinstance(default, float):
         return isinstance(value, (int, float)) and not isinstance(value, bool)
     return type(value) is type(default)
+
+
+def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
+    """Yield name, field and value of every setting; a nested one is named ``depth.model``."""
+    for f in fields(settings):
+        value = getattr(settings, f.name)
+        if isinstance(value, Checked):
+            yield from parameters_of(value, f'{prefix}{f.name}.')
+        else:
+            yield prefix + f.name, f, value
 
 
 @dataclass(frozen=True)
