@@ -59,6 +59,14 @@ class DisparityPlanes:
         """Covariance of the coefficients, (N, 3, 3)."""
         return np.linalg.inv(self.information)
 
+    def scaled(self, scale: float, shift: float) -> np.ndarray:
+        """
+        Return the coefficients (N, 3) of 1/z = scale * D + shift.
+
+        The plane n . p + d = 0 has the coefficients -n / d.
+        """
+        return scale * self.coefficients + [0.0, 0.0, shift]
+
     def take(self, index: np.ndarray) -> DisparityPlanes:
         """Return the chosen planes, in the order of the index."""
         return DisparityPlanes(self.coefficients[index], self.information[index],

@@ -29,6 +29,9 @@ MIN_AXIS_SHARE = 0.04
 MIN_DISTINCT_PLANES = 3
 # Another shift with this share of the winner's votes makes the answer ambiguous.
 RIVAL_SHARE = 0.85
+# So does one that leaves as many planes level or upright, up to this share of the pixels: a low
+# camera in a hexagonal room sees a floor that any shift keeps level.
+UPRIGHT_MARGIN = 0.03
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ class _Frames:
     axis: np.ndarray         # (C, N) int, the axis that each plane lies along, -1 none
     informative: np.ndarray  # (C, N) bool, the normal is known well enough to judge
     votes: np.ndarray        # (C,) pixel share of the aligned planes, less where barely aligned
+    upright: np.ndarray      # (C,) the same for planes along or across the best single axis
 
 
 def vote_shift(planes: DisparityPlanes, lowest_disparity: float,
@@ -90,7 +94,8 @@ def vote_shift(planes: DisparityPlanes, lowest_disparity: float,
     planes = _largest(planes)
     tau, axes = _proposals(planes.coefficients, -lowest_disparity)
     if down_camera is not None:
-        upright = np.abs(axes @ down_camera).max(1) >= np.cos(np.radians(down_tolerance_deg))
+        off_deg = np.degrees(np.arccos(np.abs(axes @ down_camera).max(1).clip(0, 1)))
+        upright = off_deg <= down_tolerance_deg + MAX_TOLERANCE_DEG
         tau, axes = tau[upright], axes[upright]
     if len(planes) < MIN_DISTINCT_PLANES or not len(tau):
         return _refused('fewer than three planes, or none of them can be perpendicular')
@@ -149,13 +154,21 @@ def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Frame
     """Count the pixels of the planes along the axes of each frame."""
     normals, sigma_deg = _normals(planes, tau)
     cosine = np.abs(np.einsum('cni,cki->cnk', normals, axes))
-    off_axis_deg = np.degrees(np.arccos(cosine.max(-1).clip(0, 1)))
-    tolerance_deg = np.clip(3 * sigma_deg, MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG)
+    angle_deg = np.degrees(np.arccos(cosine.clip(0, 1)))
+    tolerance_deg = np.clip(3 * sigma_deg, MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG)[..., None]
     informative = sigma_deg <= MAX_TOLERANCE_DEG
-    aligned = (off_axis_deg <= tolerance_deg) & informative
-    fit = np.where(aligned, 1.0 - 0.5 * (off_axis_deg / tolerance_deg) ** 2, 0.0)
-    return _Frames(tau, axes, np.where(aligned, cosine.argmax(-1), -1), informative,
-                   (fit * planes.pixel_share).sum(1))
+    share = np.where(informative, planes.pixel_share, 0.0)
+    along = _fit(angle_deg, tolerance_deg)
+    across = _fit(90.0 - angle_deg, tolerance_deg)
+    best = along.max(-1)
+    return _Frames(tau, axes, np.where((best > 0) & informative, along.argmax(-1), -1),
+                   informative, (best * share).sum(1),
+                   (np.maximum(along, across) * share[..., None]).sum(1).max(1))
+
+
+def _fit(off_deg: np.ndarray, tolerance_deg: np.ndarray) -> np.ndarray:
+    """Return 1 for none off, one half at the tolerance and 0 beyond."""
+    return np.where(off_deg <= tolerance_deg, 1.0 - 0.5 * (off_deg / tolerance_deg) ** 2, 0.0)
 
 
 def _refine(planes: DisparityPlanes, frames: _Frames, best: int, lowest_tau: float):
@@ -209,6 +222,8 @@ def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames) -> str
     rival = frames.votes[apart].max(initial=0.0)
     if rival > RIVAL_SHARE * winner.votes[0]:
         return 'another shift makes as many right angles'
+    if frames.upright[apart].max(initial=0.0) > winner.upright[0] - UPRIGHT_MARGIN:
+        return 'another shift leaves as many planes upright, at other angles to each other'
     return ''
 
 

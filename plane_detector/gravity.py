@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The direction down in the camera's optical frame, from settings or from an accelerometer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+STANDARD_GRAVITY = 9.80665  # m/s^2
+# An accelerometer that reads another force is being moved: then it does not show down.
+MAX_FORCE_ERROR_SHARE = 0.1
+SMOOTHING_S = 0.5
+
+
+def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
+    """Return the direction (3,) with length 1; None for 0 0 0, the unknown one."""
+    vector = np.asarray(direction, np.float64)
+    length = np.linalg.norm(vector)
+    return vector / length if length > 0 else None
+
+
+def gravity_from_acceleration(acceleration: Sequence[float],
+                              imu_to_camera: Sequence[float]) -> np.ndarray | None:
+    """
+    Return the direction down that an accelerometer at rest shows.
+
+    Parameters
+    ----------
+    acceleration : (3,) float
+        ``sensor_msgs/Imu.linear_acceleration`` in m/s^2: at rest it points up (REP-145).
+    imu_to_camera : (4,) float
+        Quaternion x y z w that turns vectors of the IMU's frame into the optical frame; of any
+        length but 0.
+
+    Returns
+    -------
+    (3,) float64 or None
+        Unit vector in the optical frame; None when the force is not that of gravity alone.
+
+    """
+    force = np.asarray(acceleration, np.float64)
+    strength = np.linalg.norm(force)
+    if not abs(strength - STANDARD_GRAVITY) <= MAX_FORCE_ERROR_SHARE * STANDARD_GRAVITY:
+        return None
+    return -_rotate(imu_to_camera, force / strength)
+
+
+def _rotate(quaternion: Sequence[float], vector: np.ndarray) -> np.ndarray:
+    x, y, z, w = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
+    axis = np.array([x, y, z])
+    return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * vector)
+
+
+def smooth_gravity(previous: np.ndarray | None, reading: np.ndarray,
+                   interval_s: float) -> np.ndarray:
+    """Return the low-passed unit direction (3,), one reading after the previous one."""
+    if previous is None:
+        return reading
+    gain = 1.0 - np.exp(-max(interval_s, 0.0) / SMOOTHING_S)
+    mixed = previous + gain * (reading - previous)
+    length = np.linalg.norm(mixed)
+    return mixed / length if length > 1e-6 else reading

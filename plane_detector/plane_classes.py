@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a plane is, by the direction of gravity: floor, ceiling, wall, table, other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import IntEnum
+
+import numpy as np
+
+from plane_detector.types import Plane
+
+# A plane leans no more than this and is still level, or upright.
+TOLERANCE_DEG = 8.0
+# Levels closer than this share of the floor's distance are one floor (a door sill, noise).
+SAME_LEVEL_SHARE = 0.08
+# Of the level and upright planes, how exactly they must be so around the axis that gravity is
+# taken from when it is known only coarsely, and how many of the pixels must be.
+FRAME_TOLERANCE_DEG = 4.0
+MIN_FRAME_SHARE = 0.5
+
+
+class PlaneClass(IntEnum):
+    """The values of the field ``class`` of ``~/planes``."""
+
+    UNKNOWN = 0
+    FLOOR = 1
+    CEILING = 2
+    WALL = 3
+    OTHER_HORIZONTAL = 4
+    OTHER = 5
+
+
+def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
+                    tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
+    """
+    Tell the planes of one picture apart by gravity.
+
+    Parameters
+    ----------
+    planes : sequence of Plane
+        With true angles; their unit does not matter.
+    down_camera : (3,) floating or None
+        Unit direction of gravity in the optical frame.
+    tolerance_deg : float
+        How far from level or upright a plane may be.
+
+    Returns
+    -------
+    tuple of PlaneClass
+        One per plane. The floor is the lowest level plane that looks up, the ceiling the highest
+        that looks down, with all at that level. All ``UNKNOWN`` without gravity.
+
+    """
+    if down_camera is None or not planes:
+        return (PlaneClass.UNKNOWN,) * len(planes)
+    facing_down = np.array([plane.normal @ down_camera for plane in planes])
+    offsets = np.array([plane.offset_m for plane in planes])
+    level = np.cos(np.radians(tolerance_deg))
+    upright = np.sin(np.radians(tolerance_deg))
+    classes = np.full(len(planes), PlaneClass.OTHER)
+    classes[np.abs(facing_down) <= upright] = PlaneClass.WALL
+    for side, extreme in ((facing_down <= -level, PlaneClass.FLOOR),
+                          (facing_down >= level, PlaneClass.CEILING)):
+        farthest = offsets[side].max(initial=0.0)
+        outermost = offsets >= (1.0 - SAME_LEVEL_SHARE) * farthest
+        classes[side] = np.where(outermost[side], extreme, PlaneClass.OTHER_HORIZONTAL)
+    return tuple(PlaneClass(value) for value in classes)
+
+
+def refine_gravity(planes: Sequence[Plane], coarse_down_camera: np.ndarray,
+                   tolerance_deg: float) -> np.ndarray | None:
+    """
+    Make a coarse direction of gravity exact by the planes at right angles to each other.
+
+    Parameters
+    ----------
+    planes : sequence of Plane
+        With true angles.
+    coarse_down_camera : (3,) floating
+        Unit direction.
+    tolerance_deg : float
+        How far it may be off.
+
+    Returns
+    -------
+    (3,) float64 or None
+        The mean normal of the level planes, where planes upright to them exist and both together
+        are most of the picture's; None where they are not, and nothing can be said.
+
+    """
+    if not planes:
+        return None
+    normals = np.stack([plane.normal for plane in planes])
+    pixels = np.array([plane.inlier_count for plane in planes], float)
+    normals = normals * np.where(normals @ coarse_down_camera < 0, -1.0, 1.0)[:, None]
+    near = normals @ coarse_down_camera >= np.cos(np.radians(tolerance_deg))
+    cosine = np.abs(normals @ normals.T)
+    level = cosine >= np.cos(np.radians(FRAME_TOLERANCE_DEG))
+    upright = cosine <= np.sin(np.radians(FRAME_TOLERANCE_DEG))
+    share = (level | upright) @ pixels / pixels.sum()
+    possible = near & upright.any(1) & (share >= MIN_FRAME_SHARE)
+    if not possible.any():
+        return None
+    best = np.where(possible, share * pixels.sum() + level @ pixels, -1.0).argmax()
+    members = level[best] & near
+    mean = (pixels[members, None] * normals[members]).sum(0)
+    return mean / np.linalg.norm(mean)

@@ -1,0 +1,287 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+From a disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift.
+
+A method fixes both, or refuses and says why. ``auto`` takes the first that gives metres, in this
+order: the network's own, measured depth, the camera's height above the floor, right angles with
+that height, the given numbers. Right angles alone fix the shift only: angles are then true and the
+unit stays unknown. Where nothing helps both are: ``relative``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector.backprojection import valid_depth
+from plane_detector.config import ScaleConfig
+from plane_detector.disparity_planes import DisparityPlanes, fit_disparity_planes
+from plane_detector.gravity import unit_direction
+from plane_detector.scale_depth_fit import fit_measured_depth
+from plane_detector.scale_floor import FloorFit, fit_floor, fit_floor_of_frame
+from plane_detector.scale_manhattan import ManhattanVote, vote_shift
+from plane_detector.types import CameraIntrinsics
+
+RELATIVE = 'relative'
+COARSE_GRAVITY_DEG = 5.0
+# The farthest pixels are judged by this quantile, so that noise at the horizon does not count.
+FAR_QUANTILE = 0.01
+SPAN_QUANTILES = (0.1, 0.5, 0.9)
+# Depths beyond this multiple of the picture's own unit are invalid where metres are unknown.
+MAX_RELATIVE_DEPTH = 1000.0
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """
+    1/z = scale * disparity + shift, and where it comes from.
+
+    Attributes
+    ----------
+    scale, shift : float
+        1/metres, or 1/unit where the unit is unknown: then the middle depth of the picture
+        that the unit was chosen on is 1.
+    method : str
+        ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
+    is_metric : bool
+        Whether depth is in metres. False for ``relative``, and for ``manhattan`` without a
+        height.
+    has_true_angles : bool
+        Whether the angles between planes are those of the scene. False for ``relative``.
+    uncertainty : float
+        Standard deviation of depth by that of scale and shift, as a share of depth, at the far
+        tenth of the picture; NaN where it is not known.
+    note : str
+        What the method found, or why the others refused; for the log and the diagnostics.
+    span : (3,) tuple of float
+        Disparity of the far tenth, the middle and the near tenth of the picture.
+
+    """
+
+    scale: float
+    shift: float
+    method: str
+    is_metric: bool
+    has_true_angles: bool
+    uncertainty: float
+    note: str
+    span: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        sigma = f', +-{self.uncertainty:.1%}' if np.isfinite(self.uncertainty) else ''
+        unit = '' if self.is_metric else ', unit unknown'
+        return f'{self.method}{unit}{sigma}: {self.note}'
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """What the methods look at."""
+
+    disparity: np.ndarray
+    output: str
+    intrinsics: CameraIntrinsics
+    planes: DisparityPlanes
+    config: ScaleConfig
+    down_camera: np.ndarray | None
+    sensor_depth_m: np.ndarray | None
+    lowest: float
+    span: tuple[float, float, float]
+
+
+def to_disparity(prediction: np.ndarray, output: str) -> np.ndarray:
+    """
+    Return what a network gave as something affine in 1/z.
+
+    Parameters
+    ----------
+    prediction : (H, W) floating
+    output : str
+        ``metric_depth`` is inverted, NaN where it is not positive; ``disparity`` and
+        ``relative_disparity`` stay as they are.
+
+    Returns
+    -------
+    (H, W) floating
+
+    """
+    if output != 'metric_depth':
+        return prediction
+    return np.divide(1.0, prediction, out=np.full_like(prediction, np.nan),
+                     where=valid_depth(prediction))
+
+
+def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
+                   config: ScaleConfig = ScaleConfig(), *, output: str = 'relative_disparity',
+                   gravity_camera: np.ndarray | None = None,
+                   sensor_depth_m: np.ndarray | None = None) -> ScaleEstimate:
+    """
+    Find scale and shift of one picture by the method that the settings ask for.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        Affine in 1/z (see :func:`to_disparity`); not finite where invalid.
+    labels : (H, W) int
+        Plane of each pixel, -1 none; planes are the same pixels at any scale and shift.
+    intrinsics : CameraIntrinsics
+    config : ScaleConfig
+    output : str
+        What the network gives: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    gravity_camera : (3,) floating, optional
+        Direction down in the optical frame; by default ``config.gravity``.
+    sensor_depth_m : (H, W) floating, optional
+        Measured depth, sparse or dense.
+
+    Returns
+    -------
+    ScaleEstimate
+        ``relative`` when no method has an answer; its note says why.
+
+    """
+    picture = _picture(disparity, labels, intrinsics, config, output, gravity_camera,
+                       sensor_depth_m)
+    refusals, unitless = [], None
+    for method in _methods(config):
+        estimate = METHODS[method](picture)
+        if isinstance(estimate, str):
+            refusals.append(f'{method}: {estimate}')
+        elif estimate.is_metric:
+            return estimate
+        else:
+            unitless = unitless or estimate
+    return unitless or _relative(picture, '; '.join(refusals) or 'asked for by scale.method')
+
+
+def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
+                max_depth_m: float = np.inf) -> np.ndarray:
+    """
+    Return depth, (H, W) float32, NaN where invalid or farther than the largest depth.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+    estimate : ScaleEstimate
+    max_depth_m : float
+        Holds only where the unit is the metre.
+
+    """
+    farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
+    inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)
+    valid = (inverse > 0) & (inverse >= 1.0 / farthest) & np.isfinite(inverse)
+    return np.divide(1.0, inverse, out=np.full(disparity.shape, np.nan, np.float32), where=valid)
+
+
+def _methods(config: ScaleConfig) -> tuple[str, ...]:
+    if config.method == 'auto':
+        return tuple(METHODS)
+    return () if config.method == 'none' else (config.method,)
+
+
+def _picture(disparity, labels, intrinsics, config, output, gravity_camera,
+             sensor_depth_m) -> _Picture:
+    finite = disparity[::4, ::4]
+    finite = finite[np.isfinite(finite)]
+    lowest, *span = (np.quantile(finite, (FAR_QUANTILE, *SPAN_QUANTILES)) if finite.size
+                     else (0.0, 0.0, 0.0, 0.0))
+    gravity = config.gravity if gravity_camera is None else gravity_camera
+    return _Picture(disparity, output, intrinsics,
+                    fit_disparity_planes(disparity, labels, intrinsics), config,
+                    unit_direction(gravity), sensor_depth_m, float(lowest),
+                    tuple(float(value) for value in span))
+
+
+def _relative(picture: _Picture, note: str) -> ScaleEstimate:
+    """Leave the shift as it is, unless disparity is negative somewhere."""
+    return _unitless(picture, max(0.0, -1.01 * picture.lowest), RELATIVE, False, np.nan, note)
+
+
+def _unitless(picture: _Picture, tau: float, method: str, has_true_angles: bool,
+              tau_sigma: float, note: str) -> ScaleEstimate:
+    """Choose the unit so that the middle depth of the picture is 1."""
+    middle = picture.span[1] + tau
+    scale = 1.0 / middle if middle > 0 else 1.0
+    estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
+                             picture.span)
+    return _with_uncertainty(estimate, np.diag([0.0, (scale * tau_sigma) ** 2]))
+
+
+def _with_uncertainty(estimate: ScaleEstimate, covariance: np.ndarray) -> ScaleEstimate:
+    far = np.array([estimate.span[0], 1.0])
+    inverse_m = far @ [estimate.scale, estimate.shift]
+    sigma = np.sqrt(far @ covariance @ far) / inverse_m if inverse_m > 0 else np.nan
+    return replace(estimate, uncertainty=float(sigma))
+
+
+def _metric(picture: _Picture) -> ScaleEstimate | str:
+    if picture.output == 'relative_disparity':
+        return 'the network gives no metres'
+    reference_px = picture.config.reference_focal_px
+    scale = reference_px / picture.intrinsics.fx if reference_px > 0 else 1.0
+    note = f'the network\'s metres times {1 / scale:.4g}' if scale != 1 else 'the network\'s metres'
+    return ScaleEstimate(scale, 0.0, 'metric', True, True, np.nan, note, picture.span)
+
+
+def _depth_topic(picture: _Picture) -> ScaleEstimate | str:
+    if picture.sensor_depth_m is None:
+        return 'no measured depth'
+    fit = fit_measured_depth(picture.disparity, picture.sensor_depth_m)
+    if fit.refusal:
+        return fit.refusal
+    estimate = ScaleEstimate(fit.scale, fit.shift, 'depth_topic', True, True, np.nan,
+                             f'{fit.point_count} points of measured depth', picture.span)
+    return _with_uncertainty(estimate, fit.covariance)
+
+
+def _camera_height(picture: _Picture) -> ScaleEstimate | str:
+    config, down = picture.config, picture.down_camera
+    if config.camera_height == 0 or down is None:
+        return 'scale.camera_height and the direction of gravity are not both known'
+    if config.gravity_tolerance > COARSE_GRAVITY_DEG:
+        return 'gravity is known too coarsely'
+    fit = fit_floor(picture.planes, picture.lowest, down, config.camera_height,
+                    config.gravity_tolerance)
+    if fit is None:
+        return 'no plane can be the floor'
+    return _from_floor(picture, fit, 'camera_height', f'floor {config.camera_height} m below')
+
+
+def _from_floor(picture: _Picture, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
+    estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan, note, picture.span)
+    return _with_uncertainty(estimate, fit.covariance)
+
+
+def _manhattan(picture: _Picture) -> ScaleEstimate | str:
+    config, down = picture.config, picture.down_camera
+    vote = vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    if vote.refusal:
+        return vote.refusal
+    return _manhattan_metric(picture, vote) or _unitless(
+        picture, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
+
+
+def _manhattan_metric(picture: _Picture, vote: ManhattanVote) -> ScaleEstimate | None:
+    height_m, down = picture.config.camera_height, picture.down_camera
+    if height_m == 0 or down is None:
+        return None
+    fit = fit_floor_of_frame(picture.planes, vote.tau, vote.sigma, vote.axes, down, height_m)
+    if fit is None:
+        return None
+    return _from_floor(picture, fit, 'manhattan',
+                       f'right angles between the planes, floor {height_m} m below')
+
+
+def _fixed(picture: _Picture) -> ScaleEstimate | str:
+    config = picture.config
+    if config.disparity_scale == 0:
+        return 'scale.disparity_scale is not given'
+    return ScaleEstimate(config.disparity_scale, config.disparity_shift, 'fixed', True, True,
+                         np.nan, 'scale and shift as given', picture.span)
+
+
+# In the order of auto.
+METHODS: dict[str, Callable[[_Picture], ScaleEstimate | str]] = {
+    'metric': _metric, 'depth_topic': _depth_topic, 'camera_height': _camera_height,
+    'manhattan': _manhattan, 'fixed': _fixed}
