@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of depth and planes for people. Labels here are as in the messages: 0 is no plane."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+# Neighbours in the list, the largest planes of a picture, are far apart in hue and lightness.
+PALETTE = np.array(
+    [
+        (230, 25, 75), (60, 180, 75), (0, 130, 200), (255, 225, 25), (145, 30, 180),
+        (70, 240, 240), (245, 130, 48), (240, 50, 230), (210, 245, 60), (0, 128, 128),
+        (250, 190, 212), (170, 110, 40), (220, 190, 255), (128, 0, 0), (170, 255, 195),
+        (0, 0, 160), (255, 215, 180), (128, 128, 0), (110, 110, 255), (255, 250, 200),
+    ],
+    dtype=np.uint8,
+)
+_COLOUR_SHARE = 0.55
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+_TITLE_SCALE, _TITLE_HEIGHT_PX = 0.6, 36
+_TEXT_HALF_HEIGHT = 0.012  # of a number, as a share of the picture's height
+_WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
+
+
+def label_colours(labels: np.ndarray) -> np.ndarray:
+    """
+    Return the colour of each label; the same label has the same colour in every picture.
+
+    Parameters
+    ----------
+    labels : (...) integer
+        Above 0; the palette starts anew after its last colour.
+
+    Returns
+    -------
+    (..., 3) uint8
+        RGB.
+
+    """
+    return PALETTE[(np.asarray(labels).astype(np.int64) - 1) % len(PALETTE)]
+
+
+def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """
+    Return the picture with its planes coloured, outlined and numbered.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+        The picture; it is not changed.
+    labels : (H, W) integer
+        Label of each pixel, 0 for no plane.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        RGB.
+
+    Raises
+    ------
+    ValueError
+        Picture and labels differ in size.
+
+    """
+    if rgb.shape[:2] != labels.shape:
+        raise ValueError(f'the labels are {labels.shape}, the picture {rgb.shape[:2]}')
+    on_plane = (labels > 0).astype(np.uint8)
+    result = rgb.copy()
+    cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, _colour_image(labels), _COLOUR_SHARE, 0),
+               on_plane, result)
+    _draw_outlines(result, labels)
+    _draw_numbers(result, labels)
+    return result
+
+
+def colour_depth(depth_m: np.ndarray) -> np.ndarray:
+    """
+    Return depth in colours, near red and far blue; RGB (H, W, 3) uint8, black where invalid.
+
+    The scale is logarithmic between the 1st and the 99th percentile, so that a street and a desk
+    both show their shape.
+    """
+    valid = (depth_m > 0) & (depth_m < np.inf)
+    if not valid.any():
+        return np.zeros((*depth_m.shape, 3), np.uint8)
+    near_m, far_m = depth_range(depth_m)
+    log_depth = np.log(np.where(valid, depth_m, far_m))
+    span = max(np.log(far_m / near_m), 1e-6)
+    share = np.clip((np.log(far_m) - log_depth) / span, 0, 1)
+    bgr = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    bgr[~valid] = 0
+    return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+
+def depth_range(depth_m: np.ndarray) -> tuple[float, float]:
+    """Return the 1st and the 99th percentile of the valid depth; NaN where none is valid."""
+    valid_m = depth_m[(depth_m > 0) & (depth_m < np.inf)]
+    if not valid_m.size:
+        return np.nan, np.nan
+    near_m, far_m = np.percentile(valid_m, [1, 99])
+    return float(near_m), float(far_m)
+
+
+def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.ndarray:
+    """
+    Return pictures side by side, each below its title.
+
+    Parameters
+    ----------
+    panels : sequence of (title, picture)
+        RGB pictures (H, W, 3) uint8 of one size.
+    columns : int
+        Pictures in a row.
+
+    Returns
+    -------
+    (rows of panels) uint8
+        RGB; a row that is not full is filled with white.
+
+    """
+    framed = [_with_title(title, picture) for title, picture in panels]
+    missing = -len(framed) % columns
+    framed += [np.full_like(framed[0], 255)] * missing
+    return np.vstack([np.hstack(framed[start:start + columns])
+                      for start in range(0, len(framed), columns)])
+
+
+def _colour_image(labels: np.ndarray) -> np.ndarray:
+    """Return the colours of all pixels, black for no plane; (H, W, 3) uint8."""
+    colours = np.zeros((256, 1, 3), np.uint8)
+    colours[1:len(PALETTE) + 1, 0] = PALETTE
+    of_label = np.arange(-1, int(labels.max(initial=0)), dtype=np.int64) % len(PALETTE) + 1
+    of_label[0] = 0
+    return cv2.applyColorMap(of_label.astype(np.uint8)[labels], colours)
+
+
+def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:
+    edge = _edges(labels).astype(np.uint8)
+    thickness_px = max(1, round(labels.shape[0] / 480))
+    if thickness_px > 1:
+        edge = cv2.dilate(edge, np.ones((thickness_px, thickness_px), np.uint8))
+    rgb[edge > 0] = _WHITE
+
+
+def _edges(labels: np.ndarray) -> np.ndarray:
+    """Return where a pixel's right or lower neighbour has another label, (H, W) bool."""
+    edge = np.zeros(labels.shape, bool)
+    edge[:, :-1] = labels[:, :-1] != labels[:, 1:]
+    edge[:-1] |= labels[:-1] != labels[1:]
+    return edge
+
+
+def _draw_numbers(rgb: np.ndarray, labels: np.ndarray) -> None:
+    """Write each label where its plane is widest, unless the plane is too thin for a number."""
+    step = 4 if min(labels.shape) >= 64 else 1  # a sixteenth of the pixels show where that is
+    small = np.ascontiguousarray(labels[::step, ::step])
+    inside = np.pad((~_edges(small)).astype(np.uint8), 1)
+    half_width = cv2.distanceTransform(inside, cv2.DIST_L2, 3)[1:-1, 1:-1]
+    for label in np.unique(small[small > 0]):
+        widest = np.argmax(np.where(small == label, half_width, -1))
+        row, column = np.unravel_index(widest, small.shape)
+        if step * half_width[row, column] > _TEXT_HALF_HEIGHT * rgb.shape[0]:
+            _write_centred(rgb, str(label), (int(column) * step, int(row) * step))
+
+
+def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> None:
+    """Write white on a black box: readable on every colour."""
+    scale = max(0.35, rgb.shape[0] / 480 * 0.5)
+    (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
+    left = int(np.clip(centre_px[0] - width // 2, 2, max(2, rgb.shape[1] - width - 3)))
+    base = int(np.clip(centre_px[1] + height // 2, height + 2, max(height + 2, rgb.shape[0] - 4)))
+    cv2.rectangle(rgb, (left - 2, base - height - 2), (left + width + 1, base + 3), _BLACK, -1)
+    cv2.putText(rgb, text, (left, base), _FONT, scale, _WHITE, 1, cv2.LINE_AA)
+
+
+def _with_title(title: str, picture: np.ndarray) -> np.ndarray:
+    """Return the picture with a white margin and its title above, shrunk to the width."""
+    height, width = picture.shape[:2]
+    enlarged = max(0.75, height / 480)
+    bar = np.full((round(_TITLE_HEIGHT_PX * enlarged), width, 3), 255, np.uint8)
+    scale = _TITLE_SCALE * enlarged
+    (text_width, _), _ = cv2.getTextSize(title, _FONT, scale, 1)
+    scale = min(scale, scale * 0.96 * width / max(text_width, 1))
+    cv2.putText(bar, title, (4, round(bar.shape[0] * 0.7)), _FONT, scale, _BLACK,
+                max(1, round(1.6 * scale)), cv2.LINE_AA)
+    return cv2.copyMakeBorder(np.vstack([bar, picture]), 4, 4, 4, 4, cv2.BORDER_CONSTANT,
+                              value=_WHITE)

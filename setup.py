@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Build script of the ament_python package."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+NAME = 'plane_detector'
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        (f'share/{NAME}/config', sorted(glob('config/*'))),
+        (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
+    ],
+    python_requires='>=3.10',
+    install_requires=[
+        'numpy>=1.26', 'onnxruntime', 'opencv-python-headless>=4.6', 'scikit-learn', 'scipy',
+        'setuptools', 'tqdm'],
+    extras_require={
+        'demo': ['scikit-image'],
+        'paper': ['pyransac3d'],
+        'replay': ['rosbags'],
+        'test': ['onnx', 'pytest'],
+    },
+    zip_safe=True,
+    maintainer='The plane_detector authors',
+    maintainer_email='maintainers@plane-detector.invalid',
+    description='Planes in the picture of one ordinary camera: labelled points and plane '
+                'equations from monocular depth.',
+    license='Apache-2.0',
+    entry_points={'console_scripts': [
+        f'node = {NAME}.ros.node:main',
+        f'demo = {NAME}.tools.demo:main',
+        f'parameters = {NAME}.tools.parameters:main',
+    ]},
+)
