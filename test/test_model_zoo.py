@@ -32,7 +32,7 @@ SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT whole, damaged, broken off, stalled or too long, and counts what it is asked for."""
+    """Serves CONTENT whole, damaged, broken off, stalled or too long; counts the questions."""
 
     def do_GET(self):
         self.server.asked.append(self.path)
@@ -241,7 +241,7 @@ def install_npm(tmp_path, monkeypatch, script):
     (tmp_path / 'package.tgz').write_bytes(TARBALL)
     npm = folder / 'npm'
     npm.write_text(f'#!{sys.executable}\nimport os, shutil, sys, time\n'
-                   f'open({str(tmp_path / "asked")!r}, "a").write(" ".join(sys.argv[1:]) + "\\n")\n'
+                   f'print(*sys.argv[1:], file=open({str(tmp_path / "asked")!r}, "a"))\n'
                    + script)
     npm.chmod(npm.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv('PATH', str(folder))
