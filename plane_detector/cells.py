@@ -1,0 +1,251 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The picture as a grid of square cells, each summed up by the moments of its disparity.
+
+A plane is affine in (x, y, 1/z), so the least-squares plane through any set of cells is a 3 x 3
+solve of their added moments, and its squared error over any cell a dot product: no stage after
+this one touches a pixel until the labels are brought back to full resolution.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# The cells' number hardly depends on the picture's size: with it grow their sides.
+CELLS_PER_PICTURE = 4800
+# Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.
+N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
+
+
+@dataclass(frozen=True)
+class CellGrid:
+    """
+    Moments and the local plane of each cell, row by row.
+
+    x and y are pixels from the centre of the picture divided by its width, d is 1/depth.
+
+    Attributes
+    ----------
+    size_px : int
+        Side of a cell.
+    width_px : int
+        Width of the picture, the unit of x and y.
+    shape : (int, int)
+        Rows and columns of cells, R x C.
+    moments : (R * C, 10) float64
+        See the column names of this module.
+    mean : (R * C, 3) float64
+        Mean x, y and d of the valid pixels.
+    slope : (R * C, 2) float64
+        dd/dx and dd/dy of the cell's own least-squares plane.
+    inner_rms : (R * C,) float64
+        Root mean square of d about that plane.
+    usable : (R * C,) bool
+        At least half of the cell is valid and its own plane is well determined.
+
+    """
+
+    size_px: int
+    width_px: int
+    shape: tuple[int, int]
+    moments: np.ndarray
+    mean: np.ndarray
+    slope: np.ndarray
+    inner_rms: np.ndarray
+    usable: np.ndarray
+
+
+def cell_size(shape: tuple[int, int]) -> int:
+    """Return the side of the cells of a picture in pixels."""
+    return max(1, round(np.sqrt(shape[0] * shape[1] / CELLS_PER_PICTURE)))
+
+
+def picture_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return x of each column (W,) and y of each row (H,) as the moments use them, float64."""
+    height, width = shape
+    return ((np.arange(width) - (width - 1) / 2) / width,
+            (np.arange(height) - (height - 1) / 2) / width)
+
+
+def make_cells(disparity: np.ndarray, valid: np.ndarray) -> CellGrid:
+    """
+    Sum up a disparity image.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32
+        1/depth, 0 where not valid.
+    valid : (H, W) bool
+
+    Returns
+    -------
+    CellGrid
+
+    """
+    size = cell_size(disparity.shape)
+    padded, mask = _pad(disparity, size), _pad(valid, size)
+    local, middle = _local_moments(padded, mask, size, disparity.shape[1])
+    x, y = _cell_centres(disparity.shape, size)
+    slope, inner_rms, usable = _own_planes(local, size)
+    moments = _shifted(local, x, y, middle)
+    mean = moments[:, [X, Y, D]] / np.maximum(moments[:, N:N + 1], 1)
+    shape = (padded.shape[0] // size, padded.shape[1] // size)
+    return CellGrid(size, disparity.shape[1], shape, moments, mean, slope, inner_rms, usable)
+
+
+def _pad(image: np.ndarray, size: int) -> np.ndarray:
+    """Fill up with zeros to whole cells."""
+    missing = [(0, -side % size) for side in image.shape]
+    return np.pad(image, missing) if any(end for _, end in missing) else image
+
+
+def _cell_centres(shape: tuple[int, int], size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y of the middle of each cell, (R * C,)."""
+    x, y = (((np.arange(0, side, size) + (size - 1) / 2) - (side - 1) / 2) / shape[1]
+            for side in (shape[1], shape[0]))
+    return np.tile(x, len(y)), np.repeat(y, len(x))
+
+
+def _local_moments(disparity: np.ndarray, valid: np.ndarray, size: int,
+                   width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the moments (R * C, 10) about each cell's centre and about ``middle`` (R * C,)."""
+    count = _mask_sums(valid, size)
+    middle = _block_sums(disparity, size, 1)[:, 0, 0] / np.maximum(count[:, 0, 0], 1)
+    # Brought to about zero cell by cell, float32 sums are exact enough.
+    grid = middle.astype(np.float32).reshape(disparity.shape[0] // size, 1, -1, 1)
+    centred = disparity.reshape(grid.shape[0], size, -1, size) - grid
+    if not valid.all():
+        centred *= valid.reshape(centred.shape)
+    centred = centred.reshape(disparity.shape)
+    first = _block_sums(centred, size, 2)
+    square = _block_sums(centred * centred, size, 1)
+    moments = np.stack([
+        count[:, 0, 0], count[:, 0, 1] / width, count[:, 1, 0] / width,
+        count[:, 0, 2] / width**2, count[:, 1, 1] / width**2, count[:, 2, 0] / width**2,
+        first[:, 0, 0], first[:, 0, 1] / width, first[:, 1, 0] / width, square[:, 0, 0]], axis=1)
+    return moments, grid.ravel().astype(float)
+
+
+def _block_sums(image: np.ndarray, size: int, order: int) -> np.ndarray:
+    """Return the sums of x**p y**q times the image over each cell, (R * C, q, p) float64."""
+    powers = _pixel_powers(size, order)
+    rows, columns = image.shape[0] // size, image.shape[1] // size
+    by_row = np.matmul(powers, image.reshape(rows, size, -1))
+    sums = by_row.reshape(-1, size) @ powers.T
+    sums = sums.reshape(rows, order, columns, order).transpose(0, 2, 1, 3)
+    return sums.reshape(-1, order, order).astype(float)
+
+
+def _mask_sums(valid: np.ndarray, size: int) -> np.ndarray:
+    """Return the sums of x**p y**q over the valid pixels of each cell, (R * C, 3, 3)."""
+    if valid.all():
+        sums = _pixel_powers(size, 3).astype(float).sum(axis=1)
+        return np.broadcast_to(np.outer(sums, sums), (valid.size // size**2, 3, 3))
+    return _block_sums(valid.astype(np.float32), size, 3)
+
+
+def _pixel_powers(size: int, count: int) -> np.ndarray:
+    """Return x**0, x**1, ... of a cell's pixels about its centre, (count, size) float32."""
+    offset = np.arange(size) - (size - 1) / 2
+    return np.stack([offset**p for p in range(count)]).astype(np.float32)
+
+
+def _own_planes(local: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fit each cell's own plane: slope (R * C, 2), rms about it (R * C,), usable (R * C,)."""
+    n = np.maximum(local[:, N], 1)
+    x, y, d = local[:, X] / n, local[:, Y] / n, local[:, D] / n
+    xx, xy, yy = local[:, XX] / n - x * x, local[:, XY] / n - x * y, local[:, YY] / n - y * y
+    xd, yd, dd = local[:, XD] / n - x * d, local[:, YD] / n - y * d, local[:, DD] / n - d * d
+    determinant = xx * yy - xy * xy
+    enough = (local[:, N] >= 0.5 * size**2) & (determinant > 0)
+    divisor = np.where(enough, determinant, 1.0)
+    slope_x, slope_y = (yy * xd - xy * yd) / divisor, (xx * yd - xy * xd) / divisor
+    variance = dd - slope_x * xd - slope_y * yd
+    slope = np.stack([slope_x, slope_y], axis=1) * enough[:, None]
+    return slope, np.sqrt(np.maximum(variance, 0)), enough
+
+
+def _shifted(local: np.ndarray, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Move the origin of each cell's moments: from its own centre to x, y, d = 0."""
+    n = local[:, N]
+    moved = local.copy()
+    moved[:, XX] += 2 * x * local[:, X] + n * x * x
+    moved[:, XY] += x * local[:, Y] + y * local[:, X] + n * x * y
+    moved[:, YY] += 2 * y * local[:, Y] + n * y * y
+    moved[:, XD] += x * local[:, D] + d * local[:, X] + n * x * d
+    moved[:, YD] += y * local[:, D] + d * local[:, Y] + n * y * d
+    moved[:, DD] += 2 * d * local[:, D] + n * d * d
+    moved[:, X] += n * x
+    moved[:, Y] += n * y
+    moved[:, D] += n * d
+    return moved
+
+
+def fit_planes(moments: np.ndarray) -> np.ndarray:
+    """
+    Fit least-squares planes d = a x + b y + c.
+
+    Parameters
+    ----------
+    moments : (..., 10) float64
+        Added up over the pixels of each plane.
+
+    Returns
+    -------
+    (..., 3) float64
+        a, b, c; NaN where the pixels lie on a line or are fewer than three.
+
+    """
+    x, y, d = (moments[..., k] / np.maximum(moments[..., N], 1) for k in (X, Y, D))
+    n = np.maximum(moments[..., N], 1)
+    xx, xy, yy = (moments[..., XX] / n - x * x, moments[..., XY] / n - x * y,
+                  moments[..., YY] / n - y * y)
+    xd, yd = moments[..., XD] / n - x * d, moments[..., YD] / n - y * d
+    determinant = xx * yy - xy * xy
+    divisor = np.where(determinant > 1e-6 * (xx + yy) ** 2, determinant, np.nan)
+    a, b = (yy * xd - xy * yd) / divisor, (xx * yd - xy * xd) / divisor
+    return np.stack([a, b, d - a * x - b * y], axis=-1)
+
+
+def squared_error(planes: np.ndarray, moments: np.ndarray) -> np.ndarray:
+    """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10)."""
+    a, b, c = planes[..., 0], planes[..., 1], planes[..., 2]
+    return (a * a * moments[..., XX] + b * b * moments[..., YY] + c * c * moments[..., N]
+            + 2 * (a * b * moments[..., XY] + a * c * moments[..., X] + b * c * moments[..., Y])
+            - 2 * (a * moments[..., XD] + b * moments[..., YD] + c * moments[..., D])
+            + moments[..., DD])
+
+
+def mean_moments(grid: CellGrid) -> np.ndarray:
+    """Return the moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
+    x, y, d = grid.mean.T
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d], axis=1)
+
+
+def window_sums(values: np.ndarray, side: int, stride: int) -> np.ndarray:
+    """
+    Add up every window of side x side cells.
+
+    Parameters
+    ----------
+    values : (R, C, K) float64
+    side, stride : int
+        In cells.
+
+    Returns
+    -------
+    (r, c, K) float64
+        Empty when the window is larger than the grid.
+
+    """
+    if min(values.shape[:2]) < side:
+        return np.zeros((0, 0, values.shape[2]))
+    table = np.zeros((values.shape[0] + 1, values.shape[1] + 1, values.shape[2]))
+    table[1:, 1:] = values.cumsum(0).cumsum(1)
+    rows = np.arange(0, values.shape[0] - side + 1, stride)[:, None]
+    columns = np.arange(0, values.shape[1] - side + 1, stride)[None, :]
+    return (table[rows + side, columns + side] - table[rows, columns + side]
+            - table[rows + side, columns] + table[rows, columns])

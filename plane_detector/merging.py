@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Patches that touch and that the noise cannot tell apart become one plane.
+
+Two patches are one when a joint plane fits both as well as the noise lets it, or when the smaller
+one is a bulge of the larger: near its plane and without a step along the border. A step keeps
+parallel planes apart, since the smooth part of the noise does not jump from cell to cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector import cells
+from plane_detector.ransac import CellModel, Patches
+
+MAX_JOINT_VARIANCES = 2.0
+MAX_BULGE_DEVIATIONS = 3.5
+MAX_BULGE_STEP_DEVIATIONS = 2.0
+MAX_BULGE_SHARE = 0.35
+MIN_BORDER_PAIRS = 2
+# Cells this far apart still touch: between them may lie cells that straddle the border.
+BORDER_REACH_CELLS = 2
+
+
+@dataclass(frozen=True)
+class Borders:
+    """
+    Pairs of patches that touch, i < j, and the pairs of cells along each border.
+
+    Attributes
+    ----------
+    first, second : (P,) int
+        The patches.
+    count : (P,) int
+        Pairs of cells.
+    pair : (B,) int
+        Index of the pair of patches that each pair of cells belongs to.
+    cell_first, cell_second : (B,) int
+        The cells, on the side of ``first`` and of ``second``.
+
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    count: np.ndarray
+    pair: np.ndarray
+    cell_first: np.ndarray
+    cell_second: np.ndarray
+
+
+def find_borders(labels: np.ndarray, reach: int = BORDER_REACH_CELLS) -> Borders:
+    """Find which patches of labels (R, C) touch along rows or columns of cells."""
+    index = np.arange(labels.size).reshape(labels.shape)
+    flat, near, far = labels.ravel(), [], []
+    for gap in range(1, reach + 1):
+        near += [index[:, :-gap].ravel(), index[:-gap].ravel()]
+        far += [index[:, gap:].ravel(), index[gap:].ravel()]
+    near, far = np.concatenate(near), np.concatenate(far)
+    touching = (flat[near] != flat[far]) & (flat[near] >= 0) & (flat[far] >= 0)
+    near, far = near[touching], far[touching]
+    swap = flat[near] > flat[far]
+    near, far = np.where(swap, far, near), np.where(swap, near, far)
+    size = int(flat.max(initial=-1)) + 1
+    keys, pair, count = np.unique(flat[near].astype(np.int64) * size + flat[far],
+                                  return_inverse=True, return_counts=True)
+    return Borders(keys // max(size, 1), keys % max(size, 1), count, pair.ravel(), near, far)
+
+
+def merge_patches(model: CellModel, patches: Patches) -> Patches:
+    """
+    Merge patches, the pair that fits best first, until no pair fits.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+
+    Returns
+    -------
+    Patches
+        Planes refitted to all their cells.
+
+    """
+    while len(patches.planes) > 1:
+        borders = find_borders(np.where(model.planar.reshape(patches.labels.shape),
+                                        patches.labels, -1))
+        misfit = _misfit(model, patches, borders)
+        if not len(misfit) or misfit.min() > 1:
+            return patches
+        best = int(np.argmin(misfit))
+        patches = _merged(model, patches, borders.first[best], borders.second[best])
+    return patches
+
+
+def _merged(model: CellModel, patches: Patches, kept: int, gone: int) -> Patches:
+    labels = np.where(patches.labels == gone, kept, patches.labels)
+    planes = patches.planes.copy()
+    members = (labels.ravel() == kept) & model.planar
+    planes[kept] = cells.fit_planes(model.grid.moments[members].sum(axis=0))
+    return Patches(labels - (labels > gone), np.delete(planes, gone, axis=0))
+
+
+def _misfit(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
+    """Return for each pair of patches how far it is from being one; up to 1 they are one."""
+    labels = np.where(model.planar, patches.labels.ravel(), -1)
+    one_hot = (labels[:, None] == np.arange(len(patches.planes))).astype(float)
+    moments = one_hot.T @ cells.mean_moments(model.grid)
+    count = np.maximum(one_hot.sum(axis=0), 1)
+    variance = (model.variances.mean @ one_hot) / count
+    first, second = borders.first, borders.second
+    joint = cells.fit_planes(moments[first] + moments[second])
+    joint_misfit = np.maximum(*(
+        cells.squared_error(joint, moments[side]) / count[side] / variance[side]
+        for side in (first, second))) / MAX_JOINT_VARIANCES
+    bulge_misfit = _bulge_misfit(model, patches, borders, moments, count, variance)
+    misfit = np.fmin(joint_misfit, bulge_misfit)
+    return np.where(borders.count >= MIN_BORDER_PAIRS, misfit, np.inf)
+
+
+def _bulge_misfit(model: CellModel, patches: Patches, borders: Borders, moments: np.ndarray,
+                  count: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the same for the smaller patch as a bulge of the larger one's plane."""
+    first_larger = count[borders.first] >= count[borders.second]
+    large = np.where(first_larger, borders.first, borders.second)
+    small = np.where(first_larger, borders.second, borders.first)
+    square = cells.squared_error(patches.planes[large], moments[small]) / count[small]
+    deviation = np.sqrt(np.maximum(square, 0) / variance[small])
+    step = _border_step(model, patches.planes[large], borders) / np.sqrt(variance[large])
+    misfit = np.maximum(deviation / MAX_BULGE_DEVIATIONS, step / MAX_BULGE_STEP_DEVIATIONS) ** 2
+    return np.where(count[small] <= MAX_BULGE_SHARE * count[large], misfit, np.inf)
+
+
+def _border_step(model: CellModel, planes: np.ndarray, borders: Borders) -> np.ndarray:
+    """Return the mean step (P,) from one side of each border to the other, about its plane."""
+    plane = planes[borders.pair]
+    first, second = (
+        model.grid.mean[side, 2] - plane[:, 2] - (plane[:, :2] * model.grid.mean[side, :2]).sum(1)
+        for side in (borders.cell_first, borders.cell_second))
+    total = np.bincount(borders.pair, first - second, minlength=len(borders.count))
+    return np.abs(total / np.maximum(borders.count, 1))

@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How noisy the disparity is, read off the picture itself.
+
+Noise has a grainy part, different from pixel to pixel, and a smooth part that moves whole cells
+and tilts them. Each is measured where it matters: the grain within a cell, the smooth part on the
+means and slopes of cells about the plane of a larger window. Most windows of a scene made of
+planes lie on one plane, so a low quantile over all windows is noise and not structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector import cells
+from plane_detector.cells import CellGrid
+
+WINDOW_CELLS = 9
+WINDOW_QUANTILE = 0.25
+# Known noise of a network tilts cells by about this much per unit of picture width.
+SLOPE_PER_NOISE = 8.0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """
+    Standard deviations of the disparity.
+
+    Attributes
+    ----------
+    mean : float
+        Of a cell's mean about its plane, per metre.
+    slope : float
+        Of each component of a cell's slope, per metre and picture width.
+    grain : float
+        Of a pixel about its cell's own plane, per metre.
+    depth_floor_m : float
+        Of the depth of a pixel, at least; what 16-bit millimetres leave of an exact plane.
+    disparity_floor : float
+        Of the disparity of a pixel, at least, per metre.
+
+    """
+
+    mean: float
+    slope: float
+    grain: float
+    depth_floor_m: float
+    disparity_floor: float
+
+    def floor(self, disparity: np.ndarray) -> np.ndarray:
+        """Return the variance that pixels of this disparity have at least."""
+        return (self.depth_floor_m * disparity * disparity) ** 2 + self.disparity_floor**2
+
+    def scaled(self, factor: float) -> Noise:
+        """Return the noise with its smooth part larger by the factor."""
+        return replace(self, mean=self.mean * factor, slope=self.slope * factor)
+
+
+@dataclass(frozen=True)
+class CellVariances:
+    """Variances (R * C,) of each cell's mean and slope and of its pixels, the floor included."""
+
+    mean: np.ndarray
+    slope: np.ndarray
+    grain: np.ndarray
+
+
+def estimate_noise(grid: CellGrid, depth_floor_m: float, disparity_floor: float = 0.0,
+                   known: float = 0.0) -> Noise:
+    """
+    Estimate the noise of a picture.
+
+    Parameters
+    ----------
+    grid : CellGrid
+    depth_floor_m, disparity_floor : float
+        Depth and disparity noise are taken to be at least this.
+    known : float
+        What the source of the depth is known for, per metre; the noise is taken to be at least
+        this, since the errors of a network are smooth and hide from every window.
+
+    Returns
+    -------
+    Noise
+
+    """
+    windows = _window_statistics(grid)
+    mean, slope, grain = (
+        np.quantile(windows, WINDOW_QUANTILE, axis=0) if len(windows) else np.zeros(3))
+    return Noise(max(float(mean), known), max(float(slope), SLOPE_PER_NOISE * known),
+                 float(grain), depth_floor_m, disparity_floor)
+
+
+def _window_statistics(grid: CellGrid) -> np.ndarray:
+    """Return the rms of means, slopes and pixels in each window of enough cells, (n, 3)."""
+    usable = grid.usable[:, None].astype(float)
+    slope_square = (grid.slope**2).sum(axis=1, keepdims=True)
+    values = np.hstack([cells.mean_moments(grid), grid.slope, slope_square,
+                        grid.inner_rms[:, None] ** 2]) * usable
+    side = min(WINDOW_CELLS, *grid.shape)
+    sums = cells.window_sums(values.reshape(*grid.shape, -1), side, max(1, side // 3))
+    sums = sums.reshape(-1, values.shape[1])
+    sums = sums[sums[:, cells.N] > max(0.75 * side**2, 3)]
+    planes, count = cells.fit_planes(sums), sums[:, cells.N]
+    mean = cells.squared_error(planes, sums) / (count - 3)
+    slope = (sums[:, 12] - 2 * (planes[:, :2] * sums[:, 10:12]).sum(axis=1)
+             + count * (planes[:, :2] ** 2).sum(axis=1)) / (2 * count)
+    statistics = np.stack([mean, slope, sums[:, 13] / count], axis=1)
+    return np.sqrt(np.maximum(statistics[np.isfinite(mean)], 0))
+
+
+def cell_variances(grid: CellGrid, noise: Noise) -> CellVariances:
+    """
+    Return the variances that each cell's statistics are tested with.
+
+    The noise floor of the depth is one of the disparity that falls with 1/z**2; over a cell of
+    n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel.
+    """
+    floor = noise.floor(grid.mean[:, 2])
+    tilt = 12 * (grid.width_px / grid.size_px**2) ** 2
+    return CellVariances(noise.mean**2 + floor, noise.slope**2 + floor * tilt,
+                         noise.grain**2 + floor)

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Labels of cells to labels of pixels.
+
+A cell whose whole neighbourhood agrees hands its label to its pixels. In the cells along borders
+every pixel chooses among the planes nearby: where two planes meet in a crease, by the side of the
+crease that it lies on, which no noise blurs; at a step, by its own residual.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from plane_detector.cells import picture_coordinates
+from plane_detector.noise import Noise
+from plane_detector.ransac import CellModel, Patches, chi_squared
+
+# Grain over this many times the floor is smoothed before pixels are told apart.
+SMOOTHED_GRAIN = 2.0
+MEDIAN_SIDE_PX = 5
+# The median of 25 pixels has about 1.25 / 5 of their standard deviation.
+MEDIAN_NOISE_SHARE = 0.25
+REACH_CELLS = 2
+
+
+def label_pixels(disparity: np.ndarray, valid: np.ndarray, model: CellModel, patches: Patches,
+                 noise: Noise, threshold: float) -> np.ndarray:
+    """
+    Label every pixel.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32
+    valid : (H, W) bool
+    model : CellModel
+    patches : Patches
+    noise : Noise
+    threshold : float
+        A pixel within this many standard deviations of a plane may belong to it.
+
+    Returns
+    -------
+    (H, W) int32
+        Index into the planes, -1 for none and where not valid.
+
+    """
+    size, (rows, columns) = model.grid.size_px, patches.labels.shape
+    certain = _certain_cells(model, patches, threshold)
+    canvas = np.where(certain, patches.labels, -1).astype(np.int32)
+    canvas = canvas.repeat(size, axis=0).repeat(size, axis=1)
+    near = cv2.dilate((patches.labels + 1).astype(np.uint16), _square(REACH_CELLS)) > 0
+    at_row, at_column = np.nonzero(near & ~certain)
+    if len(at_row):
+        smooth, grain = _smoothed(disparity, noise)
+        blocks = canvas.reshape(rows, size, columns, size)
+        blocks[at_row, :, at_column, :] = _choose(
+            smooth, model, patches, noise, grain, threshold, at_row, at_column)
+    labels = canvas[:disparity.shape[0], :disparity.shape[1]]
+    if not valid.all():
+        labels = np.where(valid, labels, -1)
+    return np.ascontiguousarray(labels)
+
+
+def _square(reach: int) -> np.ndarray:
+    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+
+
+def _certain_cells(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
+    """Return the flat cells (R, C) whose eight neighbours all have the same plane."""
+    label = (patches.labels + 1).astype(np.uint16)
+    same = (cv2.dilate(label, _square(1)) == cv2.erode(label, _square(1))) & (label > 0)
+    return same & model.planar.reshape(label.shape)
+
+
+def _smoothed(disparity: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
+    """Return the disparity with less grain, edges kept, and the grain that is left."""
+    typical = float(np.median(disparity[::7, ::7]))
+    if noise.grain <= SMOOTHED_GRAIN * np.sqrt(noise.floor(typical)):
+        return disparity, noise.grain
+    return cv2.medianBlur(disparity, MEDIAN_SIDE_PX), MEDIAN_NOISE_SHARE * noise.grain
+
+
+def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: Noise,
+            grain: float, threshold: float, at_row: np.ndarray, at_column: np.ndarray):
+    """Return the labels (n, s, s) of the pixels of some cells, by least residual."""
+    size = model.grid.size_px
+    x, y = _block_coordinates(disparity.shape, size, at_row, at_column)
+    d = _blocks(disparity, size, patches.labels.shape)[at_row, :, at_column, :]
+    candidates = _candidates(patches.labels, at_row, at_column)
+    best = np.full(d.shape, np.inf, np.float32)
+    chosen = np.full(d.shape, -1, np.int32)
+    planes = patches.planes.astype(np.float32)
+    for rank in candidates.T:
+        active = np.flatnonzero(rank >= 0)
+        if not len(active):
+            break
+        a, b, c = (planes[rank[active], k, None, None] for k in range(3))
+        error = (d[active] - c - a * x[active] - b * y[active]) ** 2
+        better = error < best[active]
+        best[active] = np.where(better, error, best[active])
+        chosen[active] = np.where(better, rank[active, None, None], chosen[active])
+    variance = noise.mean**2 + grain**2 + noise.floor(d)
+    chosen[best > threshold**2 * variance] = -1
+    return chosen
+
+
+def _block_coordinates(shape: tuple[int, int], size: int, at_row: np.ndarray,
+                       at_column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (n, 1, s) and y (n, s, 1) of the pixels of some cells, float32."""
+    x, y = picture_coordinates(shape)
+    step = 1 / shape[1]
+    offset = np.arange(size) * step
+    x = x[0] + at_column[:, None] * size * step + offset
+    y = y[0] + at_row[:, None] * size * step + offset
+    return x[:, None, :].astype(np.float32), y[:, :, None].astype(np.float32)
+
+
+def _blocks(image: np.ndarray, size: int, shape: tuple[int, int]) -> np.ndarray:
+    """Return the image as cells (R, s, C, s), filled up with zeros."""
+    height, width = shape[0] * size, shape[1] * size
+    if image.shape != (height, width):
+        image = np.pad(image, ((0, height - image.shape[0]), (0, width - image.shape[1])))
+    return image.reshape(shape[0], size, shape[1], size)
+
+
+def _candidates(labels: np.ndarray, at_row: np.ndarray, at_column: np.ndarray) -> np.ndarray:
+    """Return the different labels around each cell, (n, m), filled up with -1 at the end."""
+    span = 2 * REACH_CELLS + 1
+    padded = np.pad(labels, REACH_CELLS, constant_values=-1)
+    around = np.stack([padded[at_row + i, at_column + j]
+                       for i in range(span) for j in range(span)], axis=1)
+    around.sort(axis=1)
+    around[:, 1:][around[:, 1:] == around[:, :-1]] = -1
+    return -np.sort(-around, axis=1)

@@ -1,0 +1,254 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The best plane: hypotheses from windows of cells, all scored at once, the best one refined.
+
+RANSAC (Fischler and Bolles 1981) with the truncated quadratic score of MSAC (Torr and Zisserman
+2000) and local optimisation (Chum et al. 2003). The samples are windows of cells, not triples of
+points: a window is on one plane far more often than three points are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector import cells
+from plane_detector.cells import CellGrid
+from plane_detector.config import DbscanConfig, RansacConfig
+from plane_detector.dbscan import grid_clusters
+from plane_detector.noise import CellVariances, Noise, cell_variances
+
+# A cell whose pixels stray from its own plane more than this many variances straddles an edge.
+MAX_INNER_VARIANCES = 4.0
+# Small windows find small planes, large ones see through the noise.
+WINDOW_SIDES_CELLS = (3, 7, 13)
+WINDOW_MIN_FREE = 0.7
+WINDOW_MAX_VARIANCES = 2.5
+# One round finds, with the configured confidence, the planes with this share of the free cells.
+ROUND_PLANE_SHARE = 0.05
+REFINEMENTS = 4
+# A hypothesis that refines to nothing costs time; after this many in a row the round is over.
+MAX_FAILURES = 40
+
+
+@dataclass(frozen=True)
+class CellModel:
+    """
+    The cells with what is known of their noise.
+
+    Attributes
+    ----------
+    grid : CellGrid
+    variances : CellVariances
+    planar : (R * C,) bool
+        The cell lies on one plane.
+    quadratic : (R * C, 10) float64
+        Its product with :func:`monomials` of planes is :func:`chi_squared`.
+
+    """
+
+    grid: CellGrid
+    variances: CellVariances
+    planar: np.ndarray
+    quadratic: np.ndarray
+
+
+@dataclass(frozen=True)
+class Patches:
+    """
+    Planes found on the cells.
+
+    Attributes
+    ----------
+    labels : (R, C) int32
+        Index into ``planes``, -1 none.
+    planes : (K, 3) float64
+        1/z = a x + b y + c.
+
+    """
+
+    labels: np.ndarray
+    planes: np.ndarray
+
+
+def make_model(grid: CellGrid, noise: Noise) -> CellModel:
+    """Weigh each cell by the noise that it is tested with."""
+    variances = cell_variances(grid, noise)
+    planar = grid.usable & (grid.inner_rms**2 < MAX_INNER_VARIANCES * variances.grain)
+    x, y, d = grid.mean.T
+    slope_x, slope_y = grid.slope.T
+    w, s = 1 / variances.mean, 1 / variances.slope
+    quadratic = np.stack([
+        w * x * x + s, 2 * w * x * y, w * y * y + s, 2 * w * x, 2 * w * y, w,
+        -2 * (w * x * d + s * slope_x), -2 * (w * y * d + s * slope_y), -2 * w * d,
+        w * d * d + s * (slope_x**2 + slope_y**2)], axis=1)
+    return CellModel(grid, variances, planar, quadratic)
+
+
+def monomials(planes: np.ndarray) -> np.ndarray:
+    """Return the products of the coefficients of planes (K, 3) that the score needs, (10, K)."""
+    a, b, c = planes.T
+    return np.stack([a * a, a * b, b * b, a * c, b * c, c * c, a, b, c, np.ones_like(a)])
+
+
+def chi_squared(model: CellModel, planes: np.ndarray) -> np.ndarray:
+    """
+    Return how ill each plane fits each cell, (R * C, K).
+
+    The squared residual of the cell's mean disparity over its variance, plus the same of its
+    slope: what crosses a plane at an angle is no part of it, however near.
+    """
+    return model.quadratic @ monomials(planes)
+
+
+@dataclass
+class _Round:
+    """One batch of hypotheses and what of their support is still free."""
+
+    planes: np.ndarray
+    seeds: np.ndarray
+    cells: np.ndarray
+    support: np.ndarray
+    gain: np.ndarray
+
+    def remove(self, taken: np.ndarray) -> None:
+        """Take the support of newly assigned cells (R * C,) bool out of every gain."""
+        rows = np.flatnonzero(taken[self.cells])
+        self.gain -= self.support[rows].sum(axis=0)
+        self.support[rows] = 0
+
+
+def find_planes(model: CellModel, patches: Patches, max_planes: int, min_pixels: float,
+                ransac: RansacConfig, dbscan: DbscanConfig,
+                rng: np.random.Generator) -> Patches:
+    """
+    Find planes among the free cells, largest first, until none is left.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+        What was found before; its cells are not free.
+    max_planes : int
+        Most planes in all.
+    min_pixels : float
+        Smallest plane.
+    ransac, dbscan : RansacConfig, DbscanConfig
+    rng : numpy.random.Generator
+        Draws the windows.
+
+    Returns
+    -------
+    Patches
+        The given ones and the new ones behind them.
+
+    """
+    labels, planes = patches.labels.ravel().copy(), list(patches.planes)
+    drawn = 0
+    while len(planes) < max_planes and drawn < ransac.max_iterations:
+        free = model.planar & (labels < 0)
+        batch = _draw(model, free, min_pixels, ransac, rng)
+        drawn += max(len(batch.planes), 1)
+        before = len(planes)
+        for plane, members in _peel(model, batch, free, min_pixels, ransac, dbscan):
+            labels[members] = len(planes)
+            planes.append(plane)
+            if len(planes) == max_planes:
+                break
+        if len(planes) == before:
+            break
+    return Patches(labels.reshape(model.grid.shape), np.array(planes).reshape(-1, 3))
+
+
+def _draw(model: CellModel, free: np.ndarray, min_pixels: float, ransac: RansacConfig,
+          rng: np.random.Generator) -> _Round:
+    """Fit planes to random windows of free cells and score them on all free cells."""
+    share = max(ROUND_PLANE_SHARE, min_pixels / max(model.grid.moments[free, 0].sum(), 1))
+    wanted = np.log1p(-ransac.confidence) / np.log1p(-min(share, 0.99))
+    wanted = int(np.clip(np.ceil(wanted), 1, ransac.max_iterations))
+    found = [_window_planes(model, free, side, wanted, rng) for side in WINDOW_SIDES_CELLS]
+    planes, seeds = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    members = np.flatnonzero(free)
+    count = model.grid.moments[members, 0]
+    # MSAC: a cell supports a plane with its pixels, times 1 - (residual / threshold)**2.
+    weighted = model.quadratic[members] * (-count / ransac.inlier_threshold**2)[:, None]
+    weighted[:, 9] += count
+    support = weighted @ monomials(planes)
+    np.maximum(support, 0, out=support)
+    return _Round(planes, seeds, members, support, support.sum(axis=0))
+
+
+def _window_planes(model: CellModel, free: np.ndarray, side: int, wanted: int,
+                   rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Return planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
+    rows, columns = model.grid.shape
+    if min(rows, columns) < side:
+        return np.zeros((0, 3)), np.zeros(0, np.int64)
+    allowed = model.grid.moments[:, 0] * (model.variances.mean + model.variances.grain)
+    values = np.column_stack([model.grid.moments, allowed, np.ones(len(free))]) * free[:, None]
+    sums = cells.window_sums(values.reshape(rows, columns, -1), side, 1)
+    at_row, at_column = np.nonzero(sums[..., 11] >= WINDOW_MIN_FREE * side**2)
+    if len(at_row) > wanted:
+        chosen = rng.choice(len(at_row), wanted, replace=False)
+        at_row, at_column = at_row[chosen], at_column[chosen]
+    sums = sums[at_row, at_column]
+    planes = cells.fit_planes(sums)
+    with np.errstate(invalid='ignore'):
+        flat = cells.squared_error(planes, sums) < WINDOW_MAX_VARIANCES * sums[:, 10]
+    middles = (at_row + side // 2) * columns + at_column + side // 2
+    return planes[flat], middles[flat]
+
+
+def _peel(model: CellModel, batch: _Round, free: np.ndarray, min_pixels: float,
+          ransac: RansacConfig, dbscan: DbscanConfig):
+    """Yield plane and cells of the best hypothesis, take them out, and so on."""
+    count, failures = model.grid.moments[:, 0], 0
+    while len(batch.gain) and failures < MAX_FAILURES:
+        best = int(np.argmax(batch.gain))
+        if batch.gain[best] < min_pixels / 2:
+            return
+        plane, members = refine(model, batch.planes[best], batch.seeds[best], free, ransac, dbscan)
+        if count[members].sum() < min_pixels:
+            batch.gain[best] = 0
+            failures += 1
+            continue
+        failures = 0
+        free &= ~members
+        batch.remove(members)
+        yield plane, members
+
+
+def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
+           ransac: RansacConfig, dbscan: DbscanConfig) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Refit a plane to its inliers until they settle.
+
+    Only the density cluster of inliers that the seed lies in counts, so that a plane does not
+    gather streaks off the surfaces that it happens to cut.
+
+    Returns
+    -------
+    plane : (3,) float64
+    members : (R * C,) bool
+        All False when the plane holds nothing around its seed.
+
+    """
+    members = np.zeros(len(free), bool)
+    members[seed] = True
+    for _ in range(REFINEMENTS):
+        inliers = free & (chi_squared(model, plane[None])[:, 0] < ransac.inlier_threshold**2)
+        clusters = grid_clusters(inliers.reshape(model.grid.shape), dbscan.eps,
+                                 dbscan.min_samples).ravel()
+        touched = np.bincount(clusters[members] + 1, minlength=2)[1:]
+        if not touched.any():
+            return plane, np.zeros_like(members)
+        grown = clusters == np.argmax(touched)
+        if (grown == members).all():
+            break
+        refitted = cells.fit_planes(model.grid.moments[grown].sum(axis=0))
+        if not np.isfinite(refitted).all():
+            return plane, np.zeros_like(members)
+        plane, members = refitted, grown
+    return plane, members

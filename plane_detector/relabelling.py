@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+All planes compete for every cell, and neighbours prefer to agree.
+
+Planes found one after the other keep whatever cell they met first; here each cell goes to the
+plane that explains it best, alternating with refits, as in PEaRL (Isack and Boykov 2012). The
+energy, a capped chi-squared per cell and a Potts term, is lowered by iterated conditional modes.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from plane_detector import cells
+from plane_detector.config import DbscanConfig
+from plane_detector.dbscan import grid_clusters
+from plane_detector.ransac import CellModel, Patches, chi_squared
+
+ROUNDS = 2
+SWEEPS = 6
+# Beyond this many thresholds every misfit is as bad.
+MISFIT_CAP = 2.0
+# What one neighbour's agreement is worth, in units of chi-squared.
+AGREEMENT = 2.0
+# A plane competes for cells up to this many cells away from its own.
+REACH_CELLS = 2
+
+
+def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: float,
+            dbscan: DbscanConfig) -> Patches:
+    """
+    Reassign all cells to planes and refit the planes.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+    threshold : float
+        Beyond this many standard deviations a cell would rather belong to no plane.
+    min_pixels : float
+        Smaller clusters are given up.
+    dbscan : DbscanConfig
+        Splits planes into clusters; pieces far apart become planes of their own.
+
+    Returns
+    -------
+    Patches
+
+    """
+    for _ in range(ROUNDS):
+        if len(patches.planes) == 0:
+            return patches
+        labels = _compete(model, patches, threshold)
+        patches = _split(model, labels, len(patches.planes), min_pixels, dbscan)
+    return patches
+
+
+def _compete(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
+    """Return the label (R, C) of each cell that lowers the energy."""
+    shape, count = patches.labels.shape, len(patches.planes)
+    cost = _costs(model, patches, threshold)
+    labels = np.where(patches.labels < 0, count, patches.labels)
+    classes = np.arange(count + 1)
+    for _ in range(SWEEPS):
+        votes = (labels[..., None] == classes).astype(np.float32)
+        votes = cv2.blur(votes, (3, 3), borderType=cv2.BORDER_REPLICATE).reshape(*shape, -1)
+        updated = (cost - 9 * AGREEMENT * votes).argmin(axis=2)
+        if (updated == labels).all():
+            break
+        labels = updated
+    return np.where(labels == count, -1, labels).astype(np.int32)
+
+
+def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
+    """Return what each plane, and last no plane, costs each cell, (R, C, K + 1) float32."""
+    shape, count = patches.labels.shape, len(patches.planes)
+    cap = MISFIT_CAP * threshold**2
+    misfit = np.minimum(chi_squared(model, patches.planes), cap)
+    cost = np.empty((*shape, count + 1), np.float32)
+    cost[..., :count] = misfit.reshape(*shape, count)
+    cost[..., count] = threshold**2
+    # A cell on an edge says nothing itself: its neighbours decide.
+    cost[~model.planar.reshape(shape)] = 0
+    members = (patches.labels[..., None] == np.arange(count)).astype(np.uint8)
+    side = 2 * REACH_CELLS + 1
+    near = cv2.dilate(members, np.ones((side, side), np.uint8)).reshape(*shape, count)
+    cost[..., :count][near == 0] = cap
+    return cost
+
+
+def _split(model: CellModel, labels: np.ndarray, count: int, min_pixels: float,
+           dbscan: DbscanConfig) -> Patches:
+    """Cut each label into its density clusters, drop the small ones and fit the others."""
+    pixels, planar = model.grid.moments[:, 0], model.planar
+    out, planes = np.full(labels.shape, -1, np.int32), []
+    for k in range(count):
+        clusters = grid_clusters(labels == k, dbscan.eps, dbscan.min_samples)
+        flat = clusters.ravel()
+        size = np.bincount(flat + 1, pixels * planar, minlength=1)[1:]
+        for cluster in np.flatnonzero(size >= min_pixels):
+            members = flat == cluster
+            plane = cells.fit_planes(model.grid.moments[members & planar].sum(axis=0))
+            if np.isfinite(plane).all():
+                out[clusters == cluster] = len(planes)
+                planes.append(plane)
+    return Patches(out, np.array(planes).reshape(-1, 3))

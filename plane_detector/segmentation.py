@@ -1,0 +1,217 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Many planes: hypothesise, take the largest, refine, split by DBSCAN, repeat, label every pixel.
+
+Everything works on 1/z over the picture, where planes are affine, where the noise of stereo and
+of depth networks is near constant, and where an unknown scale and shift of a network's disparity
+changes nothing about which pixels form a plane.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.backprojection import check_depth, valid_depth
+from plane_detector.cells import CellGrid, fit_planes, make_cells
+from plane_detector.config import Config
+from plane_detector.measurement import count_labels, measure_planes, renumber
+from plane_detector.merging import merge_patches
+from plane_detector.noise import Noise, estimate_noise
+from plane_detector.paper import paper_labels
+from plane_detector.pixels import label_pixels
+from plane_detector.ransac import CellModel, Patches, find_planes, make_model
+from plane_detector.relabelling import relabel
+from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+
+# The largest planes tell noise that is smooth over more than a window of the estimate.
+CALIBRATION_PLANES = 3
+CALIBRATION_MIN_CELLS = 100
+CALIBRATION_ROUNDS = 5
+CALIBRATION_TOLERANCE = 1.1
+# Half of a plane's pixels may lie in cells that straddle its border.
+MIN_CELL_SHARE = 0.5
+SIGMA_PER_MEDIAN = 1.4826
+# The range of a disparity of unknown unit, and what its exact planes may stray by.
+RANGE_QUANTILES = (0.02, 0.98)
+RELATIVE_FLOOR = 1e-4
+
+
+def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config | None = None,
+                   *, disparity_noise: float = 0.0,
+                   rng: np.random.Generator | None = None) -> PlaneSegmentation:
+    """
+    Find the planes of a depth image and label its pixels.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Metres along the optical axis; NaN, infinity, zero and less are invalid.
+    intrinsics : CameraIntrinsics
+        Of a picture of that size.
+    config : Config, optional
+        Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used.
+    disparity_noise : float
+        What the source of the depth is known for, per metre; 0 when nothing is known. The noise
+        is estimated from the picture and taken to be at least this.
+    rng : numpy.random.Generator, optional
+        Default: seeded with ``config.ransac.seed``.
+
+    Returns
+    -------
+    PlaneSegmentation
+        The planes, largest first, and the labels. No plane is no error.
+
+    Raises
+    ------
+    ValueError
+        The depth image is none, or of another size than the intrinsics say.
+
+    """
+    config = config or Config()
+    rng = rng or np.random.default_rng(config.ransac.seed)
+    check_depth(depth_m, intrinsics)
+    if config.segmentation.method == 'paper':
+        labels, _ = paper_labels(depth_m, intrinsics, config, rng)
+        return measure_labels(depth_m, labels, intrinsics, config, disparity_noise)
+    disparity, valid = to_disparity(depth_m)
+    grid = make_cells(disparity, valid)
+    known = config.segmentation.disparity_noise or disparity_noise
+    noise = estimate_noise(grid, config.ransac.noise_floor, known=known)
+    labels, planes, noise = _label(disparity, valid, grid, noise, config, rng)
+    planes, labels = measure_planes(grid, labels, planes, noise, intrinsics)
+    return PlaneSegmentation(planes, labels, noise.mean)
+
+
+def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise: float = 0.0,
+                      rng: np.random.Generator | None = None) -> np.ndarray:
+    """
+    Find which pixels of a disparity image of unknown scale and shift form planes.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        Affine in 1/depth, in any unit; not finite where invalid.
+    config : Config
+    disparity_noise : float
+        What the network is known for, as a share of the picture's disparity range.
+    rng : numpy.random.Generator, optional
+        Default: seeded with ``config.ransac.seed``.
+
+    Returns
+    -------
+    (H, W) int32
+        Plane of each pixel, -1 none.
+
+    """
+    rng = rng or np.random.default_rng(config.ransac.seed)
+    valid = np.isfinite(disparity)
+    disparity = np.where(valid, disparity, 0).astype(np.float32)
+    low, high = np.quantile(disparity[valid], RANGE_QUANTILES) if valid.any() else (0.0, 0.0)
+    span = max(float(high - low), np.finfo(np.float32).tiny)
+    grid = make_cells(disparity, valid)
+    noise = estimate_noise(grid, 0.0, RELATIVE_FLOOR * span, disparity_noise * span)
+    return _label(disparity, valid, grid, noise, config, rng)[0]
+
+
+def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
+                   config: Config, disparity_noise: float = 0.0) -> PlaneSegmentation:
+    """
+    Measure planes whose pixels are known, in the unit of the depth.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Not finite or not positive is invalid.
+    labels : (H, W) int32
+        Plane of each pixel, -1 none.
+    intrinsics : CameraIntrinsics
+    config : Config
+    disparity_noise : float
+        As in :func:`segment_planes`.
+
+    Returns
+    -------
+    PlaneSegmentation
+
+    """
+    disparity, valid = to_disparity(depth_m)
+    labels = np.where(valid, labels, -1)
+    grid = make_cells(disparity, valid)
+    noise = estimate_noise(grid, config.ransac.noise_floor, known=disparity_noise)
+    planes, labels = _fit_labels(grid, labels)
+    measured, labels = measure_planes(grid, labels, planes, noise, intrinsics)
+    return PlaneSegmentation(measured, labels, noise.mean)
+
+
+def _fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit planes to labels by the cells that they fill; labels that fill too few go."""
+    count = count_labels(grid, labels, int(labels.max(initial=-1)) + 1)
+    whole = (count == grid.moments[:, :1]) & grid.usable[:, None]
+    planes = fit_planes(whole.T.astype(float) @ grid.moments)
+    kept = np.flatnonzero(np.isfinite(planes).all(axis=1))
+    return planes[kept], renumber(labels, kept, len(planes))
+
+
+def to_disparity(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return 1/depth, 0 where invalid, (H, W) float32, and where it is valid, (H, W) bool."""
+    valid = valid_depth(depth_m)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        disparity = np.reciprocal(depth_m, dtype=np.float32)
+    if not valid.all():
+        disparity = np.where(valid, disparity, np.float32(0))
+    return disparity, valid
+
+
+def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Noise,
+           config: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Noise]:
+    """Return labels (H, W), planes (K, 3) of the cells' coordinates, and the noise."""
+    threshold = config.ransac.inlier_threshold
+    min_pixels = config.segmentation.min_plane_share * disparity.size
+    min_cell_pixels = MIN_CELL_SHARE * min_pixels
+    model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, rng)
+    patches = merge_patches(model, patches)
+    patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
+    patches = merge_patches(model, patches)
+    labels = label_pixels(disparity, valid, model, patches, noise, threshold)
+    return *_drop_small(labels, patches.planes, min_pixels), noise
+
+
+def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
+                  rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
+    """Find planes; start again with more noise while the largest planes say there is more."""
+    def search(model: CellModel, patches: Patches, max_planes: int) -> Patches:
+        return find_planes(model, patches, max_planes, min_pixels, config.ransac, config.dbscan,
+                           rng)
+
+    most = config.segmentation.max_planes
+    nothing = Patches(np.full(grid.shape, -1, np.int32), np.zeros((0, 3)))
+    for _ in range(CALIBRATION_ROUNDS):
+        model = make_model(grid, noise)
+        largest = search(model, nothing, min(CALIBRATION_PLANES, most))
+        factor = _noise_factor(model, largest)
+        if factor <= CALIBRATION_TOLERANCE:
+            break
+        noise = noise.scaled(factor)
+    return model, search(model, largest, most), noise
+
+
+def _noise_factor(model: CellModel, patches: Patches) -> float:
+    """Return by what factor cells stray more from the largest planes than their noise says."""
+    labels = patches.labels.ravel()
+    size = np.bincount(labels[labels >= 0], minlength=len(patches.planes))
+    members = np.flatnonzero((labels >= 0) & (np.append(size, 0)[labels] > CALIBRATION_MIN_CELLS))
+    if not len(members):
+        return 1.0
+    plane, mean = patches.planes[labels[members]], model.grid.mean[members]
+    residual = mean[:, 2] - (plane[:, :2] * mean[:, :2]).sum(axis=1) - plane[:, 2]
+    ratio = np.abs(residual) / np.sqrt(model.variances.mean[members])
+    return float(SIGMA_PER_MEDIAN * np.median(ratio))
+
+
+def _drop_small(labels: np.ndarray, planes: np.ndarray,
+                min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
+    """Take planes of too few pixels out."""
+    count = np.bincount(labels.ravel() + 1, minlength=len(planes) + 1)[1:]
+    kept = np.flatnonzero(count >= max(min_pixels, 1))
+    return renumber(labels, kept, len(planes)), planes[kept]
