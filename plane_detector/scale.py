@@ -12,68 +12,26 @@ unit stays unknown. Where nothing helps both are: ``relative``.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from plane_detector.backprojection import valid_depth
 from plane_detector.config import ScaleConfig
 from plane_detector.disparity_planes import DisparityPlanes, fit_disparity_planes
 from plane_detector.gravity import unit_direction
 from plane_detector.scale_depth_fit import fit_measured_depth
+from plane_detector.scale_estimate import RELATIVE, ScaleEstimate, apply_scale, to_disparity
 from plane_detector.scale_floor import FloorFit, fit_floor, fit_floor_of_frame
 from plane_detector.scale_manhattan import ManhattanVote, vote_shift
 from plane_detector.types import CameraIntrinsics
 
-RELATIVE = 'relative'
+__all__ = ['METHODS', 'ScaleEstimate', 'apply_scale', 'estimate_scale', 'to_disparity']
+
 COARSE_GRAVITY_DEG = 5.0
 # The farthest pixels are judged by this quantile, so that noise at the horizon does not count.
 FAR_QUANTILE = 0.01
 SPAN_QUANTILES = (0.1, 0.5, 0.9)
-# Depths beyond this multiple of the picture's own unit are invalid where metres are unknown.
-MAX_RELATIVE_DEPTH = 1000.0
-
-
-@dataclass(frozen=True)
-class ScaleEstimate:
-    """
-    1/z = scale * disparity + shift, and where it comes from.
-
-    Attributes
-    ----------
-    scale, shift : float
-        1/metres, or 1/unit where the unit is unknown: then the middle depth of the picture
-        that the unit was chosen on is 1.
-    method : str
-        ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
-    is_metric : bool
-        Whether depth is in metres. False for ``relative``, and for ``manhattan`` without a
-        height.
-    has_true_angles : bool
-        Whether the angles between planes are those of the scene. False for ``relative``.
-    uncertainty : float
-        Standard deviation of depth by that of scale and shift, as a share of depth, at the far
-        tenth of the picture; NaN where it is not known.
-    note : str
-        What the method found, or why the others refused; for the log and the diagnostics.
-    span : (3,) tuple of float
-        Disparity of the far tenth, the middle and the near tenth of the picture.
-
-    """
-
-    scale: float
-    shift: float
-    method: str
-    is_metric: bool
-    has_true_angles: bool
-    uncertainty: float
-    note: str
-    span: tuple[float, float, float]
-
-    def __str__(self) -> str:
-        sigma = f', +-{self.uncertainty:.1%}' if np.isfinite(self.uncertainty) else ''
-        unit = '' if self.is_metric else ', unit unknown'
-        return f'{self.method}{unit}{sigma}: {self.note}'
 
 
 @dataclass(frozen=True)
@@ -81,40 +39,22 @@ class _Picture:
     """What the methods look at."""
 
     disparity: np.ndarray
-    output: str
+    labels: np.ndarray
     intrinsics: CameraIntrinsics
-    planes: DisparityPlanes
     config: ScaleConfig
+    output: str
     down_camera: np.ndarray | None
     sensor_depth_m: np.ndarray | None
     lowest: float
     span: tuple[float, float, float]
 
-
-def to_disparity(prediction: np.ndarray, output: str) -> np.ndarray:
-    """
-    Return what a network gave as something affine in 1/z.
-
-    Parameters
-    ----------
-    prediction : (H, W) floating
-    output : str
-        ``metric_depth`` is inverted, NaN where it is not positive; ``disparity`` and
-        ``relative_disparity`` stay as they are.
-
-    Returns
-    -------
-    (H, W) floating
-
-    """
-    if output != 'metric_depth':
-        return prediction
-    return np.divide(1.0, prediction, out=np.full_like(prediction, np.nan),
-                     where=valid_depth(prediction))
+    @cached_property
+    def planes(self) -> DisparityPlanes:
+        return fit_disparity_planes(self.disparity, self.labels, self.intrinsics)
 
 
 def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
-                   config: ScaleConfig = ScaleConfig(), *, output: str = 'relative_disparity',
+                   config: ScaleConfig | None = None, *, output: str = 'relative_disparity',
                    gravity_camera: np.ndarray | None = None,
                    sensor_depth_m: np.ndarray | None = None) -> ScaleEstimate:
     """
@@ -127,7 +67,7 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
     labels : (H, W) int
         Plane of each pixel, -1 none; planes are the same pixels at any scale and shift.
     intrinsics : CameraIntrinsics
-    config : ScaleConfig
+    config : ScaleConfig, optional
     output : str
         What the network gives: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     gravity_camera : (3,) floating, optional
@@ -141,6 +81,7 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
         ``relative`` when no method has an answer; its note says why.
 
     """
+    config = config or ScaleConfig()
     picture = _picture(disparity, labels, intrinsics, config, output, gravity_camera,
                        sensor_depth_m)
     refusals, unitless = [], None
@@ -153,25 +94,6 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
         else:
             unitless = unitless or estimate
     return unitless or _relative(picture, '; '.join(refusals) or 'asked for by scale.method')
-
-
-def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
-                max_depth_m: float = np.inf) -> np.ndarray:
-    """
-    Return depth, (H, W) float32, NaN where invalid or farther than the largest depth.
-
-    Parameters
-    ----------
-    disparity : (H, W) floating
-    estimate : ScaleEstimate
-    max_depth_m : float
-        Holds only where the unit is the metre.
-
-    """
-    farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
-    inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)
-    valid = (inverse > 0) & (inverse >= 1.0 / farthest) & np.isfinite(inverse)
-    return np.divide(1.0, inverse, out=np.full(disparity.shape, np.nan, np.float32), where=valid)
 
 
 def _methods(config: ScaleConfig) -> tuple[str, ...]:
@@ -187,10 +109,8 @@ def _picture(disparity, labels, intrinsics, config, output, gravity_camera,
     lowest, *span = (np.quantile(finite, (FAR_QUANTILE, *SPAN_QUANTILES)) if finite.size
                      else (0.0, 0.0, 0.0, 0.0))
     gravity = config.gravity if gravity_camera is None else gravity_camera
-    return _Picture(disparity, output, intrinsics,
-                    fit_disparity_planes(disparity, labels, intrinsics), config,
-                    unit_direction(gravity), sensor_depth_m, float(lowest),
-                    tuple(float(value) for value in span))
+    return _Picture(disparity, labels, intrinsics, config, output, unit_direction(gravity),
+                    sensor_depth_m, float(lowest), tuple(float(value) for value in span))
 
 
 def _relative(picture: _Picture, note: str) -> ScaleEstimate:
@@ -205,14 +125,7 @@ def _unitless(picture: _Picture, tau: float, method: str, has_true_angles: bool,
     scale = 1.0 / middle if middle > 0 else 1.0
     estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
                              picture.span)
-    return _with_uncertainty(estimate, np.diag([0.0, (scale * tau_sigma) ** 2]))
-
-
-def _with_uncertainty(estimate: ScaleEstimate, covariance: np.ndarray) -> ScaleEstimate:
-    far = np.array([estimate.span[0], 1.0])
-    inverse_m = far @ [estimate.scale, estimate.shift]
-    sigma = np.sqrt(far @ covariance @ far) / inverse_m if inverse_m > 0 else np.nan
-    return replace(estimate, uncertainty=float(sigma))
+    return estimate.with_covariance(np.diag([0.0, (scale * tau_sigma) ** 2]))
 
 
 def _metric(picture: _Picture) -> ScaleEstimate | str:
@@ -220,7 +133,7 @@ def _metric(picture: _Picture) -> ScaleEstimate | str:
         return 'the network gives no metres'
     reference_px = picture.config.reference_focal_px
     scale = reference_px / picture.intrinsics.fx if reference_px > 0 else 1.0
-    note = f'the network\'s metres times {1 / scale:.4g}' if scale != 1 else 'the network\'s metres'
+    note = 'the network\'s metres' + (f' times {1 / scale:.4g}' if scale != 1 else '')
     return ScaleEstimate(scale, 0.0, 'metric', True, True, np.nan, note, picture.span)
 
 
@@ -232,7 +145,7 @@ def _depth_topic(picture: _Picture) -> ScaleEstimate | str:
         return fit.refusal
     estimate = ScaleEstimate(fit.scale, fit.shift, 'depth_topic', True, True, np.nan,
                              f'{fit.point_count} points of measured depth', picture.span)
-    return _with_uncertainty(estimate, fit.covariance)
+    return estimate.with_covariance(fit.covariance)
 
 
 def _camera_height(picture: _Picture) -> ScaleEstimate | str:
@@ -250,7 +163,7 @@ def _camera_height(picture: _Picture) -> ScaleEstimate | str:
 
 def _from_floor(picture: _Picture, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
     estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan, note, picture.span)
-    return _with_uncertainty(estimate, fit.covariance)
+    return estimate.with_covariance(fit.covariance)
 
 
 def _manhattan(picture: _Picture) -> ScaleEstimate | str:

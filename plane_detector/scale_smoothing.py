@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.config import ScaleConfig
-from plane_detector.scale import METHODS, RELATIVE, ScaleEstimate
+from plane_detector.scale import METHODS
+from plane_detector.scale_estimate import RELATIVE, ScaleEstimate
 
 # These are measured frame by frame; what the others say holds at once.
 MEASURED = ('depth_topic', 'camera_height', 'manhattan')
@@ -45,7 +46,7 @@ class ScaleState:
 
 
 def update_scale(state: ScaleState | None, measured: ScaleEstimate,
-                 config: ScaleConfig = ScaleConfig()) -> ScaleState:
+                 config: ScaleConfig) -> ScaleState:
     """
     Take one more frame into account.
 
