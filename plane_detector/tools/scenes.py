@@ -39,6 +39,9 @@ class Scene:
     intrinsics : CameraIntrinsics
     down_camera : (3,) float64
         Direction of gravity in the camera frame.
+    rectangles : (N,) int
+        Index of each plane's rectangle in the list that was rendered: the same surface in
+        pictures from several places.
 
     """
 
@@ -48,6 +51,7 @@ class Scene:
     planes: np.ndarray
     intrinsics: CameraIntrinsics
     down_camera: np.ndarray
+    rectangles: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -102,9 +106,10 @@ def render(rectangles: list[Rectangle], world_from_camera: np.ndarray, position:
     depth_m[surface < 0] = np.nan
     visible, labels = np.unique(surface, return_inverse=True)
     labels = labels.reshape(shape).astype(np.int32) - int(visible[0] < 0)
-    planes = planes[visible[visible >= 0]]
+    visible = visible[visible >= 0]
+    planes = planes[visible]
     return Scene(_colour(labels, planes, rng), depth_m.astype(np.float32), labels, planes,
-                 intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]))
+                 intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]), visible)
 
 
 def _plane_towards_camera(corner: np.ndarray, edge_u: np.ndarray, edge_v: np.ndarray):
@@ -195,7 +200,7 @@ def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
     labels = np.full(depth_m.shape, -1, np.int32)
     planes = np.zeros((0, 4))
     return Scene(_colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
-                 labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]))
+                 labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]), np.zeros(0, int))
 
 
 def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Generator,
