@@ -41,6 +41,8 @@ class Noise:
         Of the depth of a pixel, at least; what 16-bit millimetres leave of an exact plane.
     disparity_floor : float
         Of the disparity of a pixel, at least, per metre.
+    known : float
+        What the source of the depth is known for, per metre; ``mean`` is at least this.
 
     """
 
@@ -49,14 +51,16 @@ class Noise:
     grain: float
     depth_floor_m: float
     disparity_floor: float
+    known: float
 
     def floor(self, disparity: np.ndarray) -> np.ndarray:
         """Return the variance that pixels of this disparity have at least."""
         return (self.depth_floor_m * disparity * disparity) ** 2 + self.disparity_floor**2
 
-    def scaled(self, factor: float) -> Noise:
-        """Return the noise with its smooth part larger by the factor."""
-        return replace(self, mean=self.mean * factor, slope=self.slope * factor)
+    def with_smooth_part(self, mean: float, slope: float) -> Noise:
+        """Return the noise with another smooth part, at least what is known."""
+        return replace(self, mean=max(float(mean), self.known),
+                       slope=max(float(slope), SLOPE_PER_NOISE * self.known))
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,8 @@ def estimate_noise(grid: CellGrid, depth_floor_m: float, disparity_floor: float 
     windows = _window_statistics(grid)
     mean, slope, grain = (
         np.quantile(windows, WINDOW_QUANTILE, axis=0) if len(windows) else np.zeros(3))
-    return Noise(max(float(mean), known), max(float(slope), SLOPE_PER_NOISE * known),
-                 float(grain), depth_floor_m, disparity_floor)
+    unknown = Noise(0.0, 0.0, float(grain), depth_floor_m, disparity_floor, known)
+    return unknown.with_smooth_part(mean, slope)
 
 
 def _window_statistics(grid: CellGrid) -> np.ndarray:

@@ -12,7 +12,8 @@ import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.depth import DepthEstimator
-from plane_detector.scale import apply_scale, estimate_scale
+from plane_detector.scale import estimate_scale
+from plane_detector.scale_estimate import apply_scale
 from plane_detector.segmentation import measure_labels, segment_disparity, segment_planes
 from plane_detector.types import CameraIntrinsics, Detection
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
+from plane_detector.calibration import calibrate, is_settled
 from plane_detector.cells import CellGrid, fit_planes, make_cells
 from plane_detector.config import Config
 from plane_detector.measurement import count_labels, measure_planes, renumber
@@ -26,12 +27,9 @@ from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 # The largest planes tell noise that is smooth over more than a window of the estimate.
 CALIBRATION_PLANES = 3
-CALIBRATION_MIN_CELLS = 100
 CALIBRATION_ROUNDS = 5
-CALIBRATION_TOLERANCE = 1.1
 # Half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
-SIGMA_PER_MEDIAN = 1.4826
 # The range of a disparity of unknown unit, and what its exact planes may stray by.
 RANGE_QUANTILES = (0.02, 0.98)
 RELATIVE_FLOOR = 1e-4
@@ -179,7 +177,7 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Nois
 
 def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
                   rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
-    """Find planes; start again with more noise while the largest planes say there is more."""
+    """Find planes; start again while the largest planes say that the noise is another."""
     def search(model: CellModel, patches: Patches, max_planes: int) -> Patches:
         return find_planes(model, patches, max_planes, min_pixels, config.ransac, config.dbscan,
                            rng)
@@ -189,24 +187,11 @@ def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Confi
     for _ in range(CALIBRATION_ROUNDS):
         model = make_model(grid, noise)
         largest = search(model, nothing, min(CALIBRATION_PLANES, most))
-        factor = _noise_factor(model, largest)
-        if factor <= CALIBRATION_TOLERANCE:
+        calibrated = calibrate(model, largest, noise)
+        if is_settled(model, noise, calibrated):
             break
-        noise = noise.scaled(factor)
+        noise = calibrated
     return model, search(model, largest, most), noise
-
-
-def _noise_factor(model: CellModel, patches: Patches) -> float:
-    """Return by what factor cells stray more from the largest planes than their noise says."""
-    labels = patches.labels.ravel()
-    size = np.bincount(labels[labels >= 0], minlength=len(patches.planes))
-    members = np.flatnonzero((labels >= 0) & (np.append(size, 0)[labels] > CALIBRATION_MIN_CELLS))
-    if not len(members):
-        return 1.0
-    plane, mean = patches.planes[labels[members]], model.grid.mean[members]
-    residual = mean[:, 2] - (plane[:, :2] * mean[:, :2]).sum(axis=1) - plane[:, 2]
-    ratio = np.abs(residual) / np.sqrt(model.variances.mean[members])
-    return float(SIGMA_PER_MEDIAN * np.median(ratio))
 
 
 def _drop_small(labels: np.ndarray, planes: np.ndarray,

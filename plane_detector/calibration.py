@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The noise as the largest planes show it.
+
+A window of cells takes curved things for noise, and sees only that noise which varies within it.
+How cells stray from the largest planes of the picture tells both apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from plane_detector.noise import Noise
+from plane_detector.ransac import CellModel, Patches
+
+# A small plane fits itself to the noise and says too little of it.
+MIN_CELLS = 100
+SIGMA_PER_MEDIAN = 1.4826
+# The noise is as good as known when it would change by less than this factor, down and up.
+TOLERANCE = (0.75, 1.1)
+
+
+def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
+    """
+    Return the noise that the cells of the given planes show, by median absolute deviation.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+        The largest planes; small ones are left out.
+    noise : Noise
+        What the planes were found with.
+
+    Returns
+    -------
+    Noise
+        The given one when the planes are too small to tell.
+
+    """
+    labels = patches.labels.ravel()
+    size = np.bincount(labels + 1, minlength=len(patches.planes) + 1)
+    size[0] = 0
+    members = np.flatnonzero(size[labels + 1] > MIN_CELLS)
+    if not len(members):
+        return noise
+    plane, mean = patches.planes[labels[members]], model.grid.mean[members]
+    residual = mean[:, 2] - (plane[:, :2] * mean[:, :2]).sum(axis=1) - plane[:, 2]
+    tilt = model.grid.slope[members] - plane[:, :2]
+    grain = np.median(model.grid.inner_rms[members])
+    return replace(noise, grain=min(noise.grain, float(grain))).with_smooth_part(
+        SIGMA_PER_MEDIAN * np.median(np.abs(residual)),
+        SIGMA_PER_MEDIAN * np.median(np.abs(tilt)))
+
+
+def is_settled(model: CellModel, before: Noise, after: Noise) -> bool:
+    """Say whether a search with the noise ``after`` would find the same as with ``before``."""
+    middle = float(np.median(model.grid.mean[model.grid.usable, 2])) if (
+        model.grid.usable.any()) else 0.0
+    floor = np.sqrt(before.floor(middle))
+    ratio = max(after.mean, floor) / max(before.mean, floor, np.finfo(float).tiny)
+    return TOLERANCE[0] <= ratio <= TOLERANCE[1]
