@@ -44,9 +44,9 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
     return PALETTE[(np.asarray(labels).astype(np.int64) - 1) % len(PALETTE)]
 
 
-def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """
-    Return the picture with its planes coloured, outlined and numbered.
+    Return the picture with its planes coloured.
 
     Parameters
     ----------
@@ -72,6 +72,12 @@ def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
     result = rgb.copy()
     cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, _colour_image(labels), _COLOUR_SHARE, 0),
                on_plane, result)
+    return result
+
+
+def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """Return the picture with its planes coloured, outlined and numbered; as :func:`tint`."""
+    result = tint(rgb, labels)
     _draw_outlines(result, labels)
     _draw_numbers(result, labels)
     return result

@@ -1,0 +1,185 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The demo's photographs and their calibration: those inside libraries, or the user's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plane_detector.types import CameraIntrinsics
+
+STATED_FIELD_OF_VIEW_DEG = 60.0
+"""Horizontal; taken for a picture without calibration. A usual phone or web camera has it."""
+LONGEST_SIDE_PX = 800
+"""Larger pictures are shrunk: a labelled cloud of 4000 x 3000 points is 240 MB a frame."""
+_SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
+
+
+@dataclass(frozen=True)
+class Lens:
+    """
+    What is known of a camera, for pictures at their full size.
+
+    Parameters
+    ----------
+    fx, fy, cx, cy : float, optional
+        Pixels. Without fx the camera is not calibrated; fy is fx and the centre that of the
+        picture where they are not given.
+    field_of_view_deg : float, optional
+        Horizontal, for a camera that is not calibrated.
+
+    Raises
+    ------
+    ValueError
+        Both a calibration and a field of view, or parts of a calibration without fx.
+
+    """
+
+    fx: float | None = None
+    fy: float | None = None
+    cx: float | None = None
+    cy: float | None = None
+    field_of_view_deg: float | None = None
+
+    def __post_init__(self) -> None:
+        others = (self.fy, self.cx, self.cy)
+        if self.fx is None and any(value is not None for value in others):
+            raise ValueError('fy, cx and cy need fx')
+        if self.fx is not None and self.field_of_view_deg is not None:
+            raise ValueError('either fx or a field of view, not both')
+        if self.field_of_view_deg is not None and not 1 <= self.field_of_view_deg < 180:
+            raise ValueError('the field of view must be from 1 to below 180 degrees')
+
+    def intrinsics(self, width: int, height: int) -> CameraIntrinsics:
+        """Return the pinhole model for a picture of this size."""
+        if self.fx is None:
+            return CameraIntrinsics.from_field_of_view(
+                width, height, self.field_of_view_deg or STATED_FIELD_OF_VIEW_DEG)
+        return CameraIntrinsics(
+            self.fx, self.fx if self.fy is None else self.fy,
+            (width - 1) / 2 if self.cx is None else self.cx,
+            (height - 1) / 2 if self.cy is None else self.cy, width, height)
+
+    def __str__(self) -> str:
+        if self.fx is not None:
+            return 'calibration as given'
+        if self.field_of_view_deg is not None:
+            return f'not calibrated, field of view {self.field_of_view_deg:g} degrees as given'
+        return f'not calibrated, field of view taken to be {STATED_FIELD_OF_VIEW_DEG:g} degrees'
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """
+    A picture, its camera, and the truth where it is known.
+
+    Attributes
+    ----------
+    name : str
+        Also the name of the result files.
+    rgb : (H, W, 3) uint8
+    intrinsics : CameraIntrinsics
+    calibration : str
+        Where the intrinsics come from, for people.
+    true_depth_m : (H, W) float32 or None
+        NaN where it is not known.
+
+    """
+
+    name: str
+    rgb: np.ndarray
+    intrinsics: CameraIntrinsics
+    calibration: str
+    true_depth_m: np.ndarray | None = None
+
+
+def library_pictures() -> list[Photograph]:
+    """
+    Return the photographs that come inside scikit-learn and scikit-image, without a download.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        scikit-image is not installed.
+
+    """
+    return [_temple(), _motorcycle()]
+
+
+def folder_pictures(folder: Path, lens: Lens) -> list[Photograph]:
+    """
+    Return the pictures of a folder, their longest side at most `LONGEST_SIDE_PX`.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such folder, or no picture in it.
+    ValueError
+        A picture cannot be read.
+
+    """
+    if not folder.is_dir():
+        raise FileNotFoundError(f'there is no folder {folder}')
+    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
+    if not paths:
+        raise FileNotFoundError(f'no picture in {folder}: looked for *{", *".join(_SUFFIXES)}')
+    return [_photograph(path, lens) for path in paths]
+
+
+def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photograph:
+    """Return the photograph with its longest side at most this long, the intrinsics with it."""
+    height, width = photograph.rgb.shape[:2]
+    scale = longest_px / max(height, width)
+    if scale >= 1:
+        return photograph
+    size = (max(1, round(width * scale)), max(1, round(height * scale)))
+    scale_x, scale_y = size[0] / width, size[1] / height
+    old = photograph.intrinsics
+    # The corner of the picture, half a pixel outside the first one's centre, stays where it is.
+    intrinsics = CameraIntrinsics(
+        old.fx * scale_x, old.fy * scale_y, (old.cx + 0.5) * scale_x - 0.5,
+        (old.cy + 0.5) * scale_y - 0.5, *size)
+    return replace(photograph, rgb=cv2.resize(photograph.rgb, size, interpolation=cv2.INTER_AREA),
+                   intrinsics=intrinsics,
+                   calibration=f'{photograph.calibration}, shrunk from {width} x {height}')
+
+
+def _photograph(path: Path, lens: Lens) -> Photograph:
+    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if bgr is None:
+        raise ValueError(f'{path} cannot be read as a picture')
+    height, width = bgr.shape[:2]
+    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+    return shrunk(Photograph(path.stem, rgb, lens.intrinsics(width, height), str(lens)))
+
+
+def _temple() -> Photograph:
+    """Outdoors, a temple behind trees; from Flickr, its camera is not known."""
+    from sklearn.datasets import load_sample_image
+    rgb = np.ascontiguousarray(load_sample_image('china.jpg'))
+    lens = Lens()
+    return Photograph('china', rgb, lens.intrinsics(rgb.shape[1], rgb.shape[0]), str(lens))
+
+
+def _motorcycle() -> Photograph:
+    """
+    Indoors, a motorcycle in a workshop, with true disparity and calibration.
+
+    Middlebury 2014 stereo, Scharstein et al.: z = fx * baseline / (disparity + doffs).
+    """
+    try:
+        from skimage.data import stereo_motorcycle
+    except ModuleNotFoundError as error:
+        raise ModuleNotFoundError('the demo\'s picture stereo_motorcycle is in scikit-image: '
+                                  'pip install scikit-image') from error
+    fx_px, baseline_m, doffs_px = 994.978, 0.193001, 31.086
+    rgb, _, disparity_px = stereo_motorcycle()
+    known = np.isfinite(disparity_px)
+    depth_m = np.where(known, fx_px * baseline_m / (disparity_px + doffs_px), np.nan)
+    intrinsics = CameraIntrinsics(fx_px, fx_px, 311.193, 254.877, rgb.shape[1], rgb.shape[0])
+    return Photograph('stereo_motorcycle', np.ascontiguousarray(rgb), intrinsics,
+                      'calibrated, true depth from stereo', depth_m.astype(np.float32))

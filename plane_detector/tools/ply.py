@@ -1,0 +1,52 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Labelled clouds as PLY files, which MeshLab, CloudCompare, Open3D and Blender open."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+_VERTEX = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('red', 'u1'), ('green', 'u1'),
+                    ('blue', 'u1'), ('label', '<i4')])
+_PLY_TYPES = {'f4': 'float', 'u1': 'uchar', 'i4': 'int'}
+
+
+def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndarray) -> int:
+    """
+    Write the points that have a position, little-endian binary.
+
+    Parameters
+    ----------
+    path : Path
+        The file; replaced when it is there.
+    points_m : (..., 3) floating
+        Metres; not finite points are left out.
+    rgb : (..., 3) uint8
+        Colour of each point.
+    labels : (...) integer
+        Plane of each point, 0 for none.
+
+    Returns
+    -------
+    int
+        How many points were written.
+
+    """
+    valid = np.isfinite(points_m).all(axis=-1)
+    vertices = np.empty(np.count_nonzero(valid), _VERTEX)
+    for axis, name in enumerate(('x', 'y', 'z')):
+        vertices[name] = points_m[valid, axis]
+    for channel, name in enumerate(('red', 'green', 'blue')):
+        vertices[name] = rgb[valid, channel]
+    vertices['label'] = labels[valid]
+    properties = [f'property {_PLY_TYPES[kind.str[1:]]} {name}'
+                  for name, (kind, _) in _VERTEX.fields.items()]
+    header = ['ply', 'format binary_little_endian 1.0',
+              'comment metres; camera frame: x right, y down, z forward; label 0: no plane',
+              f'element vertex {len(vertices)}', *properties, 'end_header', '']
+    with open(path, 'wb') as file:
+        file.write('\n'.join(header).encode('ascii'))
+        file.write(vertices.tobytes())
+    return len(vertices)
