@@ -92,11 +92,12 @@ def merge_patches(model: CellModel, patches: Patches) -> Patches:
         if not len(misfit) or misfit.min() > 1:
             return patches
         best = int(np.argmin(misfit))
-        patches = _merged(model, patches, borders.first[best], borders.second[best])
+        patches = merged(model, patches, borders.first[best], borders.second[best])
     return patches
 
 
-def _merged(model: CellModel, patches: Patches, kept: int, gone: int) -> Patches:
+def merged(model: CellModel, patches: Patches, kept: int, gone: int) -> Patches:
+    """Return the patches with one of them part of another one."""
     labels = np.where(patches.labels == gone, kept, patches.labels)
     planes = patches.planes.copy()
     members = (labels.ravel() == kept) & model.planar
@@ -104,30 +105,52 @@ def _merged(model: CellModel, patches: Patches, kept: int, gone: int) -> Patches
     return Patches(labels - (labels > gone), np.delete(planes, gone, axis=0))
 
 
-def _misfit(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
-    """Return for each pair of patches how far it is from being one; up to 1 they are one."""
+@dataclass(frozen=True)
+class _Summary:
+    """The cells of each patch: moments of their means (K, 10), count and mean variance (K,)."""
+
+    moments: np.ndarray
+    count: np.ndarray
+    variance: np.ndarray
+
+
+def _summarise(model: CellModel, patches: Patches) -> _Summary:
     labels = np.where(model.planar, patches.labels.ravel(), -1)
     one_hot = (labels[:, None] == np.arange(len(patches.planes))).astype(float)
-    moments = one_hot.T @ cells.mean_moments(model.grid)
     count = np.maximum(one_hot.sum(axis=0), 1)
-    variance = (model.variances.mean @ one_hot) / count
-    first, second = borders.first, borders.second
-    joint = cells.fit_planes(moments[first] + moments[second])
-    joint_misfit = np.maximum(*(
-        cells.squared_error(joint, moments[side]) / count[side] / variance[side]
-        for side in (first, second))) / MAX_JOINT_VARIANCES
-    bulge_misfit = _bulge_misfit(model, patches, borders, moments, count, variance)
-    misfit = np.fmin(joint_misfit, bulge_misfit)
+    return _Summary(one_hot.T @ cells.mean_moments(model.grid), count,
+                    (model.variances.mean @ one_hot) / count)
+
+
+def joint_misfit(model: CellModel, patches: Patches, first: np.ndarray,
+                 second: np.ndarray) -> np.ndarray:
+    """Return how ill one plane fits both patches of each pair, (P,); up to 1 it fits."""
+    return _joint_misfit(_summarise(model, patches), first, second)
+
+
+def _joint_misfit(summary: _Summary, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    joint = cells.fit_planes(summary.moments[first] + summary.moments[second])
+    return np.fmax(*(
+        cells.squared_error(joint, summary.moments[side]) / summary.count[side]
+        / summary.variance[side] for side in (first, second))) / MAX_JOINT_VARIANCES
+
+
+def _misfit(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
+    """Return for each pair of patches how far it is from being one; up to 1 they are one."""
+    summary = _summarise(model, patches)
+    misfit = np.fmin(_joint_misfit(summary, borders.first, borders.second),
+                     _bulge_misfit(model, patches, borders, summary))
     return np.where(borders.count >= MIN_BORDER_PAIRS, misfit, np.inf)
 
 
-def _bulge_misfit(model: CellModel, patches: Patches, borders: Borders, moments: np.ndarray,
-                  count: np.ndarray, variance: np.ndarray) -> np.ndarray:
+def _bulge_misfit(model: CellModel, patches: Patches, borders: Borders,
+                  summary: _Summary) -> np.ndarray:
     """Return the same for the smaller patch as a bulge of the larger one's plane."""
+    count, variance = summary.count, summary.variance
     first_larger = count[borders.first] >= count[borders.second]
     large = np.where(first_larger, borders.first, borders.second)
     small = np.where(first_larger, borders.second, borders.first)
-    square = cells.squared_error(patches.planes[large], moments[small]) / count[small]
+    square = cells.squared_error(patches.planes[large], summary.moments[small]) / count[small]
     deviation = np.sqrt(np.maximum(square, 0) / variance[small])
     step = _border_step(model, patches.planes[large], borders) / np.sqrt(variance[large])
     misfit = np.maximum(deviation / MAX_BULGE_DEVIATIONS, step / MAX_BULGE_STEP_DEVIATIONS) ** 2

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from plane_detector.cells import picture_coordinates
+from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches, chi_squared
 
@@ -103,6 +104,26 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
         chosen[active] = np.where(better, rank[active, None, None], chosen[active])
     variance = noise.mean**2 + grain**2 + noise.floor(d)
     chosen[best > threshold**2 * variance] = -1
+    return _by_side(chosen, candidates, model, patches, x, y, threshold**2 * variance)
+
+
+def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patches: Patches,
+             x: np.ndarray, y: np.ndarray, unclear: np.ndarray) -> np.ndarray:
+    """Correct the pixels near creases, where the planes' square difference is unclear."""
+    signs = find_creases(model, patches)
+    if not signs.any():
+        return chosen
+    planes = np.vstack([patches.planes, np.zeros(3)]).astype(np.float32)
+    signs = np.pad(signs, ((0, 1), (0, 1)))
+    for rank in candidates.T:
+        active = np.flatnonzero(rank >= 0)
+        if not len(active):
+            break
+        own, other = chosen[active], rank[active, None, None]
+        a, b, c = np.moveaxis(planes[own] - planes[other], -1, 0)
+        difference = c + a * x[active] + b * y[active]
+        wrong = (signs[own, other] * difference < 0) & (difference**2 < unclear[active])
+        chosen[active] = np.where(wrong, other, own)
     return chosen
 
 

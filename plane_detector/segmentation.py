@@ -16,9 +16,11 @@ from plane_detector.backprojection import check_depth, valid_depth
 from plane_detector.calibration import calibrate, is_settled
 from plane_detector.cells import CellGrid, fit_planes, make_cells
 from plane_detector.config import Config
+from plane_detector.creases import straighten
 from plane_detector.measurement import count_labels, measure_planes, renumber
 from plane_detector.merging import merge_patches
 from plane_detector.noise import Noise, estimate_noise
+from plane_detector.occlusion import join_hidden
 from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
 from plane_detector.ransac import CellModel, Patches, find_planes, make_model
@@ -170,7 +172,8 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Nois
     model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, rng)
     patches = merge_patches(model, patches)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
-    patches = merge_patches(model, patches)
+    patches = join_hidden(model, merge_patches(model, patches))
+    patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
     return *_drop_small(labels, patches.planes, min_pixels), noise
 
