@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measure the plane segmentation, beside its peers, and print the tables as Markdown.
+
+    python3 -m plane_detector.tools.benchmark > results.md
+    python3 -m plane_detector.tools.benchmark --only rooms --seeds 5
+    python3 -m plane_detector.tools.benchmark --only real --data folder --model fastdepth
+
+The contact sheets of the real pictures are written to benchmark_output/. Peers that are not
+installed are named as absent.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
+from plane_detector.tools.benchmark_report import emit, provenance
+from plane_detector.tools.benchmark_rooms import report_rooms
+from plane_detector.tools.benchmark_times import report_times
+from plane_detector.tools.peers import all_methods
+
+SECTIONS = ('rooms', 'living_room', 'real', 'time')
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--only', type=_sections, default=SECTIONS, metavar='SECTION,...',
+                        help=f'some of {", ".join(SECTIONS)}; default all')
+    parser.add_argument('--seeds', type=int, default=20, help='rooms of each set')
+    parser.add_argument('--slow-seeds', type=int, default=3,
+                        help='rooms of each set for methods that take seconds')
+    parser.add_argument('--repeats', type=int, default=15, help='runs of everything timed')
+    parser.add_argument('--data', type=Path, default=Path('../shared/data'),
+                        help='folder of real pictures, see tools/real_frames.py')
+    parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
+    parser.add_argument('--output', type=Path, default=Path('benchmark_output'),
+                        help='folder of the contact sheets')
+    arguments = parser.parse_args()
+    if min(arguments.seeds, arguments.slow_seeds, arguments.repeats) < 1:
+        parser.error('--seeds, --slow-seeds and --repeats must be at least 1')
+    return arguments
+
+
+def _sections(text: str) -> tuple[str, ...]:
+    wanted = tuple(text.split(','))
+    unknown = sorted(set(wanted) - set(SECTIONS))
+    if unknown:
+        raise argparse.ArgumentTypeError(f'no section {", ".join(unknown)}; there are '
+                                         f'{", ".join(SECTIONS)}')
+    return wanted
+
+
+def main() -> None:
+    """Print the sections that were asked for."""
+    arguments = parsed()
+    emit(provenance())
+    methods = all_methods()
+    if 'rooms' in arguments.only:
+        report_rooms(methods, arguments.seeds, arguments.slow_seeds)
+    if {'living_room', 'real'} & set(arguments.only):
+        found = collect_frames(arguments.data)
+        if 'living_room' in arguments.only:
+            report_consistency(found)
+        if 'real' in arguments.only:
+            report_real(found, arguments.model, arguments.output)
+    if 'time' in arguments.only:
+        report_times(methods, arguments.repeats)
+
+
+if __name__ == '__main__':
+    main()

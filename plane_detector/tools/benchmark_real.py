@@ -1,0 +1,170 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables and contact sheets of the benchmark: real pictures, judged by the sensor's depth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tqdm import tqdm
+
+from plane_detector.config import Config, DepthConfig
+from plane_detector.depth import DepthEstimator
+from plane_detector.drawing import figure, overlay
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.segmentation import segment_planes
+from plane_detector.tools.benchmark_judging import (
+    Coverage,
+    JudgedPlane,
+    judge_coverage,
+    judge_planes,
+)
+from plane_detector.tools.benchmark_report import emit, table
+from plane_detector.tools.benchmark_rooms import SIGMAS
+from plane_detector.tools.metrics import score
+from plane_detector.tools.peers import plane_array
+from plane_detector.tools.real_frames import Frame, frames, library_frames
+from plane_detector.tools.scenes import with_disparity_noise
+from plane_detector.types import Detection, PlaneSegmentation
+
+RENDERED = ('living_room',)
+"""Sets of clean rendered depth."""
+_PANEL_WIDTH_PX = 480
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A frame with its planes by the sensor and by the network; None without a network."""
+
+    frame: Frame
+    sensor: PlaneSegmentation
+    network: Detection | None
+    judged: Sequence[JudgedPlane]
+    coverage: Coverage | None
+
+
+def collect_frames(data: Path) -> list[Frame]:
+    """Return the frames of the data folder and of the libraries; say which are missing."""
+    found: list[Frame] = []
+    for source in (lambda: frames(data), library_frames):
+        try:
+            found += source()
+        except (FileNotFoundError, ModuleNotFoundError) as error:
+            emit(f'Not looked at: {error}.')
+    return found
+
+
+def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
+    """Print the table of all frames and write a contact sheet of each set."""
+    estimate, title = load_network(model)
+    emit(f'### Real pictures: planes of the sensor and of the network ({title})')
+    compared = [compare(frame, estimate) for frame in tqdm(found, 'real frames', leave=False)]
+    emit(table(('frame', 'planes by sensor', 'pixels on them', 'planes by network', 'purity',
+                'worst purity', 'normal error (deg)', 'offset error (cm)', 'coverage',
+                'pieces'), [_row(one) for one in compared]),
+         'Purity and errors are means over the predicted planes of a frame, weighed by their '
+         'pixels: purity is the share within max(3 cm, 1.5 % of z) of the best plane through '
+         'the sensor\'s points there. Coverage: of the sensor\'s planes over 2 % of the picture, '
+         'the share of pixels that a predicted plane with IoU > 0.5 covers; pieces: predicted '
+         'planes that hold over a tenth of each of them.')
+    emit(*(f'Contact sheet: `{path}`' for path in write_sheets(compared, output)))
+
+
+def load_network(model: str) -> tuple[Callable[[np.ndarray], np.ndarray] | None, str]:
+    """Return the network, None when it cannot be had, and its name or the reason why not."""
+    try:
+        estimate = DepthEstimator(DepthConfig(model=model))
+    except (FileNotFoundError, ValueError) as error:
+        return None, f'absent: {error}'
+    return estimate, f'{estimate.name}, {estimate.output}'
+
+
+def compare(frame: Frame, estimate: Callable[[np.ndarray], np.ndarray] | None) -> Comparison:
+    """Segment a frame both ways and judge the network's planes."""
+    sensor = segment_planes(frame.depth_m, frame.intrinsics)
+    if estimate is None:
+        return Comparison(frame, sensor, None, (), None)
+    network = PlaneDetector(Config(), estimate).detect(frame.rgb, frame.intrinsics)
+    judged = judge_planes(network.labels, plane_array(network), frame.depth_m, frame.intrinsics,
+                          np.random.default_rng(0))
+    coverage = judge_coverage(sensor.labels, network.labels, np.isfinite(frame.depth_m))
+    return Comparison(frame, sensor, network, judged, coverage)
+
+
+def _row(one: Comparison) -> list[str]:
+    seen = np.isfinite(one.frame.depth_m)
+    on_plane = (one.sensor.labels >= 0)[seen].mean()
+    cells = [f'{one.frame.set_name}/{one.frame.name}', str(len(one.sensor.planes)),
+             f'{on_plane:.2f}']
+    if one.network is None or one.coverage is None:
+        return [*cells, *['-'] * 7]
+    weight = np.array([plane.pixels for plane in one.judged], float)
+    judged = np.array([(plane.purity, plane.normal_error_deg, plane.offset_error_m)
+                       for plane in one.judged]).reshape(-1, 3)
+    purity, angle_deg, offset_m = (
+        np.average(judged, axis=0, weights=weight) if len(judged) else np.full(3, np.nan))
+    return [*cells, str(len(one.network.planes)), f'{purity:.2f}',
+            f'{judged[:, 0].min(initial=1.0):.2f}', f'{angle_deg:.1f}', f'{100 * offset_m:.0f}',
+            f'{one.coverage.share:.2f} of {one.coverage.planes}', f'{one.coverage.pieces:.1f}']
+
+
+def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
+    """Write one picture for each set: a row for each frame; return the paths."""
+    output.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, group in groupby(compared, lambda one: one.frame.set_name):
+        panels = [panel for one in group for panel in _panels(one)]
+        path = output / f'{name}.png'
+        if not cv2.imwrite(str(path), figure(panels, columns=3)[..., ::-1]):
+            raise OSError(f'{path} cannot be written')
+        paths.append(path)
+    return paths
+
+
+def _panels(one: Comparison) -> list[tuple[str, np.ndarray]]:
+    """Return picture, planes by the sensor and planes by the network, with titles."""
+    name, rgb = f'{one.frame.set_name}/{one.frame.name}', one.frame.rgb
+    panels = [(name, rgb), (f'sensor: {len(one.sensor.planes)} planes',
+                            overlay(rgb, one.sensor.labels + 1))]
+    if one.network is None:
+        panels.append(('network: absent', np.zeros_like(rgb)))
+    else:
+        panels.append((f'network: {len(one.network.planes)} planes',
+                       overlay(rgb, one.network.labels + 1)))
+    size = (_PANEL_WIDTH_PX, round(_PANEL_WIDTH_PX * rgb.shape[0] / rgb.shape[1]))
+    return [(title, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
+            for title, picture in panels]
+
+
+def report_consistency(found: Sequence[Frame]) -> None:
+    """Print how little noise changes what is found in clean rendered depth."""
+    clean = [frame for frame in found if frame.set_name in RENDERED]
+    if not clean:
+        return
+    emit('### Rendered living room: consistency under noise')
+    rows = []
+    for sigma in SIGMAS[1:]:
+        scores = [_consistency(frame, sigma, k) for k, frame in enumerate(clean)]
+        columns = [[getattr(one, name) for one in scores] for name in (
+            'segmentation_covering', 'recall', 'precision', 'normal_error_deg')]
+        rows.append([f'{sigma:g}', str(len(clean)), f'{np.mean(columns[0]):.3f}',
+                     f'{np.min(columns[0]):.2f}',
+                     *(f'{np.nanmean(values):.2f}' for values in columns[1:])])
+    emit(table(('noise (1/m)', 'frames', 'SC', 'worst SC', 'recall', 'precision',
+                'normal change (deg)'), rows),
+         'These frames have no true labels: the planes found in noisy depth are compared with '
+         'those that the same method finds in the clean depth. This says how stable the result '
+         'is, not how right.')
+
+
+def _consistency(frame: Frame, sigma: float, seed: int):
+    clean = segment_planes(frame.depth_m, frame.intrinsics)
+    noisy_m = with_disparity_noise(frame.depth_m, sigma, np.random.default_rng(seed))
+    noisy = segment_planes(noisy_m, frame.intrinsics)
+    return score(clean.labels, plane_array(clean), noisy.labels, plane_array(noisy),
+                 np.isfinite(frame.depth_m))

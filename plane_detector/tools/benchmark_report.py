@@ -1,0 +1,59 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What every table of the benchmark needs: where it was made, and Markdown."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import shlex
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+
+from plane_detector.tools.benchmark_depth import machine
+
+_PACKAGES = ('numpy', 'scikit-learn', 'pyransac3d', 'open3d')
+
+
+def provenance() -> str:
+    """Return the command, the machine, the versions and the commit, as Markdown."""
+    command = ['python3', '-m', 'plane_detector.tools.benchmark', *sys.argv[1:]]
+    versions = ', '.join(f'{name} {_version(name)}' for name in _PACKAGES)
+    return (f'`{shlex.join(command)}`\n\n{machine()}, OpenCV {cv2.__version__}, {versions}; '
+            f'commit {commit()}')
+
+
+def commit() -> str:
+    """Return the commit of the working tree, and whether files differ from it."""
+    folder = Path(__file__).resolve().parent
+    try:
+        name, changes = (
+            subprocess.run(['git', '-C', str(folder), *arguments], capture_output=True, text=True,
+                           check=True).stdout.strip()
+            for arguments in (('rev-parse', '--short', 'HEAD'),
+                              ('status', '--porcelain', '--untracked-files=no')))
+    except (OSError, subprocess.CalledProcessError):
+        return 'unknown (not a git checkout)'
+    return f'{name} with uncommitted changes' if changes else name
+
+
+def _version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return 'not installed'
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a Markdown table; numbers are given as text."""
+    lines = [header, ['---'] * len(header), *rows]
+    return '\n'.join('| ' + ' | '.join(str(cell) for cell in line) + ' |' for line in lines)
+
+
+def emit(*blocks: str) -> None:
+    """Print blocks of Markdown, each followed by an empty line, at once."""
+    for block in blocks:
+        print(f'{block}\n', flush=True)
