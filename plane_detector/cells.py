@@ -225,27 +225,39 @@ def mean_moments(grid: CellGrid) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d], axis=1)
 
 
-def window_sums(values: np.ndarray, side: int, stride: int) -> np.ndarray:
+def summed_area_table(values: np.ndarray) -> np.ndarray:
+    """Return the sums of values (R, C, K) above and left of each corner, (R + 1, C + 1, K)."""
+    table = np.zeros((values.shape[0] + 1, values.shape[1] + 1, values.shape[2]))
+    np.cumsum(values, axis=0, out=table[1:, 1:])
+    np.cumsum(table[1:, 1:], axis=1, out=table[1:, 1:])
+    return table
+
+
+def window_sums(table: np.ndarray, rows: np.ndarray, columns: np.ndarray,
+                side: int) -> np.ndarray:
     """
-    Add up every window of side x side cells.
+    Add up windows of side x side cells.
 
     Parameters
     ----------
-    values : (R, C, K) float64
-    side, stride : int
+    table : (R + 1, C + 1, K) float64
+        Of :func:`summed_area_table`.
+    rows, columns : (...) int
+        First row and column of each window.
+    side : int
         In cells.
 
     Returns
     -------
-    (r, c, K) float64
-        Empty when the window is larger than the grid.
+    (..., K) float64
 
     """
-    if min(values.shape[:2]) < side:
-        return np.zeros((0, 0, values.shape[2]))
-    table = np.zeros((values.shape[0] + 1, values.shape[1] + 1, values.shape[2]))
-    table[1:, 1:] = values.cumsum(0).cumsum(1)
-    rows = np.arange(0, values.shape[0] - side + 1, stride)[:, None]
-    columns = np.arange(0, values.shape[1] - side + 1, stride)[None, :]
     return (table[rows + side, columns + side] - table[rows, columns + side]
             - table[rows + side, columns] + table[rows, columns])
+
+
+def window_starts(shape: tuple[int, int], side: int, stride: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return first rows (n,) and columns (n,) of the windows that lie within a grid."""
+    rows = np.arange(0, shape[0] - side + 1, stride)
+    columns = np.arange(0, shape[1] - side + 1, stride)
+    return np.repeat(rows, len(columns)), np.tile(columns, len(rows))

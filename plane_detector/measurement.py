@@ -21,7 +21,8 @@ CORRELATED_CELLS = 9.0
 
 
 def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise: Noise,
-                   intrinsics: CameraIntrinsics) -> tuple[tuple[Plane, ...], np.ndarray]:
+                   intrinsics: CameraIntrinsics,
+                   min_pixels: float = 1.0) -> tuple[tuple[Plane, ...], np.ndarray]:
     """
     Measure planes, largest first.
 
@@ -34,11 +35,12 @@ def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise
         1/z = a x + b y + c in the coordinates of the cells.
     noise : Noise
     intrinsics : CameraIntrinsics
+    min_pixels : float
+        Planes of fewer pixels, or of none, are left out.
 
     Returns
     -------
     planes : tuple of Plane
-        Those that have pixels.
     labels : (H, W) int32
         Index into these.
 
@@ -46,25 +48,27 @@ def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise
     counts = count_labels(grid, labels, len(planes))
     total = counts.sum(axis=0)
     order = np.argsort(-total, kind='stable')
-    order = order[total[order] > 0]
+    order = order[total[order] >= max(min_pixels, 1)]
     measured = tuple(_measure(grid, counts[:, k], planes[k], noise, intrinsics) for k in order)
     return measured, renumber(labels, order, len(planes))
 
 
 def renumber(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
     """Return labels in which ``kept`` of ``count`` labels are 0, 1, ..., all others -1."""
+    if len(kept) == count and (kept == np.arange(count)).all():
+        return labels
     # One look-up serves -1 too: it is the last entry.
     renumbered = np.full(count + 1, -1, np.int32)
     renumbered[kept] = np.arange(len(kept))
-    return renumbered[labels]
+    return renumbered.take(labels, mode='wrap')
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     """Return how many pixels of each label each cell has, (R * C, K) float64."""
     rows, columns = grid.shape
-    row = np.arange(labels.shape[0]) // grid.size_px
-    column = np.arange(labels.shape[1]) // grid.size_px
-    key = (row[:, None] * columns + column) * (count + 1) + labels + 1
+    row = np.arange(labels.shape[0], dtype=np.int32) // grid.size_px
+    column = np.arange(labels.shape[1], dtype=np.int32) // grid.size_px
+    key = (row[:, None] * columns + column) * np.int32(count + 1) + (labels + 1)
     found = np.bincount(key.ravel(), minlength=rows * columns * (count + 1))
     return found.reshape(-1, count + 1)[:, 1:].astype(float)
 

@@ -10,6 +10,7 @@ points: a window is on one plane far more often than three points are.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -90,7 +91,7 @@ def make_model(grid: CellGrid, noise: Noise) -> CellModel:
 def monomials(planes: np.ndarray) -> np.ndarray:
     """Return the products of the coefficients of planes (K, 3) that the score needs, (10, K)."""
     a, b, c = planes.T
-    return np.stack([a * a, a * b, b * b, a * c, b * c, c * c, a, b, c, np.ones_like(a)])
+    return np.array([a * a, a * b, b * b, a * c, b * c, c * c, a, b, c, np.ones_like(a)])
 
 
 def chi_squared(model: CellModel, planes: np.ndarray) -> np.ndarray:
@@ -103,9 +104,51 @@ def chi_squared(model: CellModel, planes: np.ndarray) -> np.ndarray:
     return model.quadratic @ monomials(planes)
 
 
+def collect(model: CellModel, found: list[tuple[np.ndarray, np.ndarray]]) -> Patches:
+    """Turn what :func:`peel_planes` yields, planes and their cells, into patches."""
+    labels = np.full(model.planar.shape, -1, np.int32)
+    for k, (_, members) in enumerate(found):
+        labels[members] = k
+    planes = np.array([plane for plane, _ in found]).reshape(-1, 3)
+    return Patches(labels.reshape(model.grid.shape), planes)
+
+
+def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig, dbscan: DbscanConfig,
+                rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """
+    Find planes among the cells, take them out, go on until none is left.
+
+    Parameters
+    ----------
+    model : CellModel
+    min_pixels : float
+        Smallest plane.
+    ransac, dbscan : RansacConfig, DbscanConfig
+    rng : numpy.random.Generator
+        Draws the windows.
+
+    Yields
+    ------
+    plane : (3,) float64
+        1/z = a x + b y + c.
+    members : (R * C,) bool
+        Its cells.
+
+    """
+    free, drawn, found = model.planar.copy(), 0, True
+    while found and drawn < ransac.max_iterations:
+        found = False
+        batch = _draw(model, free, min_pixels, ransac, rng)
+        drawn += len(batch.planes)
+        for plane, members in _peel_batch(model, batch, free, min_pixels, ransac, dbscan):
+            found = True
+            free &= ~members
+            yield plane, members
+
+
 @dataclass
-class _Round:
-    """One batch of hypotheses and what of their support is still free."""
+class _Batch:
+    """Hypotheses (H, 3), their seed cells (H,), and what of their support is still free."""
 
     planes: np.ndarray
     seeds: np.ndarray
@@ -117,92 +160,51 @@ class _Round:
         """Take the support of newly assigned cells (R * C,) bool out of every gain."""
         rows = np.flatnonzero(taken[self.cells])
         self.gain -= self.support[rows].sum(axis=0)
-        self.support[rows] = 0
-
-
-def find_planes(model: CellModel, patches: Patches, max_planes: int, min_pixels: float,
-                ransac: RansacConfig, dbscan: DbscanConfig,
-                rng: np.random.Generator) -> Patches:
-    """
-    Find planes among the free cells, largest first, until none is left.
-
-    Parameters
-    ----------
-    model : CellModel
-    patches : Patches
-        What was found before; its cells are not free.
-    max_planes : int
-        Most planes in all.
-    min_pixels : float
-        Smallest plane.
-    ransac, dbscan : RansacConfig, DbscanConfig
-    rng : numpy.random.Generator
-        Draws the windows.
-
-    Returns
-    -------
-    Patches
-        The given ones and the new ones behind them.
-
-    """
-    labels, planes = patches.labels.ravel().copy(), list(patches.planes)
-    drawn = 0
-    while len(planes) < max_planes and drawn < ransac.max_iterations:
-        free = model.planar & (labels < 0)
-        batch = _draw(model, free, min_pixels, ransac, rng)
-        drawn += max(len(batch.planes), 1)
-        before = len(planes)
-        for plane, members in _peel(model, batch, free, min_pixels, ransac, dbscan):
-            labels[members] = len(planes)
-            planes.append(plane)
-            if len(planes) == max_planes:
-                break
-        if len(planes) == before:
-            break
-    return Patches(labels.reshape(model.grid.shape), np.array(planes).reshape(-1, 3))
 
 
 def _draw(model: CellModel, free: np.ndarray, min_pixels: float, ransac: RansacConfig,
-          rng: np.random.Generator) -> _Round:
+          rng: np.random.Generator) -> _Batch:
     """Fit planes to random windows of free cells and score them on all free cells."""
-    share = max(ROUND_PLANE_SHARE, min_pixels / max(model.grid.moments[free, 0].sum(), 1))
-    wanted = np.log1p(-ransac.confidence) / np.log1p(-min(share, 0.99))
-    wanted = int(np.clip(np.ceil(wanted), 1, ransac.max_iterations))
-    found = [_window_planes(model, free, side, wanted, rng) for side in WINDOW_SIDES_CELLS]
-    planes, seeds = (np.concatenate(parts) for parts in zip(*found, strict=True))
     members = np.flatnonzero(free)
     count = model.grid.moments[members, 0]
+    share = max(ROUND_PLANE_SHARE, min_pixels / max(count.sum(), 1))
+    wanted = np.log1p(-ransac.confidence) / np.log1p(-min(share, 0.99))
+    wanted = int(np.clip(np.ceil(wanted), 1, ransac.max_iterations))
+    planes, seeds = _window_planes(model, free, wanted, rng)
     # MSAC: a cell supports a plane with its pixels, times 1 - (residual / threshold)**2.
     weighted = model.quadratic[members] * (-count / ransac.inlier_threshold**2)[:, None]
     weighted[:, 9] += count
     support = weighted @ monomials(planes)
     np.maximum(support, 0, out=support)
-    return _Round(planes, seeds, members, support, support.sum(axis=0))
+    return _Batch(planes, seeds, members, support, support.sum(axis=0))
 
 
-def _window_planes(model: CellModel, free: np.ndarray, side: int, wanted: int,
+def _window_planes(model: CellModel, free: np.ndarray, wanted: int,
                    rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
-    rows, columns = model.grid.shape
-    if min(rows, columns) < side:
-        return np.zeros((0, 3)), np.zeros(0, np.int64)
+    shape = model.grid.shape
     allowed = model.grid.moments[:, 0] * (model.variances.mean + model.variances.grain)
     values = np.column_stack([model.grid.moments, allowed, np.ones(len(free))]) * free[:, None]
-    sums = cells.window_sums(values.reshape(rows, columns, -1), side, 1)
-    at_row, at_column = np.nonzero(sums[..., 11] >= WINDOW_MIN_FREE * side**2)
-    if len(at_row) > wanted:
-        chosen = rng.choice(len(at_row), wanted, replace=False)
-        at_row, at_column = at_row[chosen], at_column[chosen]
-    sums = sums[at_row, at_column]
-    planes = cells.fit_planes(sums)
-    with np.errstate(invalid='ignore'):
-        flat = cells.squared_error(planes, sums) < WINDOW_MAX_VARIANCES * sums[:, 10]
-    middles = (at_row + side // 2) * columns + at_column + side // 2
-    return planes[flat], middles[flat]
+    table = cells.summed_area_table(values.reshape(*shape, -1))
+    planes, middles = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
+    for side in WINDOW_SIDES_CELLS:
+        rows, columns = cells.window_starts(shape, side, 1)
+        is_free = cells.window_sums(table[..., 11], rows, columns, side)
+        starts = np.flatnonzero(is_free >= WINDOW_MIN_FREE * side**2)
+        if len(starts) > wanted:
+            starts = rng.choice(starts, wanted, replace=False)
+        rows, columns = rows[starts], columns[starts]
+        sums = cells.window_sums(table, rows, columns, side)
+        fitted = cells.fit_planes(sums)
+        with np.errstate(invalid='ignore'):
+            flat = cells.squared_error(fitted, sums) < WINDOW_MAX_VARIANCES * sums[:, 10]
+        planes.append(fitted[flat])
+        middles.append(((rows + side // 2) * shape[1] + columns + side // 2)[flat])
+    return np.concatenate(planes), np.concatenate(middles)
 
 
-def _peel(model: CellModel, batch: _Round, free: np.ndarray, min_pixels: float,
-          ransac: RansacConfig, dbscan: DbscanConfig):
+def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: float,
+                ransac: RansacConfig, dbscan: DbscanConfig):
     """Yield plane and cells of the best hypothesis, take them out, and so on."""
     count, failures = model.grid.moments[:, 0], 0
     while len(batch.gain) and failures < MAX_FAILURES:
@@ -210,12 +212,11 @@ def _peel(model: CellModel, batch: _Round, free: np.ndarray, min_pixels: float,
         if batch.gain[best] < min_pixels / 2:
             return
         plane, members = refine(model, batch.planes[best], batch.seeds[best], free, ransac, dbscan)
-        if count[members].sum() < min_pixels:
+        if count @ members < min_pixels:
             batch.gain[best] = 0
             failures += 1
             continue
         failures = 0
-        free &= ~members
         batch.remove(members)
         yield plane, members
 
@@ -247,7 +248,7 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
         grown = clusters == np.argmax(touched)
         if (grown == members).all():
             break
-        refitted = cells.fit_planes(model.grid.moments[grown].sum(axis=0))
+        refitted = cells.fit_planes(grown.astype(float) @ model.grid.moments)
         if not np.isfinite(refitted).all():
             return plane, np.zeros_like(members)
         plane, members = refitted, grown

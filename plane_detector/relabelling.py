@@ -15,7 +15,7 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.config import DbscanConfig
-from plane_detector.dbscan import grid_clusters
+from plane_detector.dbscan import label_clusters
 from plane_detector.ransac import CellModel, Patches, chi_squared
 
 ROUNDS = 2
@@ -53,7 +53,7 @@ def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: fl
         if len(patches.planes) == 0:
             return patches
         labels = _compete(model, patches, threshold)
-        patches = _split(model, labels, len(patches.planes), min_pixels, dbscan)
+        patches = _split(model, labels, min_pixels, dbscan)
     return patches
 
 
@@ -90,19 +90,15 @@ def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
     return cost
 
 
-def _split(model: CellModel, labels: np.ndarray, count: int, min_pixels: float,
+def _split(model: CellModel, labels: np.ndarray, min_pixels: float,
            dbscan: DbscanConfig) -> Patches:
     """Cut each label into its density clusters, drop the small ones and fit the others."""
-    pixels, planar = model.grid.moments[:, 0], model.planar
-    out, planes = np.full(labels.shape, -1, np.int32), []
-    for k in range(count):
-        clusters = grid_clusters(labels == k, dbscan.eps, dbscan.min_samples)
-        flat = clusters.ravel()
-        size = np.bincount(flat + 1, pixels * planar, minlength=1)[1:]
-        for cluster in np.flatnonzero(size >= min_pixels):
-            members = flat == cluster
-            plane = cells.fit_planes(model.grid.moments[members & planar].sum(axis=0))
-            if np.isfinite(plane).all():
-                out[clusters == cluster] = len(planes)
-                planes.append(plane)
-    return Patches(out, np.array(planes).reshape(-1, 3))
+    clusters = label_clusters(labels, dbscan.eps, dbscan.min_samples).ravel()
+    pixels = np.bincount(clusters + 1, model.grid.moments[:, cells.N] * model.planar)[1:]
+    kept = np.flatnonzero(pixels >= max(min_pixels, 1))
+    members = (clusters[:, None] == kept).T & model.planar
+    planes = cells.fit_planes(members.astype(float) @ model.grid.moments)
+    fitted = np.isfinite(planes).all(axis=1)
+    renumbered = np.full(len(pixels) + 1, -1, np.int32)
+    renumbered[kept[fitted]] = np.arange(fitted.sum())
+    return Patches(renumbered[clusters].reshape(labels.shape), planes[fitted])

@@ -10,6 +10,8 @@ changes nothing about which pixels form a plane.
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
@@ -23,7 +25,7 @@ from plane_detector.noise import Noise, estimate_noise
 from plane_detector.occlusion import join_hidden
 from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
-from plane_detector.ransac import CellModel, Patches, find_planes, make_model
+from plane_detector.ransac import CellModel, Patches, collect, make_model, peel_planes
 from plane_detector.relabelling import relabel
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
@@ -79,7 +81,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     known = config.segmentation.disparity_noise or disparity_noise
     noise = estimate_noise(grid, config.ransac.noise_floor, known=known)
     labels, planes, noise = _label(disparity, valid, grid, noise, config, rng)
-    planes, labels = measure_planes(grid, labels, planes, noise, intrinsics)
+    min_pixels = config.segmentation.min_plane_share * depth_m.size
+    planes, labels = measure_planes(grid, labels, planes, noise, intrinsics, min_pixels)
     return PlaneSegmentation(planes, labels, noise.mean)
 
 
@@ -140,7 +143,8 @@ def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIn
     grid = make_cells(disparity, valid)
     noise = estimate_noise(grid, config.ransac.noise_floor, known=disparity_noise)
     planes, labels = _fit_labels(grid, labels)
-    measured, labels = measure_planes(grid, labels, planes, noise, intrinsics)
+    min_pixels = config.segmentation.min_plane_share * depth_m.size
+    measured, labels = measure_planes(grid, labels, planes, noise, intrinsics, min_pixels)
     return PlaneSegmentation(measured, labels, noise.mean)
 
 
@@ -167,39 +171,27 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Nois
            config: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Noise]:
     """Return labels (H, W), planes (K, 3) of the cells' coordinates, and the noise."""
     threshold = config.ransac.inlier_threshold
-    min_pixels = config.segmentation.min_plane_share * disparity.size
-    min_cell_pixels = MIN_CELL_SHARE * min_pixels
+    min_cell_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * disparity.size
     model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, rng)
     patches = merge_patches(model, patches)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
     patches = join_hidden(model, merge_patches(model, patches))
     patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
-    return *_drop_small(labels, patches.planes, min_pixels), noise
+    return labels, patches.planes, noise
 
 
 def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
                   rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
     """Find planes; start again while the largest planes say that the noise is another."""
-    def search(model: CellModel, patches: Patches, max_planes: int) -> Patches:
-        return find_planes(model, patches, max_planes, min_pixels, config.ransac, config.dbscan,
-                           rng)
-
     most = config.segmentation.max_planes
-    nothing = Patches(np.full(grid.shape, -1, np.int32), np.zeros((0, 3)))
     for _ in range(CALIBRATION_ROUNDS):
         model = make_model(grid, noise)
-        largest = search(model, nothing, min(CALIBRATION_PLANES, most))
-        calibrated = calibrate(model, largest, noise)
+        search = peel_planes(model, min_pixels, config.ransac, config.dbscan, rng)
+        found = list(islice(search, min(CALIBRATION_PLANES, most)))
+        calibrated = calibrate(model, collect(model, found), noise)
         if is_settled(model, noise, calibrated):
             break
         noise = calibrated
-    return model, search(model, largest, most), noise
-
-
-def _drop_small(labels: np.ndarray, planes: np.ndarray,
-                min_pixels: float) -> tuple[np.ndarray, np.ndarray]:
-    """Take planes of too few pixels out."""
-    count = np.bincount(labels.ravel() + 1, minlength=len(planes) + 1)[1:]
-    kept = np.flatnonzero(count >= max(min_pixels, 1))
-    return renumber(labels, kept, len(planes)), planes[kept]
+    found += islice(search, most - len(found))
+    return model, collect(model, found), noise

@@ -143,7 +143,7 @@ def _colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) ->
 
 
 def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return a furnished room: boxes on the floor, cupboards and pictures at the walls."""
+    """Return a furnished room: boxes on the floor, and cupboards and pictures on the walls."""
     size = rng.uniform([3.5, 4.0, 2.3], [7.0, 8.0, 3.2])
     position = np.append(rng.uniform(0.1, 0.9, 2) * size[:2], rng.uniform(0.9, 1.8))
     to_x, to_y = rng.uniform(0.3, 0.7, 2) * size[:2] - position[:2]
@@ -164,7 +164,7 @@ def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -
         center = np.append(rng.uniform(0.1, 0.9, 2) * room[:2], size[2] / 2)
         yaw_deg = rng.uniform(0, 90)
         if kind == 2:
-            size[side], center[2] = rng.uniform(0.02, 0.06), rng.uniform(1.2, 1.7)
+            size[side], center[2] = rng.uniform(0.02, 0.4), rng.uniform(1.2, 1.7)
         if kind > 0:
             yaw_deg, center[side] = 0.0, size[side] / 2 + end * (room[side] - size[side])
         clear = np.linalg.norm(center[:2] - camera[:2]) > 0.6 + np.linalg.norm(size[:2]) / 2
