@@ -14,12 +14,13 @@ PALETTE = np.array(
     [
         (230, 25, 75), (60, 180, 75), (0, 130, 200), (255, 225, 25), (145, 30, 180),
         (70, 240, 240), (245, 130, 48), (240, 50, 230), (210, 245, 60), (0, 128, 128),
-        (250, 190, 212), (170, 110, 40), (220, 190, 255), (128, 0, 0), (170, 255, 195),
-        (0, 0, 160), (255, 215, 180), (128, 128, 0), (110, 110, 255), (255, 250, 200),
+        (250, 160, 200), (170, 110, 40), (220, 190, 255), (128, 0, 0), (170, 255, 195),
+        (0, 0, 160), (250, 205, 155), (100, 130, 0), (110, 110, 255), (120, 200, 255),
     ],
     dtype=np.uint8,
 )
 _COLOUR_SHARE = 0.55
+_FARTHEST_INDEX = 20  # of the colour map; below it is nearly the black of no depth
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TITLE_SCALE, _TITLE_HEIGHT_PX = 0.6, 36
 _TEXT_HALF_HEIGHT = 0.012  # of a number, as a share of the picture's height
@@ -97,7 +98,8 @@ def colour_depth(depth_m: np.ndarray) -> np.ndarray:
     log_depth = np.log(np.where(valid, depth_m, far_m))
     span = max(np.log(far_m / near_m), 1e-6)
     share = np.clip((np.log(far_m) - log_depth) / span, 0, 1)
-    bgr = cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_TURBO)
+    index = (_FARTHEST_INDEX + (255 - _FARTHEST_INDEX) * share).astype(np.uint8)
+    bgr = cv2.applyColorMap(index, cv2.COLORMAP_TURBO)
     bgr[~valid] = 0
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
 
@@ -184,13 +186,13 @@ def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> No
 
 
 def _with_title(title: str, picture: np.ndarray) -> np.ndarray:
-    """Return the picture with a white margin and its title above, shrunk to the width."""
+    """Return the picture with a white margin and its title above, cut to the width."""
     height, width = picture.shape[:2]
     enlarged = max(0.75, height / 480)
     bar = np.full((round(_TITLE_HEIGHT_PX * enlarged), width, 3), 255, np.uint8)
     scale = _TITLE_SCALE * enlarged
-    (text_width, _), _ = cv2.getTextSize(title, _FONT, scale, 1)
-    scale = min(scale, scale * 0.96 * width / max(text_width, 1))
+    while title and cv2.getTextSize(title, _FONT, scale, 1)[0][0] > width - 8:
+        title = title[:-1]
     cv2.putText(bar, title, (4, round(bar.shape[0] * 0.7)), _FONT, scale, _BLACK,
                 max(1, round(1.6 * scale)), cv2.LINE_AA)
     return cv2.copyMakeBorder(np.vstack([bar, picture]), 4, 4, 4, 4, cv2.BORDER_CONSTANT,

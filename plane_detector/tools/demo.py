@@ -47,14 +47,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(options: argparse.Namespace) -> None:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
+    if options.images and options.without_network:
+        raise ValueError('pictures of a folder have no measured depth: they need the network')
     photographs = (folder_pictures(options.images, lens) if options.images
                    else library_pictures())
     options.output.mkdir(parents=True, exist_ok=True)
-    network = _fetched(options.model)
+    network = '' if options.without_network else _fetched(options.model)
     use_private_domain()
     rclpy.init()
     try:
-        _show(photographs, {'depth.model': network}, network, options.output)
+        if network:
+            _show(photographs, {'depth.model': network}, network, options.output)
         measured = [photograph for photograph in photographs
                     if photograph.true_depth_m is not None]
         if measured:
@@ -129,6 +132,8 @@ def _parser() -> argparse.ArgumentParser:
                         help='horizontal field of view in degrees, instead of a calibration')
     parser.add_argument('--model', default='auto', choices=['auto', *NETWORKS],
                         help='depth network (default: %(default)s)')
+    parser.add_argument('--without-network', action='store_true',
+                        help='only show pictures with measured depth')
     parser.add_argument('--output', type=Path, default=Path('demo_output'),
                         help='folder of the results (default: %(default)s)')
     return parser

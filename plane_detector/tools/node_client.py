@@ -130,7 +130,7 @@ class NodeClient:
         Raises
         ------
         TimeoutError, RuntimeError
-            Not all outputs came in time; the node has ended.
+            Not all outputs came in time; the node has ended, or could not process the picture.
 
         """
         header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
@@ -162,6 +162,11 @@ class NodeClient:
         self._timing.statuses += [{pair.key: pair.value for pair in status.values}
                                   for status in msg.status if status.name.startswith(NODE)]
 
+    def _skipped(self) -> str:
+        """Return why frames were skipped, empty when none was."""
+        latest = self._timing.statuses[-1:] or [{}]
+        return latest[0]['last_error'] if int(latest[0].get('frames_skipped', 0)) else ''
+
     def _connected(self) -> bool:
         return (all(p.get_subscription_count() for p in self._publishers.values())
                 and all(self._node.count_publishers(f'{NODE}/{name}') for name in _OUTPUTS))
@@ -175,6 +180,8 @@ class NodeClient:
         deadline_s = time.monotonic() + timeout_s
         while not done():
             self._check_running()
+            if skipped := self._skipped():
+                raise RuntimeError(f'the node skips the frames: {skipped}')
             if time.monotonic() > deadline_s:
                 raise TimeoutError(f'{problem} within {timeout_s:g} s')
             self._executor.spin_once(timeout_sec=_SPIN_S)

@@ -52,14 +52,16 @@ class Outcome:
         return self.photograph.name + suffix
 
     @property
-    def scale(self) -> str:
-        """Where the metres come from, as the node's diagnostics say; ``relative``: nowhere."""
-        return self.timing.statuses[-1].get('scale', '') if self.timing.statuses else ''
+    def depth_title(self) -> str:
+        """Where the depth is from, for people."""
+        return ('measured depth' if self.source == 'depth topic'
+                else f'depth from {self.source}')
 
     @property
     def unit(self) -> str:
-        """Of lengths."""
-        return 'units' if self.scale == 'relative' else 'm'
+        """Of lengths: metres only where the node's diagnostics say where they come from."""
+        scales = [status.get('scale', '') for status in self.timing.statuses] or ['']
+        return 'm' if scales[-1] not in ('', 'relative') else 'units'
 
 
 def write_files(outcome: Outcome, folder: Path) -> list[Path]:
@@ -95,7 +97,7 @@ def _figure(outcome: Outcome) -> np.ndarray:
     alone = len(np.unique(outcome.ransac_labels[outcome.ransac_labels > 0]))
     return drawing.figure([
         ('picture', outcome.photograph.rgb),
-        (f'depth from {outcome.source}, red {near:.1f} {outcome.unit} to blue {far:.1f} '
+        (f'{outcome.depth_title}, red {near:.1f} {outcome.unit} to blue {far:.1f} '
          f'{outcome.unit}', drawing.colour_depth(received.depth_m)),
         (f'RANSAC alone: {alone} planes',
          drawing.overlay(outcome.photograph.rgb, outcome.ransac_labels)),

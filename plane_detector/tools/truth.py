@@ -7,11 +7,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from sklearn.linear_model import LinearRegression, RANSACRegressor
 
 from plane_detector.backprojection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
-_ROUNDS = 5
+_REFITS = 3
 _FEWEST_PIXELS = 100
 
 
@@ -96,14 +97,27 @@ def _plane_error(plane: np.void, points_m: np.ndarray) -> PlaneError:
 
 
 def _best_plane(points_m: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Fit by least squares, again and again to the points near the last fit."""
-    near = np.ones(len(points_m), bool)
-    for _ in range(_ROUNDS):
+    """Return normal, offset and which points are near: RANSAC, then least squares."""
+    limit_m = np.maximum(0.03, 0.015 * points_m[:, 2])
+    near = _ransac_inliers(points_m, limit_m)
+    for _ in range(_REFITS):
         centre_m = points_m[near].mean(axis=0)
         normal = np.linalg.eigh(np.cov((points_m[near] - centre_m).T))[1][:, 0]
-        normal *= -np.sign(normal @ centre_m) or 1.0
-        distance_m = np.abs((points_m - centre_m) @ normal)
-        limit_m = np.maximum(0.03, 0.015 * points_m[:, 2])
-        # A first fit through two surfaces may be near to neither: keep at least half.
-        near = distance_m <= np.maximum(limit_m, np.median(distance_m))
-    return normal, float(-normal @ centre_m), distance_m <= limit_m
+        normal = -normal if normal @ centre_m > 0 else normal
+        near = np.abs((points_m - centre_m) @ normal) <= limit_m
+    return normal, float(-normal @ centre_m), near
+
+
+def _ransac_inliers(points_m: np.ndarray, limit_m: np.ndarray) -> np.ndarray:
+    """
+    Return which points are within their limit of the plane that has the most of them.
+
+    In disparity, where a plane is linear however it lies: 1/z = a x/z + b y/z + c; the rows are
+    weighed so that the limit along the ray is 1 for all.
+    """
+    z_m = points_m[:, 2:]
+    weight = z_m**2 / limit_m[:, None]
+    rays = points_m / z_m
+    ransac = RANSACRegressor(LinearRegression(fit_intercept=False), min_samples=3,
+                             residual_threshold=1.0, random_state=0)
+    return ransac.fit(weight * rays, (weight / z_m)[:, 0]).inlier_mask_
