@@ -56,9 +56,10 @@ class Rectification:
                 & (self.map_y >= 0) & (self.map_y <= height - 1))
 
     def _check(self, image: np.ndarray) -> None:
-        if image.shape[:2] != self.map_x.shape:
-            raise ValueError(f'the picture is {image.shape[1]} x {image.shape[0]}, its calibration '
-                             f'is for {self.map_x.shape[1]} x {self.map_x.shape[0]}')
+        (height, width), (map_height, map_width) = image.shape[:2], self.map_x.shape
+        if (height, width) != (map_height, map_width):
+            raise ValueError(f'the picture is {width} x {height}, its calibration is for '
+                             f'{map_width} x {map_height}')
 
 
 def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.ndarray,

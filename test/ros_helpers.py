@@ -1,16 +1,31 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages and a ROS context of their own for the tests of the ROS side."""
+"""Messages, and a camera with subscribers, for the tests of the ROS side."""
 
 from __future__ import annotations
 
 import array
+import os
+import random
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import CameraInfo, Image
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
 
 from plane_detector.types import CameraIntrinsics
+
+OUTPUT_TYPES = {'points': PointCloud2, 'planes': PointCloud2, 'labels': Image, 'depth': Image,
+                'overlay': Image, 'plane_poses': PoseArray, 'markers': MarkerArray}
 
 FRAME_ID = 'camera_optical_frame'
 
@@ -61,3 +76,96 @@ def cloud_array(msg) -> np.ndarray:
 def image_array(msg: Image, dtype: str, channels: int = 1) -> np.ndarray:
     """Return the pixels of an Image (H, W, channels) without padding."""
     return np.frombuffer(msg.data, dtype).reshape(msg.height, msg.width, channels)
+
+
+def random_domain() -> int:
+    """Return a domain of DDS that other tests on this machine are not likely to use."""
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    return random.SystemRandom().randint(1, 100)
+
+
+class Robot:
+    """
+    A camera that publishes and subscribers that collect, with an executor to spin them.
+
+    Parameters
+    ----------
+    outputs : names of outputs of the node to subscribe to.
+    domain : DDS domain; a random one if not given.
+    capfd : pytest's fixture of that name, to read the log from.
+
+    """
+
+    def __init__(self, outputs=tuple(OUTPUT_TYPES), domain: int | None = None, capfd: Any = None):
+        self._capfd, self._log = capfd, ''
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=domain or random_domain())
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node('robot', context=self.context)
+        self.executor.add_node(self.node)
+        self.received: dict[str, list[Any]] = defaultdict(list)
+        self._publishers: dict[str, Any] = {}
+        self._nodes = [self.node]
+        for name in outputs:
+            self.listen(OUTPUT_TYPES[name], f'plane_detector/{name}', name)
+        self.listen(DiagnosticArray, '/diagnostics', 'diagnostics')
+
+    def add(self, node: Node) -> None:
+        """Spin a node along; it is destroyed with the robot."""
+        self._nodes.append(node)
+        self.executor.add_node(node)
+
+    def listen(self, msg_type: Any, topic: str, name: str) -> None:
+        """Collect the messages of a topic under a name."""
+        self.node.create_subscription(msg_type, topic, self.received[name].append, 50)
+
+    def publish(self, topic: str, msg: Any, qos: Any = 10) -> None:
+        """Publish once the subscriber is matched, if there is going to be one."""
+        if topic not in self._publishers:
+            self._publishers[topic] = self.node.create_publisher(type(msg), topic, qos)
+            self.spin(lambda: self._publishers[topic].get_subscription_count() > 0, 3.0)
+        self._publishers[topic].publish(msg)
+
+    def spin(self, condition: Callable[[], Any] = lambda: False, timeout_s: float = 20.0) -> bool:
+        """Spin until a condition holds; return whether it came to hold."""
+        end_s = time.monotonic() + timeout_s
+        while not condition() and time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.02)
+        return bool(condition())
+
+    def wait_for(self, name: str, count: int = 1) -> list[Any]:
+        """Spin until so many messages have been received under a name, and return them."""
+        assert self.spin(lambda: len(self.received[name]) >= count), (
+            f'{len(self.received[name])} of {count} {name}; log: {self.log()}')
+        return self.received[name]
+
+    def call(self, srv_type: Any, name: str, request: Any = None) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(srv_type, name)
+        assert self.spin(client.service_is_ready), f'no service {name}'
+        future = client.call_async(request or srv_type.Request())
+        assert self.spin(future.done), f'no answer from {name}'
+        return future.result()
+
+    def is_logged(self, text: str) -> bool:
+        """Spin until the nodes' log holds the text."""
+        return self.spin(lambda: text in self.log())
+
+    def log(self) -> str:
+        """Return what the nodes have logged so far; with capfd only."""
+        if self._capfd is not None:
+            self._log += self._capfd.readouterr().err
+        return self._log
+
+    def diagnosis(self) -> tuple[Any, dict[str, str]]:
+        """Return the next status of the node, and its values."""
+        seen = len(self.received['diagnostics'])
+        status = self.wait_for('diagnostics', seen + 1)[-1].status[0]
+        return status, {value.key: value.value for value in status.values}
+
+    def shutdown(self) -> None:
+        """Destroy everything."""
+        for node in self._nodes:
+            node.destroy_node()
+        self.executor.shutdown()
+        self.context.try_shutdown()

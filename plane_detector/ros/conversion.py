@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the messages of a frame to what the pipeline takes: a rectified picture, its camera, depth."""
+"""From the messages of a frame to what the pipeline takes: rectified picture, camera, depth."""
 
 from __future__ import annotations
 

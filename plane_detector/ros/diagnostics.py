@@ -9,6 +9,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -134,6 +135,15 @@ class DiagnosticsPublisher:
         name = self._node.get_fully_qualified_name().lstrip('/')
         msg.status = [status_to_msg(name, level, message, report, facts)]
         self._publisher.publish(msg)
+
+
+def model_facts(source: str, estimate_depth: Any) -> dict[str, str]:
+    """Return where depth comes from: the network with the reason why it was taken, or a topic."""
+    if source == 'topic':
+        return {'depth_model': 'none, depth comes from the topic'}
+    name = getattr(estimate_depth, 'name', None) or type(estimate_depth).__name__
+    return {'depth_model': name, 'depth_model_reason': getattr(estimate_depth, 'reason', ''),
+            'execution_provider': getattr(estimate_depth, 'provider', '')}
 
 
 def status_to_msg(name: str, level: bytes, message: str, report: Report,

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -27,7 +26,12 @@ from std_srvs.srv import Trigger
 from plane_detector.config import Config, NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros import parameters, qos
-from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics
+from plane_detector.ros.diagnostics import (
+    DiagnosticsPublisher,
+    Report,
+    Statistics,
+    model_facts,
+)
 from plane_detector.ros.frames import Frame, FrameAssembler
 from plane_detector.ros.outputs import OUTPUTS
 from plane_detector.ros.process import answer_impossible_transitions, run
@@ -86,6 +90,11 @@ class PlaneDetectorNode(LifecycleNode):
         self._stop_work()
         super().destroy_node()
 
+    @property
+    def state(self) -> str:
+        """The lifecycle state: unconfigured, inactive, active, ..."""
+        return self._state_machine.current_state[1]
+
     # Lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -141,10 +150,6 @@ class PlaneDetectorNode(LifecycleNode):
         self._accept(self._assembler.add_image(msg))
         if self._assembler.epoch != epoch:
             self.get_logger().warning('time jumped back: caches and tracking start anew')
-        if self._assembler.missing:
-            self.get_logger().warning(
-                f'{self._missing_text(self._assembler.missing)}: frames are dropped',
-                throttle_duration_sec=_WARN_PERIOD_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         self._accept(self._assembler.add_camera_info(msg))
@@ -153,7 +158,10 @@ class PlaneDetectorNode(LifecycleNode):
         self._accept(self._assembler.add_depth(msg))
 
     def _accept(self, frames: list[Frame]) -> None:
-        self._statistics.add_dropped(self._assembler.take_dropped())
+        dropped = self._assembler.take_dropped()
+        self._statistics.add_dropped(dropped)
+        if dropped:
+            self._warn_of_missing()
         for frame in frames:
             if self._settings.mode == 'on_demand' and not self._frame_requested:
                 continue
@@ -171,6 +179,7 @@ class PlaneDetectorNode(LifecycleNode):
             start_s = time.perf_counter()
             for name, msg in processed.messages.items():
                 self._outputs[name].publish(msg)
+            self._scale_method = processed.result.detection.scale_method
             self._statistics.add_processed({**processed.stage_seconds,
                                             'publish': time.perf_counter() - start_s})
         except ValueError as error:
@@ -229,26 +238,33 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
-        facts = {'state': self._state_machine.current_state[1], 'mode': self._settings.mode,
+        facts = {'state': self.state, 'mode': self._settings.mode,
                  'scale': self._scale_method}
         if self._processor is not None:
-            facts.update(self._processor.detector.facts)
+            facts.update(model_facts(self._config.depth.source,
+                                     self._processor.detector.estimate_depth))
         if self._failure:
             return DiagnosticStatus.ERROR, self._failure, facts
         if self._worker is None:
             return DiagnosticStatus.OK, facts['state'], facts
         if self._assembler.missing:
-            return DiagnosticStatus.WARN, self._missing_text(self._assembler.missing), facts
+            return DiagnosticStatus.WARN, self._warn_of_missing(), facts
         if report.skipped_lately:
             return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}', facts
         if not report.stage_seconds and self._settings.mode == 'continuous':
             return DiagnosticStatus.WARN, 'no frame lately', facts
         return DiagnosticStatus.OK, 'active', facts
 
-    def _missing_text(self, missing: tuple[str, ...]) -> str:
+    def _warn_of_missing(self) -> str:
+        """Log and return what has not been received yet."""
         names = {'image': self._image_topic}
-        topics = ', '.join(self.resolve_topic_name(names.get(name, name)) for name in missing)
-        return f'nothing received yet on {topics}'
+        topics = ', '.join(self.resolve_topic_name(names.get(name, name))
+                           for name in self._assembler.missing)
+        text = f'nothing received yet on {topics}' if topics else ''
+        if text:
+            self.get_logger().warning(f'{text}: frames are dropped',
+                                      throttle_duration_sec=_WARN_PERIOD_S)
+        return text
 
     # Parts of the transitions
 

@@ -10,7 +10,7 @@ default, range and description all come from the fields.
 from __future__ import annotations
 
 import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import Field, fields, replace
 from typing import Any, TypeVar
 
@@ -18,7 +18,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.config import Checked
+from plane_detector.config import Checked, parameters_of
 
 Settings = TypeVar('Settings', bound=Checked)
 _LARGEST = 1.7e308
@@ -54,16 +54,6 @@ def updated(settings: Settings, parameters: Iterable[Parameter]) -> Settings:
     """
     values = {parameter.name: parameter.value for parameter in parameters}
     return _replaced(settings, values, '')
-
-
-def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
-    """Yield name, field and value of every parameter."""
-    for field in fields(settings):
-        value = getattr(settings, field.name)
-        if isinstance(value, Checked):
-            yield from parameters_of(value, f'{prefix}{field.name}.')
-        else:
-            yield prefix + field.name, field, value
 
 
 def descriptor(field: Field, default: Any) -> ParameterDescriptor:

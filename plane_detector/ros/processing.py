@@ -88,8 +88,8 @@ class FrameProcessor:
             'messages': time.perf_counter() - detected_s})
 
     def reset(self) -> None:
-        """Forget the past: the labels start anew."""
-        self.detector.reset()
+        """Forget the past: scale and labels start anew."""
+        self.detector = PlaneDetector(self.detector.config, self.detector.estimate_depth)
 
     def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
         if 'markers' in made:
