@@ -22,7 +22,7 @@ from plane_detector.disparity_planes import DisparityPlanes, fit_disparity_plane
 from plane_detector.gravity import unit_direction
 from plane_detector.scale_depth_fit import fit_measured_depth
 from plane_detector.scale_estimate import RELATIVE, ScaleEstimate, apply_scale, to_disparity
-from plane_detector.scale_floor import FloorFit, fit_floor, fit_floor_of_frame
+from plane_detector.scale_floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
 from plane_detector.scale_manhattan import ManhattanVote, vote_shift
 from plane_detector.types import CameraIntrinsics
 
@@ -158,7 +158,11 @@ def _camera_height(picture: _Picture) -> ScaleEstimate | str:
                     config.gravity_tolerance)
     if fit is None:
         return 'no plane can be the floor'
-    return _from_floor(picture, fit, 'camera_height', f'floor {config.camera_height} m below')
+    note = f'floor {config.camera_height:.4g} m below'
+    vote = vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    if not vote.refusal:
+        fit, note = with_right_angles(fit, vote.tau, vote.sigma), f'{note}, right angles'
+    return _from_floor(picture, fit, 'camera_height', note)
 
 
 def _from_floor(picture: _Picture, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
@@ -183,7 +187,7 @@ def _manhattan_metric(picture: _Picture, vote: ManhattanVote) -> ScaleEstimate |
     if fit is None:
         return None
     return _from_floor(picture, fit, 'manhattan',
-                       f'right angles between the planes, floor {height_m} m below')
+                       f'right angles between the planes, floor {height_m:.4g} m below')
 
 
 def _fixed(picture: _Picture) -> ScaleEstimate | str:

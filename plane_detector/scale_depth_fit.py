@@ -20,8 +20,10 @@ MIN_POINTS = 5
 MAX_POINTS = 20_000
 TUKEY_SIGMAS = 4.685
 ITERATIONS = 10
-# Scale and shift need near and far points: the spread of 1/z over the residual's sigma.
-MIN_SPREAD_SIGMAS = 3.0
+# Errors of a depth map are alike nearby: more points than these add nothing to the precision.
+INDEPENDENT_POINTS = 300
+# Scale and shift need near and far points; all at one depth leave the scale more uncertain.
+MAX_SCALE_SIGMA_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -78,10 +80,10 @@ def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> Dep
         weights, sigma = _tukey(values - alpha * inverse_m - beta)
         alpha, beta, covariance = _weighted_line(inverse_m, values, weights, sigma)
     agree = weights > 0.1
-    spread = np.std(inverse_m[agree]) if agree.any() else 0.0
+    covariance = covariance * max(agree.sum() / INDEPENDENT_POINTS, 1.0)
     if agree.sum() < max(MIN_POINTS, 0.5 * len(index)):
         return _refused('more than half of the measured depth disagrees with the network')
-    if alpha <= 0 or spread * alpha < MIN_SPREAD_SIGMAS * sigma or spread < 1e-6:
+    if not np.sqrt(covariance[0, 0]) < MAX_SCALE_SIGMA_SHARE * alpha:
         return _refused('measured depth is too much alike to tell scale from shift')
     jacobian = np.array([[-1.0, 0.0], [beta, -alpha]]) / alpha**2
     return DepthFit(1.0 / alpha, -beta / alpha, jacobian @ covariance @ jacobian.T,
@@ -98,7 +100,7 @@ def _median_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     x, y = x[order], y[order]
     half = len(x) // 2
     run = x[half:] - x[:-half]
-    far = run > 0.25 * max(run.max(), 1e-12)
+    far = run >= np.median(run)
     slope = np.median((y[half:] - y[:-half])[far] / np.maximum(run[far], 1e-12))
     return float(slope), float(np.median(y - slope * x))
 

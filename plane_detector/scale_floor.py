@@ -10,17 +10,22 @@ squares over the floor's pixels has a closed form; scale = 1 / alpha, shift = -b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from plane_detector.disparity_planes import DisparityPlanes
 
-MIN_FLOOR_SHARE = 0.01
+# The floor's share of the pixels of all planes: less of it is noise, or a table top before a
+# floor that is out of view.
+MIN_FLOOR_SHARE = 0.02
 # Of the planes' pixels, how many may lie below a floor (noise, reflections), and how far.
 MAX_SHARE_BELOW, BELOW_MARGIN = 0.1, 1.1
+SAME_HEIGHT = 1.05
+# How far from level or upright planes may look beyond the tolerance of gravity, by their noise.
 LEVEL_DEG = 3.0
 UPRIGHT_DEG = 6.0
+MAX_INNOVATION_SIGMAS = 3.0
 
 
 @dataclass(frozen=True)
@@ -67,41 +72,54 @@ def fit_floor(planes: DisparityPlanes, lowest_disparity: float, down_camera: np.
     Returns
     -------
     FloorFit or None
-        None where no plane can be the floor: none is level, lies below the horizon, leaves all
-        depths positive and has hardly anything below it.
+        None where no plane can be the floor: none is level, below the horizon and large enough,
+        leaves all depths positive and has hardly anything below it. A table before a floor that
+        is out of view cannot be told from it.
 
     """
     fits = [_fit_as_floor(planes, k, lowest_disparity, down_camera, height_m, down_tolerance_deg)
-            for k in np.flatnonzero(planes.pixel_share >= MIN_FLOOR_SHARE)]
+            for k in range(len(planes))]
     return max((fit for fit in fits if fit), key=lambda fit: fit.upright_share, default=None)
 
 
 def _fit_as_floor(planes: DisparityPlanes, k: int, lowest_disparity: float,
                   down_camera: np.ndarray, height_m: float,
                   down_tolerance_deg: float) -> FloorFit | None:
-    solved = _solve(planes, k, down_camera, height_m)
-    if solved is None or planes.centers[k] @ down_camera[:2] + down_camera[2] <= 0:
+    """Take plane k for the floor, and with it all that turns out to lie at its height."""
+    first = _solve(planes.take([k]), down_camera, height_m)
+    if first is None:
+        return None
+    level_deg = LEVEL_DEG + down_tolerance_deg
+    level, height = _level_and_height(planes, first, down_camera, level_deg)
+    members = np.flatnonzero(level & _near(height / height_m))
+    floor = planes.take(members)
+    solved = _solve(floor, down_camera, height_m) if k in members else None
+    if solved is None or floor.pixel_share.sum() < MIN_FLOOR_SHARE:
         return None
     scale, shift, covariance = solved
-    metric = planes.scaled(scale, shift)
-    level_deg = _angle_deg(metric[k], down_camera)
-    if (scale * lowest_disparity + shift <= 0 or level_deg > LEVEL_DEG + down_tolerance_deg
-            or _share_below(planes, metric, down_camera, height_m) > MAX_SHARE_BELOW):
+    level, height = _level_and_height(planes, solved, down_camera, level_deg)
+    if (scale * lowest_disparity + shift <= 0
+            or _anything_below(planes, level, height / height_m)):
         return None
-    covariance = covariance + _gravity_covariance(planes, k, down_camera, height_m,
+    metric = planes.scaled(scale, shift)
+    covariance = covariance + _gravity_covariance(floor, down_camera, height_m,
                                                   down_tolerance_deg, (scale, shift))
     return FloorFit(scale, shift, covariance, _upright_share(planes, metric, down_camera),
                     int(planes.labels[k]))
 
 
-def _solve(planes: DisparityPlanes, k: int, down_camera: np.ndarray, height_m: float):
-    """Return scale, shift and their covariance; None if the plane cannot fix them."""
+def _near(ratio: np.ndarray) -> np.ndarray:
+    return (ratio < SAME_HEIGHT) & (ratio > 1.0 / SAME_HEIGHT)
+
+
+def _solve(floor: DisparityPlanes, down_camera: np.ndarray, height_m: float):
+    """Return scale, shift and their covariance; None if the planes cannot fix them."""
     design = np.stack([down_camera / height_m, [0.0, 0.0, 1.0]], axis=1)
-    normal_matrix = design.T @ planes.information[k] @ design
+    normal_matrix = design.T @ floor.information.sum(0) @ design
     if np.linalg.cond(normal_matrix) > 1e12:
         return None
-    alpha, beta = np.linalg.solve(
-        normal_matrix, design.T @ planes.information[k] @ planes.coefficients[k])
+    weighted = (floor.information @ floor.coefficients[..., None])[..., 0].sum(0)
+    alpha, beta = np.linalg.solve(normal_matrix, design.T @ weighted)
     covariance = np.linalg.inv(normal_matrix)
     if alpha <= 3.0 * np.sqrt(covariance[0, 0]):
         return None
@@ -109,13 +127,13 @@ def _solve(planes: DisparityPlanes, k: int, down_camera: np.ndarray, height_m: f
     return 1.0 / alpha, -beta / alpha, jacobian @ covariance @ jacobian.T
 
 
-def _gravity_covariance(planes: DisparityPlanes, k: int, down_camera: np.ndarray,
-                        height_m: float, tolerance_deg: float, solution) -> np.ndarray:
+def _gravity_covariance(floor: DisparityPlanes, down_camera: np.ndarray, height_m: float,
+                        tolerance_deg: float, solution: tuple[float, float]) -> np.ndarray:
     """Return what an error of gravity of one tolerance does to scale and shift, (2, 2)."""
     covariance = np.zeros((2, 2))
     for direction in np.linalg.svd(down_camera[None])[2][1:]:
         tilted = down_camera + np.tan(np.radians(tolerance_deg)) * direction
-        solved = _solve(planes, k, tilted / np.linalg.norm(tilted), height_m)
+        solved = _solve(floor, tilted / np.linalg.norm(tilted), height_m)
         if solved is not None:
             change = np.array(solved[:2]) - solution
             covariance += np.outer(change, change)
@@ -146,32 +164,67 @@ def fit_floor_of_frame(planes: DisparityPlanes, tau: float, tau_sigma: float, ax
     """
     cosines = axes @ down_camera
     down = axes[np.abs(cosines).argmax()] * np.sign(cosines[np.abs(cosines).argmax()])
-    shifted = planes.scaled(1.0, tau)
-    level = [k for k in np.flatnonzero(planes.pixel_share >= MIN_FLOOR_SHARE)
-             if _angle_deg(shifted[k], down) <= UPRIGHT_DEG]
-    if not level:
+    level, height = _level_and_height(planes, (1.0, tau), down, UPRIGHT_DEG)
+    if not level.any():
         return None
-    lowest = min(level, key=lambda k: np.linalg.norm(shifted[k]))
-    scale = 1.0 / (height_m * np.linalg.norm(shifted[lowest]))
-    metric = planes.scaled(scale, scale * tau)
-    if _share_below(planes, metric, down, height_m) > MAX_SHARE_BELOW:
+    lowest = np.where(level, height, 0.0).argmax()
+    floor = level & _near(height / height[lowest])
+    share = planes.pixel_share[floor]
+    floor_height = np.average(height[floor], weights=share)
+    if share.sum() < MIN_FLOOR_SHARE or _anything_below(planes, level, height / floor_height):
         return None
+    scale = floor_height / height_m
     return FloorFit(scale, scale * tau, np.diag([0.0, (scale * tau_sigma) ** 2]),
-                    _upright_share(planes, metric, down), int(planes.labels[lowest]))
+                    _upright_share(planes, planes.scaled(scale, scale * tau), down),
+                    int(planes.labels[lowest]))
 
 
-def _angle_deg(vector: np.ndarray, direction: np.ndarray) -> float:
-    cosine = vector @ direction / max(np.linalg.norm(vector), 1e-30)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+def with_right_angles(fit: FloorFit, tau: float, tau_sigma: float) -> FloorFit:
+    """
+    Combine a fit to the floor with the shift that right angles give, by their uncertainties.
+
+    An error of gravity tilts the floor and with it all walls, right angles hold them; one step
+    of an extended Kalman filter weighs the two. Unchanged where they contradict each other.
+
+    Parameters
+    ----------
+    fit : FloorFit
+    tau, tau_sigma : float
+        Shift / scale by the right angles, and its standard deviation.
+
+    Returns
+    -------
+    FloorFit
+
+    """
+    jacobian = np.array([-fit.shift / fit.scale, 1.0]) / fit.scale
+    variance = jacobian @ fit.covariance @ jacobian + tau_sigma**2
+    innovation = tau - fit.shift / fit.scale
+    if not innovation**2 <= MAX_INNOVATION_SIGMAS**2 * variance:
+        return fit
+    gain = fit.covariance @ jacobian / variance
+    scale, shift = np.array([fit.scale, fit.shift]) + gain * innovation
+    if scale <= 0:
+        return fit
+    covariance = (np.eye(2) - np.outer(gain, jacobian)) @ fit.covariance
+    return replace(fit, scale=float(scale), shift=float(shift), covariance=covariance)
 
 
-def _share_below(planes: DisparityPlanes, metric: np.ndarray, down_camera: np.ndarray,
-                 height_m: float) -> float:
-    """Return the pixel share of the planes whose middle lies below the floor."""
+def _level_and_height(planes: DisparityPlanes, solution: tuple, down_camera: np.ndarray,
+                      tolerance_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return which planes are level below the camera, and how far below their middle is, (N,)."""
+    metric = planes.scaled(*solution[:2])
+    length = np.maximum(np.linalg.norm(metric, axis=1), 1e-30)
+    level = metric @ down_camera / length >= np.cos(np.radians(tolerance_deg))
     rays = np.column_stack([planes.centers, np.ones(len(planes))])
-    inverse_depth = (rays * metric).sum(1)
-    below = rays @ down_camera > BELOW_MARGIN * height_m * inverse_depth
-    return float(planes.pixel_share[below].sum())
+    height = rays @ down_camera / np.maximum((rays * metric).sum(1), 1e-30)
+    return level & (height > 0), height
+
+
+def _anything_below(planes: DisparityPlanes, level: np.ndarray, ratio: np.ndarray) -> bool:
+    """Return whether a level plane, or much of the others, lies below the floor."""
+    below = ratio > BELOW_MARGIN
+    return bool((level & below).any() or planes.pixel_share[below].sum() > MAX_SHARE_BELOW)
 
 
 def _upright_share(planes: DisparityPlanes, metric: np.ndarray, down_camera: np.ndarray) -> float:

@@ -24,7 +24,8 @@ MIN_PIXEL_SHARE = 0.004
 # A normal is off its axis beyond 3 sigma of its fit, but judged neither finer nor coarser than:
 MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG = 2.0, 5.0
 SYSTEMATIC_DEG = 1.0
-MIN_ALIGNED_SHARE = 0.75
+POORLY_KNOWN_DEG = 4.0
+MIN_ALIGNED_SHARE = 0.68
 MIN_AXIS_SHARE = 0.04
 MIN_DISTINCT_PLANES = 3
 # Another shift with this share of the winner's votes makes the answer ambiguous.
@@ -65,8 +66,8 @@ class _Frames:
     tau: np.ndarray          # (C,)
     axes: np.ndarray         # (C, 3, 3), rows are axes
     axis: np.ndarray         # (C, N) int, the axis that each plane lies along, -1 none
-    informative: np.ndarray  # (C, N) bool, the normal is known well enough to judge
-    votes: np.ndarray        # (C,) pixel share of the aligned planes, less where barely aligned
+    weight: np.ndarray       # (C, N) pixel share, less where the normal is poorly known
+    votes: np.ndarray        # (C,) weight of the aligned planes, less where barely aligned
     upright: np.ndarray      # (C,) the same for planes along or across the best single axis
 
 
@@ -156,14 +157,13 @@ def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Frame
     cosine = np.abs(np.einsum('cni,cki->cnk', normals, axes))
     angle_deg = np.degrees(np.arccos(cosine.clip(0, 1)))
     tolerance_deg = np.clip(3 * sigma_deg, MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG)[..., None]
-    informative = sigma_deg <= MAX_TOLERANCE_DEG
-    share = np.where(informative, planes.pixel_share, 0.0)
+    weight = planes.pixel_share / (1.0 + (sigma_deg / POORLY_KNOWN_DEG) ** 2)
     along = _fit(angle_deg, tolerance_deg)
     across = _fit(90.0 - angle_deg, tolerance_deg)
     best = along.max(-1)
-    return _Frames(tau, axes, np.where((best > 0) & informative, along.argmax(-1), -1),
-                   informative, (best * share).sum(1),
-                   (np.maximum(along, across) * share[..., None]).sum(1).max(1))
+    return _Frames(tau, axes, np.where(best > 0, along.argmax(-1), -1), weight,
+                   (best * weight).sum(1),
+                   (np.maximum(along, across) * weight[..., None]).sum(1).max(1))
 
 
 def _fit(off_deg: np.ndarray, tolerance_deg: np.ndarray) -> np.ndarray:
@@ -208,8 +208,7 @@ def _align(planes: DisparityPlanes, tau: float, axes: np.ndarray, axis: np.ndarr
 
 def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames) -> str:
     """Return why the winner must not be believed, empty if it may."""
-    axis, informative = winner.axis[0], winner.informative[0]
-    share = planes.pixel_share / max(planes.pixel_share[informative].sum(), 1e-12)
+    axis, share = winner.axis[0], winner.weight[0] / winner.weight[0].sum()
     aligned = share[axis >= 0].sum()
     if aligned < MIN_ALIGNED_SHARE:
         return f'only {aligned:.0%} of the planes lie along three perpendicular axes'
