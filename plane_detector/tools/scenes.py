@@ -42,6 +42,8 @@ class Scene:
     rectangles : (N,) int
         Index of each plane's rectangle in the list that was rendered: the same surface in
         pictures from several places.
+    height_m : float
+        Of the camera above the world's z = 0, where rooms have their floor.
 
     """
 
@@ -52,6 +54,7 @@ class Scene:
     intrinsics: CameraIntrinsics
     down_camera: np.ndarray
     rectangles: np.ndarray
+    height_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -109,7 +112,8 @@ def render(rectangles: list[Rectangle], world_from_camera: np.ndarray, position:
     visible = visible[visible >= 0]
     planes = planes[visible]
     return Scene(_colour(labels, planes, rng), depth_m.astype(np.float32), labels, planes,
-                 intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]), visible)
+                 intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]), visible,
+                 float(position[2]))
 
 
 def _plane_towards_camera(corner: np.ndarray, edge_u: np.ndarray, edge_v: np.ndarray):
