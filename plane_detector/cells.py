@@ -210,13 +210,16 @@ def fit_planes(moments: np.ndarray) -> np.ndarray:
     return np.stack([a, b, d - a * x - b * y], axis=-1)
 
 
+def error_weights(planes: np.ndarray) -> np.ndarray:
+    """Return the weights (..., 10) of the moments in the squared error of planes (..., 3)."""
+    a, b, c = np.moveaxis(planes, -1, 0)
+    return np.stack([c * c, 2 * a * c, 2 * b * c, a * a, 2 * a * b, b * b, -2 * c, -2 * a, -2 * b,
+                     np.ones_like(a)], axis=-1)
+
+
 def squared_error(planes: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10)."""
-    a, b, c = planes[..., 0], planes[..., 1], planes[..., 2]
-    return (a * a * moments[..., XX] + b * b * moments[..., YY] + c * c * moments[..., N]
-            + 2 * (a * b * moments[..., XY] + a * c * moments[..., X] + b * c * moments[..., Y])
-            - 2 * (a * moments[..., XD] + b * moments[..., YD] + c * moments[..., D])
-            + moments[..., DD])
+    """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10+)."""
+    return (error_weights(planes) * moments[..., :10]).sum(axis=-1)
 
 
 def mean_moments(grid: CellGrid) -> np.ndarray:

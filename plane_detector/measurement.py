@@ -18,6 +18,7 @@ from plane_detector.types import CameraIntrinsics, Plane
 
 # The smooth part of the noise is alike in about this many neighbouring cells.
 CORRELATED_CELLS = 9.0
+TINY_DISPARITY = 1e-9
 
 
 def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise: Noise,
@@ -49,7 +50,7 @@ def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise
     total = counts.sum(axis=0)
     order = np.argsort(-total, kind='stable')
     order = order[total[order] >= max(min_pixels, 1)]
-    measured = tuple(_measure(grid, counts[:, k], planes[k], noise, intrinsics) for k in order)
+    measured = _measure(grid, counts[:, order], planes[order], noise, intrinsics)
     return measured, renumber(labels, order, len(planes))
 
 
@@ -73,24 +74,24 @@ def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     return found.reshape(-1, count + 1)[:, 1:].astype(float)
 
 
-def _measure(grid: CellGrid, count: np.ndarray, plane: np.ndarray, noise: Noise,
-             intrinsics: CameraIntrinsics) -> Plane:
-    """Measure one plane from the number of its pixels in each cell."""
-    members = np.flatnonzero(count)
-    weight = count[members]
+def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Noise,
+             intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
+    """Measure planes (K, 3) from the number of their pixels in each cell, (R * C, K)."""
     jacobian = _ray_plane_jacobian(intrinsics)
-    ray_plane = jacobian @ plane
-    length = np.linalg.norm(ray_plane)
-    normal, offset_m = -ray_plane / length, 1 / length
-    rays = _cell_rays(grid, members, intrinsics)
-    disparity = np.maximum(rays @ ray_plane, 1e-9)
-    centroid_m = (weight / disparity) @ rays / weight.sum()
-    centroid_m -= (normal @ centroid_m + offset_m) * normal
-    area_m2 = (weight / disparity**3).sum() / (intrinsics.fx * intrinsics.fy * offset_m)
-    rms_m = offset_m * _relative_rms(grid, count, members, plane)
-    covariance = _covariance(grid, members, weight, noise, ray_plane, jacobian)
-    return Plane(normal, float(offset_m), centroid_m, int(weight.sum()), float(rms_m),
-                 float(area_m2), covariance, 1.0)
+    ray_planes = planes @ jacobian.T
+    length = np.linalg.norm(ray_planes, axis=1)
+    normals, offsets_m = -ray_planes / length[:, None], 1 / length
+    rays = _cell_rays(grid, intrinsics)
+    pixels = counts.sum(axis=0)
+    depth_m = 1 / np.where(counts > 0, np.maximum(rays @ ray_planes.T, TINY_DISPARITY), np.inf)
+    centroids_m = (counts * depth_m).T @ rays / pixels[:, None]
+    centroids_m -= ((normals * centroids_m).sum(axis=1) + offsets_m)[:, None] * normals
+    areas_m2 = (counts * depth_m * depth_m * depth_m).sum(axis=0) / (intrinsics.fx * intrinsics.fy * offsets_m)
+    rms_m = offsets_m * _relative_rms(grid, counts, planes)
+    covariances = _covariances(grid, counts, noise, ray_planes, jacobian)
+    return tuple(
+        Plane(normals[k], float(offsets_m[k]), centroids_m[k], int(pixels[k]), float(rms_m[k]),
+              float(areas_m2[k]), covariances[k], 1.0) for k in range(len(planes)))
 
 
 def _ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -102,44 +103,43 @@ def _ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
          1]])
 
 
-def _cell_rays(grid: CellGrid, members: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return (X, Y, 1) at the mean of each cell's pixels, (n, 3)."""
-    u_px = grid.mean[members, 0] * intrinsics.width + (intrinsics.width - 1) / 2
-    v_px = grid.mean[members, 1] * intrinsics.width + (intrinsics.height - 1) / 2
+def _cell_rays(grid: CellGrid, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return (X, Y, 1) at the mean of each cell's valid pixels, (R * C, 3)."""
+    u_px = grid.mean[:, 0] * intrinsics.width + (intrinsics.width - 1) / 2
+    v_px = grid.mean[:, 1] * intrinsics.width + (intrinsics.height - 1) / 2
     return np.stack([(u_px - intrinsics.cx) / intrinsics.fx,
-                     (v_px - intrinsics.cy) / intrinsics.fy, np.ones(len(members))], axis=1)
+                     (v_px - intrinsics.cy) / intrinsics.fy, np.ones(len(u_px))], axis=1)
 
 
-def _relative_rms(grid: CellGrid, count: np.ndarray, members: np.ndarray,
-                  plane: np.ndarray) -> float:
+def _relative_rms(grid: CellGrid, counts: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """
-    Return the rms of (1/z - plane) / (1/z); times the offset it is the distance in metres.
+    Return the rms (K,) of (1/z - plane) / (1/z); times the offset it is the distance in metres.
 
-    Cells that the plane has to itself say it; when there is none, all its cells do.
+    Cells that a plane has to itself say it; when there is none, all its cells do.
     """
-    moments = grid.moments[members]
-    whole = count[members] == moments[:, cells.N]
-    moments = moments[whole] if whole.any() else moments
-    square = np.maximum(cells.squared_error(plane, moments), 0)
-    middle = moments[:, cells.D] / moments[:, cells.N]
-    return float(np.sqrt((square / middle**2).sum() / moments[:, cells.N].sum()))
+    count = grid.moments[:, cells.N]
+    whole = (counts == count[:, None]) & (counts > 0)
+    taken = np.where(whole.any(axis=0), whole, counts > 0)
+    middle = grid.moments[:, cells.D] / np.maximum(count, 1)
+    square = grid.moments @ cells.error_weights(planes).T
+    relative = np.maximum(square, 0) / np.maximum(middle, TINY_DISPARITY)[:, None] ** 2
+    return np.sqrt((relative * taken).sum(axis=0) / np.maximum(count @ taken, 1))
 
 
-def _covariance(grid: CellGrid, members: np.ndarray, weight: np.ndarray, noise: Noise,
-                ray_plane: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """Propagate the noise through the fit to (normal, offset), (4, 4)."""
-    share = weight / grid.moments[members, cells.N]
-    m = share @ grid.moments[members]
+def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,
+                 jacobian: np.ndarray) -> np.ndarray:
+    """Propagate the noise through the fits to (normal, offset), (K, 4, 4)."""
+    share = counts / np.maximum(grid.moments[:, cells.N:cells.N + 1], 1)
+    m = (share.T @ grid.moments).T
     normal_matrix = np.array([[m[cells.XX], m[cells.XY], m[cells.X]],
                               [m[cells.XY], m[cells.YY], m[cells.Y]],
-                              [m[cells.X], m[cells.Y], m[cells.N]]])
-    middle = m[cells.D] / m[cells.N]
-    variance = (noise.grain**2 + noise.floor(middle)
+                              [m[cells.X], m[cells.Y], m[cells.N]]]).transpose(2, 0, 1)
+    variance = (noise.grain**2 + noise.floor(m[cells.D] / m[cells.N])
                 + CORRELATED_CELLS * grid.size_px**2 * noise.mean**2)
-    fit = variance * np.linalg.pinv(normal_matrix, hermitian=True)
-    length = np.linalg.norm(ray_plane)
-    unit = ray_plane / length
-    to_normal = -(np.eye(3) - np.outer(unit, unit)) / length
-    to_offset = -unit / length**2
-    chain = np.vstack([to_normal, to_offset]) @ jacobian
-    return chain @ fit @ chain.T
+    fit = variance[:, None, None] * np.linalg.pinv(normal_matrix, hermitian=True)
+    length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
+    unit = ray_planes[:, :, None] / length
+    to_normal = (unit * unit.transpose(0, 2, 1) - np.eye(3)) / length
+    to_offset = -unit.transpose(0, 2, 1) / length**2
+    chain = np.concatenate([to_normal, to_offset], axis=1) @ jacobian
+    return chain @ fit @ chain.transpose(0, 2, 1)

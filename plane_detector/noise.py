@@ -57,6 +57,10 @@ class Noise:
         """Return the variance that pixels of this disparity have at least."""
         return (self.depth_floor_m * disparity * disparity) ** 2 + self.disparity_floor**2
 
+    def is_exact(self, disparity: float) -> bool:
+        """Say whether at this disparity the smooth part is less than the floor."""
+        return self.mean**2 < self.floor(disparity)
+
     def with_smooth_part(self, mean: float, slope: float) -> Noise:
         """Return the noise with another smooth part, at least what is known."""
         return replace(self, mean=max(float(mean), self.known),

@@ -10,6 +10,8 @@ crease that it lies on, which no noise blurs; at a step, by its own residual.
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import cv2
 import numpy as np
 
@@ -104,26 +106,26 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
         chosen[active] = np.where(better, rank[active, None, None], chosen[active])
     variance = noise.mean**2 + grain**2 + noise.floor(d)
     chosen[best > threshold**2 * variance] = -1
+    if noise.is_exact(float(np.median(d))):
+        return chosen  # residuals as exact as that draw the creases themselves
     return _by_side(chosen, candidates, model, patches, x, y, threshold**2 * variance)
 
 
 def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patches: Patches,
              x: np.ndarray, y: np.ndarray, unclear: np.ndarray) -> np.ndarray:
     """Correct the pixels near creases, where the planes' square difference is unclear."""
-    signs = find_creases(model, patches)
-    if not signs.any():
-        return chosen
+    signs = np.pad(find_creases(model, patches), ((0, 1), (0, 1)))
     planes = np.vstack([patches.planes, np.zeros(3)]).astype(np.float32)
-    signs = np.pad(signs, ((0, 1), (0, 1)))
-    for rank in candidates.T:
-        active = np.flatnonzero(rank >= 0)
-        if not len(active):
-            break
-        own, other = chosen[active], rank[active, None, None]
-        a, b, c = np.moveaxis(planes[own] - planes[other], -1, 0)
+    for i, j in combinations(range(candidates.shape[1]), 2):
+        first, second = candidates[:, i], candidates[:, j]
+        active = np.flatnonzero(signs[first, second])
+        first, second = first[active, None, None], second[active, None, None]
+        a, b, c = np.moveaxis(planes[first] - planes[second], -1, 0)
         difference = c + a * x[active] + b * y[active]
-        wrong = (signs[own, other] * difference < 0) & (difference**2 < unclear[active])
-        chosen[active] = np.where(wrong, other, own)
+        side = np.where(signs[first, second] * difference > 0, first, second)
+        own = chosen[active]
+        close = ((own == first) | (own == second)) & (difference**2 < unclear[active])
+        chosen[active] = np.where(close, side, own)
     return chosen
 
 
@@ -147,11 +149,12 @@ def _blocks(image: np.ndarray, size: int, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _candidates(labels: np.ndarray, at_row: np.ndarray, at_column: np.ndarray) -> np.ndarray:
-    """Return the different labels around each cell, (n, m), filled up with -1 at the end."""
+    """Return the different labels around each cell, (n, m), filled up with -1."""
     span = 2 * REACH_CELLS + 1
     padded = np.pad(labels, REACH_CELLS, constant_values=-1)
     around = np.stack([padded[at_row + i, at_column + j]
                        for i in range(span) for j in range(span)], axis=1)
     around.sort(axis=1)
     around[:, 1:][around[:, 1:] == around[:, :-1]] = -1
-    return -np.sort(-around, axis=1)
+    ordered = -np.sort(-around, axis=1)
+    return ordered[:, :int((ordered >= 0).sum(axis=1).max(initial=1))]

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from plane_detector import cells
@@ -28,7 +29,7 @@ WINDOW_SIDES_CELLS = (3, 7, 13)
 WINDOW_MIN_FREE = 0.7
 WINDOW_MAX_VARIANCES = 2.5
 # One round finds, with the configured confidence, the planes with this share of the free cells.
-ROUND_PLANE_SHARE = 0.05
+ROUND_PLANE_SHARE = 0.1
 REFINEMENTS = 4
 # A hypothesis that refines to nothing costs time; after this many in a row the round is over.
 MAX_FAILURES = 40
@@ -183,24 +184,37 @@ def _window_planes(model: CellModel, free: np.ndarray, wanted: int,
                    rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
     shape = model.grid.shape
-    allowed = model.grid.moments[:, 0] * (model.variances.mean + model.variances.grain)
-    values = np.column_stack([model.grid.moments, allowed, np.ones(len(free))]) * free[:, None]
-    table = cells.summed_area_table(values.reshape(*shape, -1))
+    integral = cv2.integral(free.reshape(shape).astype(np.uint8))
     planes, middles = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for side in WINDOW_SIDES_CELLS:
-        rows, columns = cells.window_starts(shape, side, 1)
-        is_free = cells.window_sums(table[..., 11], rows, columns, side)
-        starts = np.flatnonzero(is_free >= WINDOW_MIN_FREE * side**2)
+        if min(shape) < side:
+            break
+        count = (integral[side:, side:] - integral[:-side, side:] - integral[side:, :-side]
+                 + integral[:-side, :-side])
+        starts = np.flatnonzero(count >= WINDOW_MIN_FREE * side**2)
         if len(starts) > wanted:
             starts = rng.choice(starts, wanted, replace=False)
-        rows, columns = rows[starts], columns[starts]
-        sums = cells.window_sums(table, rows, columns, side)
-        fitted = cells.fit_planes(sums)
-        with np.errstate(invalid='ignore'):
-            flat = cells.squared_error(fitted, sums) < WINDOW_MAX_VARIANCES * sums[:, 10]
+        rows, columns = np.unravel_index(starts, count.shape)
+        offset = np.arange(side)
+        window = ((rows[:, None, None] + offset[:, None]) * shape[1]
+                  + columns[:, None, None] + offset).reshape(len(starts), side**2)
+        fitted, flat = _fit_windows(model, free, window)
         planes.append(fitted[flat])
-        middles.append(((rows + side // 2) * shape[1] + columns + side // 2)[flat])
+        middles.append(window[flat, side**2 // 2])
     return np.concatenate(planes), np.concatenate(middles)
+
+
+def _fit_windows(model: CellModel, free: np.ndarray,
+                 window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Fit planes (n, 3) to the free cells of windows (n, m), and say which are flat (n,)."""
+    taken = free[window]
+    moments = np.einsum('nm,nmk->nk', taken, model.grid.moments[window])
+    variance = (model.variances.mean + model.variances.grain) * model.grid.moments[:, cells.N]
+    planes = cells.fit_planes(moments)
+    with np.errstate(invalid='ignore'):
+        flat = (cells.squared_error(planes, moments)
+                < WINDOW_MAX_VARIANCES * (taken * variance[window]).sum(axis=1))
+    return planes, flat
 
 
 def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: float,

@@ -4,7 +4,7 @@
 All planes compete for every cell, and neighbours prefer to agree.
 
 Planes found one after the other keep whatever cell they met first; here each cell goes to the
-plane that explains it best, alternating with refits, as in PEaRL (Isack and Boykov 2012). The
+plane that explains it best, and the planes are refitted, as in PEaRL (Isack and Boykov 2012). The
 energy, a capped chi-squared per cell and a Potts term, is lowered by iterated conditional modes.
 """
 
@@ -18,8 +18,7 @@ from plane_detector.config import DbscanConfig
 from plane_detector.dbscan import label_clusters
 from plane_detector.ransac import CellModel, Patches, chi_squared
 
-ROUNDS = 2
-SWEEPS = 6
+SWEEPS = 4
 # Beyond this many thresholds every misfit is as bad.
 MISFIT_CAP = 2.0
 # What one neighbour's agreement is worth, in units of chi-squared.
@@ -49,12 +48,10 @@ def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: fl
     Patches
 
     """
-    for _ in range(ROUNDS):
-        if len(patches.planes) == 0:
-            return patches
-        labels = _compete(model, patches, threshold)
-        patches = _split(model, labels, min_pixels, dbscan)
-    return patches
+    if len(patches.planes) == 0:
+        return patches
+    labels = _compete(model, patches, threshold)
+    return _split(model, labels, min_pixels, dbscan)
 
 
 def _compete(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:

@@ -173,10 +173,10 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Nois
     threshold = config.ransac.inlier_threshold
     min_cell_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * disparity.size
     model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, rng)
-    patches = merge_patches(model, patches)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
     patches = join_hidden(model, merge_patches(model, patches))
-    patches = straighten(model, patches, threshold)
+    if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
+        patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
     return labels, patches.planes, noise
 
