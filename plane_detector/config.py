@@ -219,6 +219,25 @@ class DbscanConfig(Checked):
 
 
 @dataclass(frozen=True)
+class TrackingConfig(Checked):
+    """How planes keep their labels from picture to picture."""
+
+    enabled: bool = _setting(
+        True, 'the same plane keeps its label; off: labels by size, anew in every picture')
+    keep_frames: int = _setting(
+        30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250)
+    angle_tolerance: float = _setting(
+        10.0, 'normals of the same plane differ by about this under noise, once the motion of '
+        'the camera is taken out', 'deg', 0.01, 45.0)
+    offset_tolerance: float = _setting(
+        0.03, 'the same for the distance from the plane, as a share of the distance from the '
+        'camera', '', 1e-4, 1.0)
+    smoothing: float = _setting(
+        0.0, 'share of the previous coefficients kept while they change by no more than their '
+        'noise, 0: none', '', 0.0, 0.999)
+
+
+@dataclass(frozen=True)
 class PaperConfig(Checked):
     """The metric thresholds of the paper's own method, the baseline."""
 
@@ -239,6 +258,7 @@ class Config(Checked):
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     ransac: RansacConfig = field(default_factory=RansacConfig)
     dbscan: DbscanConfig = field(default_factory=DbscanConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 
 
@@ -260,6 +280,9 @@ class NodeConfig(Checked):
     stamp_slop: float = _setting(
         0.02, 'a depth image this far in time from its picture still belongs to it, if none has '
         'the very same stamp', 's', 0.0, 10.0)
+    use_imu: bool = _setting(
+        False, 'take the direction of gravity from sensor_msgs/Imu on imu, whose mounting is '
+        'scale.imu_to_camera', read_only=True)
     mode: str = _setting(
         'continuous', 'continuous: every frame, as far as there is time; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))

@@ -3,7 +3,8 @@
 """Which messages are put together."""
 
 import numpy as np
-from ros_helpers import camera_info_msg, image_msg
+from ros_helpers import camera_info_msg, header, image_msg
+from sensor_msgs.msg import Imu
 
 from plane_detector.ros.frames import FrameAssembler
 from plane_detector.types import CameraIntrinsics
@@ -53,7 +54,7 @@ def test_calibration_of_the_same_stamp_comes_before_the_latest():
 
 
 def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
-    assembler = FrameAssembler(needs_depth=True)
+    assembler = FrameAssembler(depth='required')
     assembler.add_camera_info(info(0.0))
     first, second = depth(1.0), depth(2.0)
     assert assembler.add_image(image(1.0)) == []
@@ -63,7 +64,7 @@ def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
 
 
 def test_an_exact_match_comes_before_a_near_one():
-    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.05)
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
     assembler.add_camera_info(info(0.0))
     assembler.add_depth(depth(0.98))
     assert assembler.add_image(image(1.0)) == []
@@ -72,7 +73,7 @@ def test_an_exact_match_comes_before_a_near_one():
 
 
 def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
-    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.05)
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
     assembler.add_camera_info(info(0.0))
     near = depth(0.98)
     assembler.add_depth(near)
@@ -82,7 +83,7 @@ def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
 
 
 def test_a_picture_without_depth_within_the_slop_is_dropped():
-    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.01)
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.01)
     assembler.add_camera_info(info(0.0))
     assembler.add_depth(depth(0.98))
     assembler.add_image(image(1.0))
@@ -91,7 +92,7 @@ def test_a_picture_without_depth_within_the_slop_is_dropped():
 
 
 def test_pictures_do_not_pile_up_while_depth_is_missing():
-    assembler = FrameAssembler(needs_depth=True)
+    assembler = FrameAssembler(depth='required')
     assembler.add_camera_info(info(0.0))
     for index in range(100):
         assembler.add_image(image(1 + index / 30))
@@ -100,7 +101,7 @@ def test_pictures_do_not_pile_up_while_depth_is_missing():
 
 
 def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
-    assembler = FrameAssembler(needs_depth=True, stamp_slop_s=0.05)
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
     assembler.add_camera_info(info(100.0))
     assembler.add_depth(depth(100.0))
     assert assembler.add_image(image(100.0))[0].epoch == 0
@@ -109,3 +110,39 @@ def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
     assert frame.epoch == 1
     (frame,) = assembler.add_image(image(4.99))
     assert frame.epoch == 1, 'a picture that is only out of order is no jump'
+
+
+def test_optional_depth_is_taken_where_there_is_some():
+    assembler = FrameAssembler(depth='optional')
+    assembler.add_camera_info(info(0.0))
+    assert assembler.add_image(image(1.0))[0].depth is None, 'no depth at all: no waiting'
+    own = depth(2.0)
+    assembler.add_depth(own)
+    assert assembler.add_image(image(2.0))[0].depth is own
+    assert assembler.add_image(image(2.1)) == [], 'it may still come'
+    (frame,) = assembler.add_image(image(2.2))
+    assert (frame.image.header, frame.depth) == (image(2.1).header, None)
+    late = depth(2.2)
+    assert assembler.add_depth(late)[0].depth is late
+    assert assembler.add_image(image(9.0))[0].depth is None, 'the depth topic has gone silent'
+    assert assembler.take_dropped() == 0
+
+
+def imu(stamp_s, force):
+    msg = Imu(header=header(stamp_s))
+    msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z = force
+    return msg
+
+
+def test_gravity_of_the_imu_goes_with_the_frames():
+    turned = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # x of the IMU is y of the camera
+    assembler = FrameAssembler(imu_to_camera=turned)
+    assembler.add_camera_info(info(0.0))
+    assert assembler.add_image(image(1.0))[0].down_camera is None
+    assembler.add_imu(imu(1.0, (-9.81, 0.0, 0.0)))
+    np.testing.assert_allclose(assembler.add_image(image(1.01))[0].down_camera, [0, 1, 0],
+                               atol=1e-9)
+    assembler.add_imu(imu(1.1, (0.0, 0.0, 30.0)))
+    np.testing.assert_allclose(assembler.add_image(image(1.11))[0].down_camera, [0, 1, 0],
+                               atol=1e-9, err_msg='a jolt is not gravity')
+    assert assembler.add_image(image(5.0))[0].down_camera is None, 'the IMU has gone silent'

@@ -467,3 +467,19 @@ def test_an_override_of_the_reliability_stands(robot):
         assert node.has_parameter(f'qos_overrides./plane_detector/{topic}.publisher.reliability')
     assert node.has_parameter('qos_overrides./diagnostics.publisher.depth')
     assert node.get_parameter('qos_overrides./plane_detector/points.publisher.depth').value == 7
+
+
+def test_a_wrong_override_fails_with_the_reason(robot):
+    node = start(robot, lambda rgb: None, wait=False,
+                 **{'qos_overrides./image.subscription.reliability': 'perfect'})
+    assert robot.is_logged('perfect')
+    robot.spin(timeout_s=0.3)
+    assert node.state == 'inactive'
+    assert robot.diagnosis()[0].level == DiagnosticStatus.ERROR
+
+
+def test_a_simulation_that_stands_still_does_not_stop_the_node(robot, room):
+    start(robot, lambda rgb: room.depth_m, use_sim_time=True)
+    send(robot, room, 3.0)
+    assert robot.wait_for('planes')[0].header == header(3.0)
+    assert robot.diagnosis()[0].level in (DiagnosticStatus.OK, DiagnosticStatus.WARN)

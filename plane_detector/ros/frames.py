@@ -14,7 +14,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+import numpy as np
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+
+from plane_detector.config import Config
+from plane_detector.ros.imu import GravityFilter
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000
@@ -33,6 +37,8 @@ class Frame:
         With the same stamp where there is one, else the latest.
     depth : sensor_msgs.msg.Image or None
         Measured depth, where it is used.
+    down_camera : (3,) float64 or None
+        Direction of gravity in the optical frame, where an IMU tells it.
     epoch : int
         Grows when time jumps back: frames of two epochs have no common past.
 
@@ -41,29 +47,55 @@ class Frame:
     image: Image | CompressedImage
     camera_info: CameraInfo
     depth: Image | None
+    down_camera: np.ndarray | None
     epoch: int
+
+
+def depth_use(config: Config, output: str) -> str:
+    """
+    Return whether measured depth is ``required``, ``optional`` or ``unused``.
+
+    Parameters
+    ----------
+    config : Config
+        Where depth and its unit come from.
+    output : str
+        What the network gives: only relative disparity has use for the unit of measured depth.
+
+    """
+    if config.depth.source == 'topic':
+        return 'required'
+    if config.scale.method == 'depth_topic':
+        return 'optional'
+    relative = output == 'relative_disparity'
+    return 'optional' if relative and config.scale.method == 'auto' else 'unused'
 
 
 class FrameAssembler:
     """
-    Puts pictures, calibrations and depth images together by their stamps.
+    Puts pictures, calibrations, depth images and gravity together by their stamps.
 
     Parameters
     ----------
-    needs_depth : bool
-        A frame without a depth image is none.
+    depth : str
+        ``unused``; ``required``: a picture without depth is dropped; ``optional``: it is used
+        where there is one, and waited for no longer than until the next picture.
     stamp_slop_s : float
         A depth image with exactly the picture's stamp is taken; else, once a later one shows
         that there is none, the nearest within this time.
+    imu_to_camera : (4,) float
+        Quaternion x y z w of the mounting of the IMU.
 
     """
 
-    def __init__(self, needs_depth: bool = False, stamp_slop_s: float = 0.0):
-        self._needs_depth = needs_depth
+    def __init__(self, depth: str = 'unused', stamp_slop_s: float = 0.0,
+                 imu_to_camera: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)):
+        self._depth_use = depth
         self.stamp_slop_s = stamp_slop_s
         self._images = _StampedCache()
         self._infos = _StampedCache()
         self._depths = _StampedCache()
+        self._gravity = GravityFilter(imu_to_camera)
         self._dropped = 0
         self.epoch = 0
 
@@ -71,7 +103,7 @@ class FrameAssembler:
     def missing(self) -> tuple[str, ...]:
         """What has not been received yet, of what a frame needs."""
         needed = {'image': self._images, 'camera_info': self._infos}
-        if self._needs_depth:
+        if self._depth_use == 'required':
             needed['depth'] = self._depths
         return tuple(name for name, cache in needed.items() if cache.latest is None)
 
@@ -85,7 +117,8 @@ class FrameAssembler:
         if self._images.add(msg):
             self.epoch += 1
             self._depths.forget_after(_stamp_ns(msg) + _JUMP_NS)
-        self._dropped += self._images.shrink_to(_CACHED if self._needs_depth else 1)
+            self._gravity.reset()
+        self._dropped += self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
         return self._complete()
 
     def add_camera_info(self, msg: CameraInfo) -> list[Frame]:
@@ -103,21 +136,36 @@ class FrameAssembler:
         self._depths.shrink_to(_CACHED)
         return self._complete()
 
+    def add_imu(self, msg: Imu) -> None:
+        """Take a reading of the accelerometer; it goes with the frames that are complete later."""
+        force = msg.linear_acceleration
+        self._gravity.add(_stamp_ns(msg) * 1e-9, (force.x, force.y, force.z))
+
     def _complete(self) -> list[Frame]:
         frames = []
         for stamp_ns, image in self._images.items() if self._infos.latest else ():
-            depth = self._depths.exact(stamp_ns)
-            if self._needs_depth and depth is None:
-                if not self._depths.is_past(stamp_ns):
-                    continue
-                depth = self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))
+            decided, depth = self._depth_for(stamp_ns)
+            if not decided:
+                continue
             self._images.keep(lambda _, other, done=image: other is not done)
-            if self._needs_depth and depth is None:
+            if depth is None and self._depth_use == 'required':
                 self._dropped += 1
                 continue
             info = self._infos.exact(stamp_ns) or self._infos.latest
-            frames.append(Frame(image, info, depth, self.epoch))
+            gravity = self._gravity.down_camera(stamp_ns * 1e-9)
+            frames.append(Frame(image, info, depth, gravity, self.epoch))
         return frames
+
+    def _depth_for(self, stamp_ns: int) -> tuple[bool, Image | None]:
+        """Return whether it is decided which depth image a picture gets, and which."""
+        exact = self._depths.exact(stamp_ns)
+        if exact is not None or self._depth_use == 'unused':
+            return True, exact
+        can_wait = self._depth_use == 'required' or (
+            self._depths.is_alive(stamp_ns) and not self._images.is_past(stamp_ns))
+        if can_wait and not self._depths.is_past(stamp_ns):
+            return False, None
+        return True, self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))
 
 
 class _StampedCache:
@@ -168,6 +216,10 @@ class _StampedCache:
     def is_past(self, stamp_ns: int) -> bool:
         """Whether a later message has come, so that none with this stamp will."""
         return self._latest_ns > stamp_ns
+
+    def is_alive(self, stamp_ns: int) -> bool:
+        """Whether messages came shortly before a stamp."""
+        return self.latest is not None and self._latest_ns > stamp_ns - _JUMP_NS
 
     def nearest(self, stamp_ns: int, slop_ns: int) -> Any:
         """Return the message nearest in time within the slop, or None."""

@@ -82,8 +82,9 @@ def picture_size(msg: CameraInfo) -> tuple[int, int]:
 
 
 def plane_labels(segmentation: PlaneSegmentation) -> np.ndarray:
-    """Return the label of each plane in the messages, (N,) uint32, all above 0."""
-    return np.arange(1, len(segmentation.planes) + 1, dtype=np.uint32)
+    """Return the label of each plane in the messages, (N,) uint32, all above 0: its track's."""
+    tracked = getattr(segmentation, 'track_labels', ())
+    return np.array(tracked or range(1, len(segmentation.planes) + 1), np.uint32)
 
 
 def pixel_labels(segmentation: PlaneSegmentation) -> np.ndarray:
@@ -150,7 +151,18 @@ def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
 
     The x axis is the camera's x axis laid onto the plane (its y axis, where that is the normal).
     """
-    return PoseArray(header=header, poses=[_pose(plane) for plane in planes])
+    if not planes:
+        return PoseArray(header=header)
+    z_axes = np.stack([plane.normal for plane in planes])
+    reference = np.eye(3)[np.where(abs(z_axes[:, 0]) > 0.9, 1, 0)]
+    x_axes = reference - (reference * z_axes).sum(axis=1, keepdims=True) * z_axes
+    x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
+    axes = np.stack([x_axes, np.cross(z_axes, x_axes), z_axes], axis=2)
+    quaternions = Rotation.from_matrix(axes).as_quat()
+    return PoseArray(header=header, poses=[
+        Pose(position=Point(**_named('xyz', plane.centroid_m)),
+             orientation=Quaternion(**_named('xyzw', quaternion)))
+        for plane, quaternion in zip(planes, quaternions, strict=True)])
 
 
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
@@ -168,15 +180,8 @@ def rgb_to_msg(header: Header, rgb: np.ndarray) -> Image:
     return _image_msg(header, 'rgb8', rgb)
 
 
-def _pose(plane: Plane) -> Pose:
-    z_axis = plane.normal
-    reference = np.eye(3)[1 if abs(z_axis[0]) > 0.9 else 0]
-    x_axis = reference - (reference @ z_axis) * z_axis
-    x_axis /= np.linalg.norm(x_axis)
-    axes = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
-    position = dict(zip('xyz', plane.centroid_m.tolist(), strict=True))
-    orientation = dict(zip('xyzw', Rotation.from_matrix(axes).as_quat().tolist(), strict=True))
-    return Pose(position=Point(**position), orientation=Quaternion(**orientation))
+def _named(names: str, values: np.ndarray) -> dict[str, float]:
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _packed_colour(rgb: np.ndarray) -> np.ndarray:

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_srvs.srv import Trigger
 
 from plane_detector.config import Config, NodeConfig
@@ -32,7 +32,8 @@ from plane_detector.ros.diagnostics import (
     Statistics,
     model_facts,
 )
-from plane_detector.ros.frames import Frame, FrameAssembler
+from plane_detector.ros.frames import Frame
+from plane_detector.ros.inputs import Inputs, image_topic
 from plane_detector.ros.outputs import OUTPUTS
 from plane_detector.ros.process import answer_impossible_transitions, run
 from plane_detector.ros.processing import FrameProcessor
@@ -67,14 +68,10 @@ class PlaneDetectorNode(LifecycleNode):
         self._settings = parameters.declare(self, NodeConfig())
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
-        compressed = self._settings.image_transport == 'compressed'
-        self._image_type = CompressedImage if compressed else Image
-        self._image_topic = 'image/compressed' if compressed else 'image'
         self._statistics = Statistics()
-        self._assembler = FrameAssembler()
         self._processor: FrameProcessor | None = None
         self._worker: FrameWorker | None = None
-        self._inputs: list[qos.InputSubscription] = []
+        self._inputs: Inputs | None = None
         self._outputs: dict[str, Any] = {}
         self._frame_requested = self._reset_requested = False
         self._failure = self._last_reason = self._scale_method = ''
@@ -83,7 +80,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         answer_impossible_transitions(self)
         if self._settings.autostart:
-            self._autostart = self.create_timer(0.0, self._start)
+            self._autostart = self.create_timer(  # runs though a simulation may stand still
+                0.0, self._start, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def destroy_node(self) -> None:
         """Wait for the frame that is worked on, then end the node."""
@@ -98,32 +96,26 @@ class PlaneDetectorNode(LifecycleNode):
     # Lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the network and create the outputs."""
+        """Load the network and create the outputs; fail with the reason if that is not possible."""
         try:
             detector = PlaneDetector(self._config, self._estimate_depth)
+            self._create_outputs()
         except Exception as error:  # whatever a model file may provoke: the node stays
-            self._fail(f'cannot be configured: {error}')
-            return TransitionCallbackReturn.FAILURE
+            self._release()
+            return self._fail(f'cannot be configured: {error}')
         self._failure = ''
         self._processor = FrameProcessor(
-            detector, self._settings, self.resolve_topic_name(self._image_topic))
-        for name, output in OUTPUTS.items():
-            self._outputs[name] = self.create_lifecycle_publisher(
-                output.msg_type, f'~/{name}', qos.output_profile(),
-                qos_overriding_options=qos.overriding_options())
+            detector, self._settings, self.resolve_topic_name(image_topic(self._settings)))
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe and start the worker."""
-        from_topic = self._config.depth.source == 'topic'
-        self._assembler = FrameAssembler(from_topic, self._settings.stamp_slop)
+        try:
+            self._inputs = Inputs(self, self._config, self._settings, self._processor.output,
+                                  self._accept, self._statistics.add_dropped)
+        except Exception as error:  # a wrong qos_overrides parameter
+            return self._fail(f'cannot be activated: {error}')
         self._worker = FrameWorker(self._work_on)
-        inputs = [(self._image_type, self._image_topic, self._on_image),
-                  (CameraInfo, 'camera_info', self._on_camera_info)]
-        if from_topic:
-            inputs.append((Image, 'depth', self._on_depth))
-        self._inputs = [qos.InputSubscription(self, *i, self._settings.input_reliability)
-                        for i in inputs]
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -143,35 +135,18 @@ class PlaneDetectorNode(LifecycleNode):
         """Return to where the node can be configured again."""
         return self._release()
 
-    # Frames, in the executor's thread
+    # Frames
 
-    def _on_image(self, msg: Image | CompressedImage) -> None:
-        epoch = self._assembler.epoch
-        self._accept(self._assembler.add_image(msg))
-        if self._assembler.epoch != epoch:
-            self.get_logger().warning('time jumped back: caches and tracking start anew')
-
-    def _on_camera_info(self, msg: CameraInfo) -> None:
-        self._accept(self._assembler.add_camera_info(msg))
-
-    def _on_depth(self, msg: Image) -> None:
-        self._accept(self._assembler.add_depth(msg))
-
-    def _accept(self, frames: list[Frame]) -> None:
-        dropped = self._assembler.take_dropped()
-        self._statistics.add_dropped(dropped)
-        if dropped:
-            self._warn_of_missing()
-        for frame in frames:
-            if self._settings.mode == 'on_demand' and not self._frame_requested:
-                continue
-            self._frame_requested = False
-            if self._worker.put(frame):
-                self._statistics.add_dropped(1)
-
-    # Frames, in the worker's thread
+    def _accept(self, frame: Frame) -> None:
+        """Leave a frame to the worker; called in the executor's thread."""
+        if self._settings.mode == 'on_demand' and not self._frame_requested:
+            return
+        self._frame_requested = False
+        if self._worker.put(frame):
+            self._statistics.add_dropped(1)
 
     def _work_on(self, frame: Frame) -> None:
+        """Convert, call, publish; called in the worker's thread."""
         try:
             self._apply_changes()
             wanted = [n for n, output in self._outputs.items() if output.get_subscription_count()]
@@ -220,7 +195,8 @@ class PlaneDetectorNode(LifecycleNode):
     def _take_parameters(self, changed: list[Parameter]) -> None:
         self._config = parameters.updated(self._config, changed)
         self._settings = parameters.updated(self._settings, changed)
-        self._assembler.stamp_slop_s = self._settings.stamp_slop
+        if self._inputs is not None:
+            self._inputs.set_stamp_slop(self._settings.stamp_slop)
 
     def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._frame_requested = self._worker is not None
@@ -247,24 +223,14 @@ class PlaneDetectorNode(LifecycleNode):
             return DiagnosticStatus.ERROR, self._failure, facts
         if self._worker is None:
             return DiagnosticStatus.OK, facts['state'], facts
-        if self._assembler.missing:
-            return DiagnosticStatus.WARN, self._warn_of_missing(), facts
+        missing = self._inputs.warn_of_missing()
+        if missing:
+            return DiagnosticStatus.WARN, missing, facts
         if report.skipped_lately:
             return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}', facts
         if not report.stage_seconds and self._settings.mode == 'continuous':
             return DiagnosticStatus.WARN, 'no frame lately', facts
         return DiagnosticStatus.OK, 'active', facts
-
-    def _warn_of_missing(self) -> str:
-        """Log and return what has not been received yet."""
-        names = {'image': self._image_topic}
-        topics = ', '.join(self.resolve_topic_name(names.get(name, name))
-                           for name in self._assembler.missing)
-        text = f'nothing received yet on {topics}' if topics else ''
-        if text:
-            self.get_logger().warning(f'{text}: frames are dropped',
-                                      throttle_duration_sec=_WARN_PERIOD_S)
-        return text
 
     # Parts of the transitions
 
@@ -274,18 +240,24 @@ class PlaneDetectorNode(LifecycleNode):
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
 
-    def _fail(self, reason: str) -> None:
+    def _create_outputs(self) -> None:
+        for name, output in OUTPUTS.items():
+            self._outputs[name] = self.create_lifecycle_publisher(
+                output.msg_type, f'~/{name}', qos.output_profile(),
+                qos_overriding_options=qos.overriding_options())
+
+    def _fail(self, reason: str) -> TransitionCallbackReturn:
         self._failure = reason
         self._statistics.set_error(reason)
         self.get_logger().error(reason)
+        return TransitionCallbackReturn.FAILURE
 
     def _stop_work(self) -> None:
-        for subscription in self._inputs:
-            subscription.destroy()
-        self._inputs = []
+        if self._inputs is not None:
+            self._inputs.destroy()
         if self._worker is not None:
             self._worker.stop()
-            self._worker = None
+        self._inputs = self._worker = None
 
     def _release(self) -> TransitionCallbackReturn:
         self._stop_work()

@@ -61,6 +61,11 @@ class FrameProcessor:
         self._shown: frozenset[int] = frozenset()
         self._epoch = 0
 
+    @property
+    def output(self) -> str:
+        """What the network gives; metres without one."""
+        return getattr(self.detector.estimate_depth, 'output', 'metric_depth')
+
     def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> Processed:
         """
         Find the planes of a frame and make the messages of the wanted outputs.
