@@ -70,7 +70,7 @@ def picture_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]
             (np.arange(height) - (height - 1) / 2) / width)
 
 
-def make_cells(disparity: np.ndarray, valid: np.ndarray) -> CellGrid:
+def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0) -> CellGrid:
     """
     Sum up a disparity image.
 
@@ -79,13 +79,15 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray) -> CellGrid:
     disparity : (H, W) float32
         1/depth, 0 where not valid.
     valid : (H, W) bool
+    size : int
+        Side of the cells in pixels, 0: as :func:`cell_size` has it.
 
     Returns
     -------
     CellGrid
 
     """
-    size = cell_size(disparity.shape)
+    size = size or cell_size(disparity.shape)
     padded, mask = _pad(disparity, size), _pad(valid, size)
     local, middle = _local_moments(padded, mask, size, disparity.shape[1])
     x, y = _cell_centres(disparity.shape, size)

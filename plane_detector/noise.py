@@ -67,6 +67,17 @@ class Noise:
                        slope=max(float(slope), SLOPE_PER_NOISE * self.known))
 
 
+    def for_smaller_cells(self, size_px: int, smaller_px: int) -> Noise:
+        """
+        Return the noise of smaller cells.
+
+        A mean takes part in the grain of n = s * s pixels with 1/n, a slope with 12/n per s.
+        """
+        added = 1 / smaller_px**2 - 1 / size_px**2
+        mean = np.sqrt(self.mean**2 + self.grain**2 * added)
+        return self.with_smooth_part(mean, self.slope * (size_px / smaller_px) ** 2)
+
+
 @dataclass(frozen=True)
 class CellVariances:
     """Variances (R * C,) of each cell's mean and slope and of its pixels, the floor included."""

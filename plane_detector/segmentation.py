@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from itertools import islice
 
+import cv2
 import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
@@ -32,6 +33,8 @@ from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 # The largest planes tell noise that is smooth over more than a window of the estimate.
 CALIBRATION_PLANES = 3
 CALIBRATION_ROUNDS = 5
+# Cells of fewer pixels say nothing of their slope.
+MIN_CELL_SIZE_PX = 3
 # Half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
 # The range of a disparity of unknown unit, and what its exact planes may stray by.
@@ -178,7 +181,33 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Nois
     if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
         patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
-    return labels, patches.planes, noise
+    return *_add_narrow(disparity, valid, labels, patches.planes, grid, noise, config, rng), noise
+
+
+def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, planes: np.ndarray,
+                grid: CellGrid, noise: Noise, config: Config,
+                rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Look for planes too narrow for whole cells, with smaller ones, in what is left."""
+    size, min_pixels = grid.size_px // 2, config.segmentation.min_plane_share * disparity.size
+    left = _large_pieces(valid & (labels < 0), min_pixels)
+    room = config.segmentation.max_planes - len(planes)
+    if size < MIN_CELL_SIZE_PX or room < 1 or not left.any():
+        return labels, planes
+    narrow = make_cells(np.where(left, disparity, 0), left, size)
+    model = make_model(narrow, noise.for_smaller_cells(grid.size_px, size))
+    search = peel_planes(model, MIN_CELL_SHARE * min_pixels, config.ransac, config.dbscan, rng)
+    patches = collect(model, list(islice(search, room)))
+    found = label_pixels(disparity, left, model, patches, noise, config.ransac.inlier_threshold)
+    return np.where(found >= 0, found + len(planes), labels), np.vstack([planes, patches.planes])
+
+
+def _large_pieces(mask: np.ndarray, min_pixels: float) -> np.ndarray:
+    """Return the connected pieces of a mask that are large enough."""
+    _, pieces, statistics, _ = cv2.connectedComponentsWithStats(
+        mask.astype(np.uint8), connectivity=4, ltype=cv2.CV_16U)
+    large = statistics[:, cv2.CC_STAT_AREA] >= min_pixels
+    large[0] = False
+    return large[pieces] if large.any() else np.zeros_like(mask)
 
 
 def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
