@@ -24,6 +24,7 @@ setup(
         'setuptools', 'tqdm'],
     extras_require={
         'demo': ['scikit-image'],
+        'export': ['onnx', 'torch', 'transformers'],
         'paper': ['pyransac3d'],
         'replay': ['rosbags'],
         'test': ['onnx', 'pytest'],
@@ -36,6 +37,7 @@ setup(
     license='Apache-2.0',
     entry_points={'console_scripts': [
         f'node = {NAME}.ros.node:main',
+        f'benchmark = {NAME}.tools.benchmark:main',
         f'demo = {NAME}.tools.demo:main',
         f'parameters = {NAME}.tools.parameters:main',
     ]},
