@@ -15,7 +15,8 @@ from plane_detector.depth import DepthEstimator
 from plane_detector.scale import estimate_scale
 from plane_detector.scale_estimate import apply_scale
 from plane_detector.segmentation import measure_labels, segment_disparity, segment_planes
-from plane_detector.types import CameraIntrinsics, Detection
+from plane_detector.tracking import PlaneTracker
+from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
 EstimateDepth = Callable[[np.ndarray], np.ndarray]
 
@@ -40,6 +41,11 @@ class PlaneDetector:
         if estimate_depth is None and self.config.depth.source == 'model':
             estimate_depth = DepthEstimator(self.config.depth)
         self.estimate_depth = estimate_depth
+        self._tracker = PlaneTracker()
+
+    def reset(self) -> None:
+        """Forget the pictures before: the labels start anew."""
+        self._tracker.reset()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None) -> Detection:
@@ -72,8 +78,10 @@ class PlaneDetector:
             with stages('segmentation'):
                 found = segment_planes(prediction, intrinsics, self.config,
                                        disparity_noise=self._known_noise())
+            with stages('tracking'):
+                found, track_labels = self._track(found)
             return Detection(**vars(found), depth_m=prediction, scale_method='metric',
-                             stage_seconds=stages.seconds)
+                             stage_seconds=stages.seconds, track_labels=track_labels)
         with stages('segmentation'):
             labels = segment_disparity(prediction, self.config,
                                        disparity_noise=self._known_noise())
@@ -83,8 +91,17 @@ class PlaneDetector:
             scaled_m = apply_scale(prediction, scale, self.config.depth.max_depth)
         with stages('measurement'):
             found = measure_labels(scaled_m, labels, intrinsics, self.config)
+        with stages('tracking'):
+            found, track_labels = self._track(found)
         return Detection(**vars(found), depth_m=scaled_m, scale_method=scale.method,
-                         stage_seconds=stages.seconds)
+                         stage_seconds=stages.seconds, track_labels=track_labels)
+
+    def _track(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
+        if not self.config.tracking.enabled:
+            self._tracker.reset()
+            return found, ()
+        self._tracker.config = self.config.tracking
+        return self._tracker.update(found)
 
     def _predict(self, rgb: np.ndarray, depth_m: np.ndarray | None) -> tuple[np.ndarray, str]:
         """Return what is segmented and what it means."""

@@ -128,9 +128,13 @@ class Detection(PlaneSegmentation):
         How the depth came by its unit: ``metric``, ``fixed``, ..., or ``relative``.
     stage_seconds : mapping of str to float
         Time of each stage.
+    track_labels : tuple of int
+        Label of each plane, above 0 and the same from picture to picture; empty when planes are
+        not tracked.
 
     """
 
     depth_m: np.ndarray
     scale_method: str
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    track_labels: tuple[int, ...] = ()
