@@ -70,7 +70,8 @@ def picture_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]
             (np.arange(height) - (height - 1) / 2) / width)
 
 
-def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0) -> CellGrid:
+def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
+               sparse: bool = False) -> CellGrid:
     """
     Sum up a disparity image.
 
@@ -81,6 +82,8 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0) -> CellG
     valid : (H, W) bool
     size : int
         Side of the cells in pixels, 0: as :func:`cell_size` has it.
+    sparse : bool
+        Most cells have no valid pixel: look only at the others.
 
     Returns
     -------
@@ -88,71 +91,73 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0) -> CellG
 
     """
     size = size or cell_size(disparity.shape)
-    padded, mask = _pad(disparity, size), _pad(valid, size)
-    local, middle = _local_moments(padded, mask, size, disparity.shape[1])
+    blocks, mask = _blocks(disparity, size), _blocks(valid, size)
+    chosen = mask.any(axis=(1, 3)) if sparse else np.ones((len(mask), mask.shape[2]), bool)
+    chosen = np.nonzero(chosen)
+    blocks, mask = (_pick(image, chosen, sparse).reshape(-1, size**2) for image in (blocks, mask))
+    local, middle = _local_moments(blocks, mask, size, disparity.shape[1])
     x, y = _cell_centres(disparity.shape, size)
+    shape = (len(y), len(x))
     slope, inner_rms, usable = _own_planes(local, size)
-    moments = _shifted(local, x, y, middle)
+    moments = _shifted(local, x[chosen[1]], y[chosen[0]], middle)
     mean = moments[:, [X, Y, D]] / np.maximum(moments[:, N:N + 1], 1)
-    shape = (padded.shape[0] // size, padded.shape[1] // size)
-    return CellGrid(size, disparity.shape[1], shape, moments, mean, slope, inner_rms, usable)
+    columns = [moments, mean, slope, inner_rms, usable]
+    if sparse:
+        columns = [_scatter(values, chosen, shape) for values in columns]
+    return CellGrid(size, disparity.shape[1], shape, *columns)
 
 
-def _pad(image: np.ndarray, size: int) -> np.ndarray:
-    """Fill up with zeros to whole cells."""
+def _blocks(image: np.ndarray, size: int) -> np.ndarray:
+    """Return the image as cells (R, s, C, s), filled up with zeros to whole ones."""
     missing = [(0, -side % size) for side in image.shape]
-    return np.pad(image, missing) if any(end for _, end in missing) else image
+    if any(end for _, end in missing):
+        image = np.pad(image, missing)
+    return image.reshape(image.shape[0] // size, size, -1, size)
+
+
+def _pick(blocks: np.ndarray, chosen: tuple[np.ndarray, np.ndarray], sparse: bool) -> np.ndarray:
+    """Return the chosen cells (n, s, s); all of them need no index."""
+    return blocks[chosen[0], :, chosen[1], :] if sparse else blocks.transpose(0, 2, 1, 3)
+
+
+def _scatter(values: np.ndarray, chosen: tuple[np.ndarray, np.ndarray],
+             shape: tuple[int, int]) -> np.ndarray:
+    """Return the values (n, ...) of some cells as those of all, (R * C, ...), else 0."""
+    out = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
+    out[np.ravel_multi_index(chosen, shape)] = values
+    return out
 
 
 def _cell_centres(shape: tuple[int, int], size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y of the middle of each cell, (R * C,)."""
+    """Return x of the middle of each column of cells (C,) and y of each row (R,)."""
     x, y = (((np.arange(0, side, size) + (size - 1) / 2) - (side - 1) / 2) / shape[1]
             for side in (shape[1], shape[0]))
-    return np.tile(x, len(y)), np.repeat(y, len(x))
+    return x, y
 
 
 def _local_moments(disparity: np.ndarray, valid: np.ndarray, size: int,
                    width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the moments (R * C, 10) about each cell's centre and about ``middle`` (R * C,)."""
-    count = _mask_sums(valid, size)
-    middle = _block_sums(disparity, size, 1)[:, 0, 0] / np.maximum(count[:, 0, 0], 1)
+    """Return the moments (n, 10) about each cell's centre and about ``middle`` (n,)."""
+    basis = _pixel_basis(size, width)
+    full = bool(valid.all())
+    count = basis.sum(axis=0)[None] if full else valid.astype(np.float32) @ basis
     # Brought to about zero cell by cell, float32 sums are exact enough.
-    grid = middle.astype(np.float32).reshape(disparity.shape[0] // size, 1, -1, 1)
-    centred = disparity.reshape(grid.shape[0], size, -1, size) - grid
-    if not valid.all():
-        centred *= valid.reshape(centred.shape)
-    centred = centred.reshape(disparity.shape)
-    first = _block_sums(centred, size, 2)
-    square = _block_sums(centred * centred, size, 1)
-    moments = np.stack([
-        count[:, 0, 0], count[:, 0, 1] / width, count[:, 1, 0] / width,
-        count[:, 0, 2] / width**2, count[:, 1, 1] / width**2, count[:, 2, 0] / width**2,
-        first[:, 0, 0], first[:, 0, 1] / width, first[:, 1, 0] / width, square[:, 0, 0]], axis=1)
-    return moments, grid.ravel().astype(float)
+    middle = disparity.sum(axis=1) / np.maximum(count[:, 0], 1)
+    centred = disparity - middle[:, None]
+    if not full:
+        centred *= valid
+    moments = np.empty((len(disparity), 10))
+    moments[:, :6] = count
+    moments[:, 6:9] = centred @ basis[:, :3]
+    moments[:, 9] = np.einsum('ns,ns->n', centred, centred)
+    return moments, middle.astype(float)
 
 
-def _block_sums(image: np.ndarray, size: int, order: int) -> np.ndarray:
-    """Return the sums of x**p y**q times the image over each cell, (R * C, q, p) float64."""
-    powers = _pixel_powers(size, order)
-    rows, columns = image.shape[0] // size, image.shape[1] // size
-    by_row = np.matmul(powers, image.reshape(rows, size, -1))
-    sums = by_row.reshape(-1, size) @ powers.T
-    sums = sums.reshape(rows, order, columns, order).transpose(0, 2, 1, 3)
-    return sums.reshape(-1, order, order).astype(float)
-
-
-def _mask_sums(valid: np.ndarray, size: int) -> np.ndarray:
-    """Return the sums of x**p y**q over the valid pixels of each cell, (R * C, 3, 3)."""
-    if valid.all():
-        sums = _pixel_powers(size, 3).astype(float).sum(axis=1)
-        return np.broadcast_to(np.outer(sums, sums), (valid.size // size**2, 3, 3))
-    return _block_sums(valid.astype(np.float32), size, 3)
-
-
-def _pixel_powers(size: int, count: int) -> np.ndarray:
-    """Return x**0, x**1, ... of a cell's pixels about its centre, (count, size) float32."""
-    offset = np.arange(size) - (size - 1) / 2
-    return np.stack([offset**p for p in range(count)]).astype(np.float32)
+def _pixel_basis(size: int, width: int) -> np.ndarray:
+    """Return 1, x, y, xx, xy, yy of a cell's pixels about its centre, (s * s, 6) float32."""
+    offset = (np.arange(size) - (size - 1) / 2) / width
+    x, y = np.tile(offset, size), np.repeat(offset, size)
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1).astype(np.float32)
 
 
 def _own_planes(local: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

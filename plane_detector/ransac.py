@@ -32,7 +32,7 @@ WINDOW_MAX_VARIANCES = 2.5
 ROUND_PLANE_SHARE = 0.1
 REFINEMENTS = 4
 # A hypothesis that refines to nothing costs time; after this many in a row the round is over.
-MAX_FAILURES = 40
+MAX_FAILURES = 12
 
 
 @dataclass(frozen=True)
@@ -252,8 +252,12 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
     """
     members = np.zeros(len(free), bool)
     members[seed] = True
+    candidates = np.flatnonzero(free)
+    quadratic = model.quadratic[candidates]
     for _ in range(REFINEMENTS):
-        inliers = free & (chi_squared(model, plane[None])[:, 0] < ransac.inlier_threshold**2)
+        inliers = np.zeros(len(free), bool)
+        chi_square = quadratic @ monomials(plane[None])[:, 0]
+        inliers[candidates] = chi_square < ransac.inlier_threshold**2
         clusters = grid_clusters(inliers.reshape(model.grid.shape), dbscan.eps,
                                  dbscan.min_samples).ravel()
         touched = np.bincount(clusters[members] + 1, minlength=2)[1:]

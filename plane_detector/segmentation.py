@@ -193,7 +193,7 @@ def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, pl
     room = config.segmentation.max_planes - len(planes)
     if size < MIN_CELL_SIZE_PX or room < 1 or not left.any():
         return labels, planes
-    narrow = make_cells(np.where(left, disparity, 0), left, size)
+    narrow = make_cells(np.where(left, disparity, 0), left, size, sparse=True)
     model = make_model(narrow, noise.for_smaller_cells(grid.size_px, size))
     search = peel_planes(model, MIN_CELL_SHARE * min_pixels, config.ransac, config.dbscan, rng)
     patches = collect(model, list(islice(search, room)))
@@ -202,12 +202,15 @@ def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, pl
 
 
 def _large_pieces(mask: np.ndarray, min_pixels: float) -> np.ndarray:
-    """Return the connected pieces of a mask that are large enough."""
+    """Return the connected pieces of a mask that are large enough, as seen at half the size."""
     _, pieces, statistics, _ = cv2.connectedComponentsWithStats(
-        mask.astype(np.uint8), connectivity=4, ltype=cv2.CV_16U)
-    large = statistics[:, cv2.CC_STAT_AREA] >= min_pixels
-    large[0] = False
-    return large[pieces] if large.any() else np.zeros_like(mask)
+        mask[::2, ::2].astype(np.uint8), connectivity=4, ltype=cv2.CV_16U)
+    large = (4 * statistics[:, cv2.CC_STAT_AREA] >= min_pixels).astype(np.uint8)
+    large[0] = 0
+    if not large.any():
+        return np.zeros_like(mask)
+    whole = large[pieces].repeat(2, axis=0).repeat(2, axis=1)
+    return mask & (whole[:mask.shape[0], :mask.shape[1]] > 0)
 
 
 def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
