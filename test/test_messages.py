@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibrations in, clouds and images out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from ros_helpers import camera_info_msg, cloud_array, header, image_array
 from scipy.spatial.transform import Rotation
 
 from plane_detector.ros import messages
-from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 CAMERA = CameraIntrinsics(500.0, 510.0, 319.5, 239.5, 640, 480)
 
@@ -56,9 +58,13 @@ def test_an_uncalibrated_camera_is_refused():
 
 def test_labels_in_messages_are_above_zero():
     planes = (make_plane([0, 0, -1], 2.0), make_plane([0, -1, 0], 1.0))
-    segmentation = PlaneSegmentation(planes, np.array([[-1, 0], [1, 0]], np.int32), 0.0)
-    np.testing.assert_array_equal(messages.plane_labels(segmentation), [1, 2])
-    np.testing.assert_array_equal(messages.pixel_labels(segmentation), [[0, 1], [2, 1]])
+    labels = np.array([[-1, 0], [1, 0]], np.int32)
+    untracked = Detection(planes, labels, 0.0, np.ones((2, 2), np.float32), 'metric')
+    np.testing.assert_array_equal(messages.plane_labels(untracked), [1, 2])
+    np.testing.assert_array_equal(messages.pixel_labels(untracked), [[0, 1], [2, 1]])
+    tracked = replace(untracked, track_labels=(7, 3))
+    np.testing.assert_array_equal(messages.plane_labels(tracked), [7, 3])
+    np.testing.assert_array_equal(messages.pixel_labels(tracked), [[0, 7], [3, 7]])
 
 
 def test_points_are_organised_coloured_and_labelled():

@@ -375,11 +375,27 @@ def test_on_demand_one_frame_per_call(robot, room):
     assert [msg.header for msg in robot.received['planes']] == [header(2.0)]
 
 
-def test_reset_tracking_can_be_called(robot, room):
-    start(robot, lambda rgb: room.depth_m)
+def labels_of(planes):
+    return cloud_array(planes)[0]['label'].tolist()
+
+
+def test_labels_stay_until_tracking_is_reset(robot, room):
+    """The largest plane goes out of view: the others keep their labels, until the reset."""
+    largest = np.bincount(room.labels[room.labels >= 0]).argmax()
+    without = np.where(room.labels == largest, np.nan, room.depth_m).astype(np.float32)
+    depths = [room.depth_m, without, without]
+    start(robot, lambda rgb: depths.pop(0))
+    send(robot, room, 1.0)
+    first = labels_of(robot.wait_for('planes')[0])
+    assert first == list(range(1, len(first) + 1))
+    send(robot, room, 1.1)
+    second = labels_of(robot.wait_for('planes', 2)[1])
+    assert 1 not in second
+    assert set(second) <= set(first)
     assert robot.call(Trigger, 'plane_detector/reset_tracking').success
-    send(robot, room)
-    robot.wait_for('planes')
+    send(robot, room, 1.2)
+    third = labels_of(robot.wait_for('planes', 3)[2])
+    assert third == list(range(1, len(third) + 1))
 
 
 def test_parameters_change_between_frames(robot, room):

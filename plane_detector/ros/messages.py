@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4'),
                         ('label', '<u4')])

@@ -96,7 +96,7 @@ class PlaneDetectorNode(LifecycleNode):
     # Lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the network and create the outputs; fail with the reason if that is not possible."""
+        """Load the network and create the outputs; fail with the reason if one cannot."""
         try:
             detector = PlaneDetector(self._config, self._estimate_depth)
             self._create_outputs()

@@ -93,8 +93,8 @@ class FrameProcessor:
             'messages': time.perf_counter() - detected_s})
 
     def reset(self) -> None:
-        """Forget the past: scale and labels start anew."""
-        self.detector = PlaneDetector(self.detector.config, self.detector.estimate_depth)
+        """Forget the past: what is held from picture to picture starts anew."""
+        self.detector.reset()
 
     def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
         if 'markers' in made:
