@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.noise import Noise
+from plane_detector.noise import GRAIN_PER_NOISE, Noise
 from plane_detector.ransac import CellModel, Patches
 
 # A small plane fits itself to the noise and says too little of it.
@@ -50,8 +50,8 @@ def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
     plane, mean = patches.planes[labels[members]], model.grid.mean[members]
     residual = mean[:, 2] - (plane[:, :2] * mean[:, :2]).sum(axis=1) - plane[:, 2]
     tilt = model.grid.slope[members] - plane[:, :2]
-    grain = np.median(model.grid.inner_rms[members])
-    return replace(noise, grain=min(noise.grain, float(grain))).with_smooth_part(
+    grain = max(float(np.median(model.grid.inner_rms[members])), GRAIN_PER_NOISE * noise.known)
+    return replace(noise, grain=min(noise.grain, grain)).with_smooth_part(
         SIGMA_PER_MEDIAN * np.median(np.abs(residual)),
         SIGMA_PER_MEDIAN * np.median(np.abs(tilt)))
 

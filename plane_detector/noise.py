@@ -22,6 +22,8 @@ WINDOW_CELLS = 9
 WINDOW_QUANTILE = 0.25
 # Known noise of a network tilts cells by about this much per unit of picture width.
 SLOPE_PER_NOISE = 8.0
+# ... and bends them within by this share of it.
+GRAIN_PER_NOISE = 0.25
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,8 @@ def estimate_noise(grid: CellGrid, depth_floor_m: float, disparity_floor: float 
     windows = _window_statistics(grid)
     mean, slope, grain = (
         np.quantile(windows, WINDOW_QUANTILE, axis=0) if len(windows) else np.zeros(3))
-    unknown = Noise(0.0, 0.0, float(grain), depth_floor_m, disparity_floor, known)
+    grain = max(float(grain), GRAIN_PER_NOISE * known)
+    unknown = Noise(0.0, 0.0, grain, depth_floor_m, disparity_floor, known)
     return unknown.with_smooth_part(mean, slope)
 
 

@@ -25,7 +25,9 @@ SMOOTHED_GRAIN = 2.0
 MEDIAN_SIDE_PX = 5
 # The median of 25 pixels has about 1.25 / 5 of their standard deviation.
 MEDIAN_NOISE_SHARE = 0.25
-REACH_CELLS = 2
+REACH_CELLS = 1
+# A pixel among those of a plane may stray this much more than the cells that found it.
+RELEASE = 1.3
 
 
 def label_pixels(disparity: np.ndarray, valid: np.ndarray, model: CellModel, patches: Patches,
@@ -105,7 +107,7 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
         best[active] = np.where(better, error, best[active])
         chosen[active] = np.where(better, rank[active, None, None], chosen[active])
     variance = noise.mean**2 + grain**2 + noise.floor(d)
-    chosen[best > threshold**2 * variance] = -1
+    chosen[best > (RELEASE * threshold) ** 2 * variance] = -1
     if noise.is_exact(float(np.median(d))):
         return chosen  # residuals as exact as that draw the creases themselves
     return _by_side(chosen, candidates, model, patches, x, y, threshold**2 * variance)

@@ -19,8 +19,10 @@ from plane_detector.dbscan import label_clusters
 from plane_detector.ransac import CellModel, Patches, chi_squared
 
 SWEEPS = 4
-# Beyond this many thresholds every misfit is as bad.
-MISFIT_CAP = 2.0
+# Beyond this many squared thresholds every misfit is as bad.
+MISFIT_CAP = 3.0
+# A cell that may belong to a plane by its neighbours is let go only beyond this many.
+RELEASE = 1.6
 # What one neighbour's agreement is worth, in units of chi-squared.
 AGREEMENT = 2.0
 # A plane competes for cells up to this many cells away from its own.
@@ -77,7 +79,7 @@ def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
     misfit = np.minimum(chi_squared(model, patches.planes), cap)
     cost = np.empty((*shape, count + 1), np.float32)
     cost[..., :count] = misfit.reshape(*shape, count)
-    cost[..., count] = threshold**2
+    cost[..., count] = RELEASE * threshold**2
     # A cell on an edge says nothing itself: its neighbours decide.
     cost[~model.planar.reshape(shape)] = 0
     members = (patches.labels[..., None] == np.arange(count)).astype(np.uint8)

@@ -191,7 +191,8 @@ def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, pl
     size, min_pixels = grid.size_px // 2, config.segmentation.min_plane_share * disparity.size
     left = _large_pieces(valid & (labels < 0), min_pixels)
     room = config.segmentation.max_planes - len(planes)
-    if size < MIN_CELL_SIZE_PX or room < 1 or not left.any():
+    # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
+    if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1 or not left.any():
         return labels, planes
     narrow = make_cells(np.where(left, disparity, 0), left, size, sparse=True)
     model = make_model(narrow, noise.for_smaller_cells(grid.size_px, size))
