@@ -3,6 +3,7 @@
 """The node in process: messages in through an executor, messages out against the truth."""
 
 import threading
+import weakref
 from dataclasses import replace
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from onnx_models import millimetres_as_rgb, write_depth_network
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import (
@@ -102,6 +104,23 @@ def test_all_outputs_are_true_to_the_scene(robot, room):
     np.testing.assert_array_equal(depth_m, room.depth_m)
     assert len(robot.received['plane_poses'][0].poses) == robot.received['planes'][0].width
     assert image_array(robot.received['overlay'][0], 'u1', 3).shape == room.rgb.shape
+
+
+def test_the_whole_way_through_a_network(robot, room, tmp_path):
+    """The picture holds the depth, and a small ONNX network reads it; cleanup frees it."""
+    model = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
+    node = start(robot, depth__model=str(model), depth__output='metric_depth',
+                 depth__mean=[0.0, 0.0, 0.0], depth__std=[1.0, 1.0, 1.0])
+    send(robot, replace(room, rgb=millimetres_as_rgb(room.depth_m)))
+    (planes,) = robot.wait_for('planes')
+    labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
+    assert_true_to(room, planes, labels)
+    assert robot.diagnosis()[1]['depth_model'] == str(model)
+    estimator = weakref.ref(node._processor.detector.estimate_depth)
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert estimator() is not None
+    assert change_state(robot, Transition.TRANSITION_CLEANUP)
+    assert estimator() is None
 
 
 def test_no_plane_is_an_empty_cloud(robot, room):

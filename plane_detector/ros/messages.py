@@ -81,16 +81,16 @@ def picture_size(msg: CameraInfo) -> tuple[int, int]:
     return width // max(msg.binning_x, 1), height // max(msg.binning_y, 1)
 
 
-def plane_labels(segmentation: PlaneSegmentation) -> np.ndarray:
-    """Return the label of each plane in the messages, (N,) uint32, all above 0: its track's."""
-    tracked = getattr(segmentation, 'track_labels', ())
-    return np.array(tracked or range(1, len(segmentation.planes) + 1), np.uint32)
+def plane_labels(detection: Detection) -> np.ndarray:
+    """Return the label of each plane, (N,) uint32: its track's, or 1, 2, ... without tracking."""
+    numbers = detection.track_labels or range(1, len(detection.planes) + 1)
+    return np.array(numbers, np.uint32)
 
 
-def pixel_labels(segmentation: PlaneSegmentation) -> np.ndarray:
-    """Return the label of each pixel in the messages, (H, W) uint32, 0 for no plane."""
-    lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(segmentation)])
-    return lookup[segmentation.labels + 1]
+def pixel_labels(detection: Detection) -> np.ndarray:
+    """Return the label of each pixel, (H, W) uint32, 0 for no plane."""
+    lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(detection)])
+    return lookup[detection.labels + 1]
 
 
 def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
