@@ -6,7 +6,7 @@ The shift of a disparity by right angles: the Manhattan world of Coughlan and Yu
 Two planes (p, q, r) of D = p x + q y + r are perpendicular where their normals
 (p, q, r + tau) are: tau is a root of tau^2 + (r1 + r2) tau + p1 p2 + q1 q2 + r1 r2 = 0. Every
 pair of planes proposes its roots; each is judged by the pixels of all planes that then lie along
-three axes at right angles. Bending a room without right angles leaves most of it off the axes,
+three axes at right angles. Bending a room without right angles leaves much of it off the axes,
 or more than one shift that is as good: the vote then refuses.
 """
 
@@ -28,6 +28,8 @@ POORLY_KNOWN_DEG = 4.0
 MIN_ALIGNED_SHARE = 0.68
 MIN_AXIS_SHARE = 0.04
 MIN_DISTINCT_PLANES = 3
+# A shift whose standard deviation turns a large plane by more is not known.
+MAX_UNSURE_DEG = 5.0
 # Another shift with this share of the winner's votes makes the answer ambiguous.
 RIVAL_SHARE = 0.85
 # So does one that leaves as many planes level or upright, up to this share of the pixels: a low
@@ -104,7 +106,7 @@ def vote_shift(planes: DisparityPlanes, lowest_disparity: float,
     best = int(frames.votes.argmax())
     tau, sigma, axes = _refine(planes, frames, best, -lowest_disparity)
     winner = _judge(planes, np.array([tau]), axes[None])
-    objection = _objection(planes, winner, frames)
+    objection = _objection(planes, winner, frames, sigma)
     return _refused(objection) if objection else ManhattanVote(tau, sigma, axes, '')
 
 
@@ -206,24 +208,33 @@ def _align(planes: DisparityPlanes, tau: float, axes: np.ndarray, axis: np.ndarr
     return float(np.degrees(1) ** 2 * (weights * sine2).sum()), axes
 
 
-def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames) -> str:
+def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames, sigma: float) -> str:
     """Return why the winner must not be believed, empty if it may."""
     axis, share = winner.axis[0], winner.weight[0] / winner.weight[0].sum()
     aligned = share[axis >= 0].sum()
     if aligned < MIN_ALIGNED_SHARE:
         return f'only {aligned:.0%} of the planes lie along three perpendicular axes'
     supported = [share[axis == k].sum() >= MIN_AXIS_SHARE for k in range(3)]
-    if sum(supported) < 2 or _distinct(planes.take(np.flatnonzero(axis >= 0))) < 3:
+    if sum(supported) < 2 or _distinct(
+            planes.take(np.flatnonzero(axis >= 0))) < MIN_DISTINCT_PLANES:
         return 'two planes are perpendicular for some shift in any room; a third must agree'
-    here, there = (_normals(planes, t)[0] for t in (winner.tau, frames.tau))
-    turn_deg = np.degrees(np.arccos(np.abs((here * there).sum(-1)).clip(0, 1)))
-    apart = (turn_deg * planes.pixel_share).sum(1) > MAX_TOLERANCE_DEG
+    large = planes.pixel_share >= MIN_AXIS_SHARE
+    unsure_deg = _turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max()
+    if unsure_deg > MAX_UNSURE_DEG:
+        return f'the right angles leave a plane unsure by {unsure_deg:.0f} degrees'
+    apart = _turn_deg(planes, winner.tau, frames.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
     rival = frames.votes[apart].max(initial=0.0)
     if rival > RIVAL_SHARE * winner.votes[0]:
         return 'another shift makes as many right angles'
     if frames.upright[apart].max(initial=0.0) > winner.upright[0] - UPRIGHT_MARGIN:
         return 'another shift leaves as many planes upright, at other angles to each other'
     return ''
+
+
+def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return how far each plane turns from a shift (1,) to others (C,), (C, N) degrees."""
+    here, there = _normals(planes, tau)[0], _normals(planes, other)[0]
+    return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
 
 
 def _distinct(planes: DisparityPlanes) -> int:
