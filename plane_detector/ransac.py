@@ -24,6 +24,8 @@ from plane_detector.noise import CellVariances, Noise, cell_variances
 
 # A cell whose pixels stray from its own plane more than this many variances straddles an edge.
 MAX_INNER_VARIANCES = 4.0
+# Cells without depth have no variance at all.
+MIN_VARIANCE = 1e-30
 # Small windows find small planes, large ones see through the noise.
 WINDOW_SIDES_CELLS = (3, 7, 13)
 WINDOW_MIN_FREE = 0.7
@@ -81,7 +83,7 @@ def make_model(grid: CellGrid, noise: Noise) -> CellModel:
     planar = grid.usable & (grid.inner_rms**2 < MAX_INNER_VARIANCES * variances.grain)
     x, y, d = grid.mean.T
     slope_x, slope_y = grid.slope.T
-    w, s = 1 / variances.mean, 1 / variances.slope
+    w, s = (1 / np.maximum(v, MIN_VARIANCE) for v in (variances.mean, variances.slope))
     quadratic = np.stack([
         w * x * x + s, 2 * w * x * y, w * y * y + s, 2 * w * x, 2 * w * y, w,
         -2 * (w * x * d + s * slope_x), -2 * (w * y * d + s * slope_y), -2 * w * d,
