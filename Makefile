@@ -41,8 +41,8 @@ defaults: $(STAMP)
 clean:
 	rm -rf $(VENV) demo_output benchmark_output
 
-# --fx 525 when FX=525 is given, nothing otherwise.
-option = $(if $($1),--$(shell echo $1 | tr A-Z a-z) '$($1)')
+# --fx 525 when FX=525 is given to make, nothing otherwise: an OUTPUT of the shell is not ours.
+option = $(if $(filter command%,$(origin $1)),--$(shell echo $1 | tr A-Z a-z) '$($1)')
 
 $(STAMP): .ci/requirements.txt .ci/constraints.txt
 	@bash .ci/make_venv '$(VENV)' '$(PYTHON)'

@@ -111,6 +111,13 @@ def test_folder_pictures_are_read_in_order_as_rgb(tmp_path):
     assert found[0].intrinsics == CameraIntrinsics(33, 33, 19.5, 14.5, 40, 30)
 
 
+def test_pictures_of_one_stem_keep_results_apart(tmp_path):
+    for name in ('a.jpg', 'a.png', 'b.png'):
+        cv2.imwrite(str(tmp_path / name), np.zeros((30, 40, 3), np.uint8))
+    names = [photograph.name for photograph in folder_pictures(tmp_path, Lens())]
+    assert names == ['a.jpg', 'a.png', 'b']
+
+
 def test_folder_without_pictures_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError, match='no picture'):
         folder_pictures(tmp_path, Lens())

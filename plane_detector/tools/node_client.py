@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
 from std_msgs.msg import Header
+from std_srvs.srv import Trigger
 
 from plane_detector.tools.pictures import Photograph
 
@@ -27,6 +29,7 @@ _OUTPUTS = {'points': PointCloud2, 'planes': PointCloud2, 'depth': Image, 'overl
 _RELIABLE = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 _NUMPY_TYPES = {PointField.FLOAT32: '<f4', PointField.UINT32: '<u4', PointField.UINT8: 'u1'}
 _SPIN_S = 0.02
+_INTRODUCTION_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,7 @@ class NodeClient:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._messages: dict[str, Any] = {}
+        self._scene: Photograph | None = None
         self._timing = Timing()
         self._publishers = {
             name: self._node.create_publisher(_INPUTS[name], name, _RELIABLE) for name in inputs}
@@ -102,6 +106,7 @@ class NodeClient:
             self._node.create_subscription(
                 msg_type, f'{NODE}/{name}', lambda msg, name=name: self._take(name, msg),
                 _RELIABLE)
+        self._reset = self._node.create_client(Trigger, f'{NODE}/reset_tracking')
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     def close(self) -> None:
@@ -136,12 +141,23 @@ class NodeClient:
         header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
         self._messages.clear()
         self._publishers['camera_info'].publish(_camera_info(header, photograph))
+        if photograph is not self._scene:
+            self._introduce(photograph, timeout_s)
         if 'depth' in self._publishers:
             self._publishers['depth'].publish(_image(header, '32FC1', photograph.true_depth_m))
         self._publishers['image'].publish(_image(header, 'rgb8', photograph.rgb))
         self._spin_until(lambda: self._complete(header), timeout_s,
                          f'the results for {photograph.name} did not come', lambda: None)
         return _decoded(self._messages)
+
+    def _introduce(self, photograph: Photograph, timeout_s: float) -> None:
+        """Begin a new scene: its CameraInfo arrives before its first image, no label is kept."""
+        self._publishers['camera_info'].wait_for_all_acked(Duration(seconds=timeout_s))
+        time.sleep(_INTRODUCTION_S)  # acknowledged is not yet handled, and topics may overtake
+        answer = self._reset.call_async(Trigger.Request())
+        self._spin_until(answer.done, timeout_s, f'{self._reset.srv_name} did not answer',
+                         lambda: None)
+        self._scene = photograph
 
     def measure(self, photograph: Photograph, seconds: float, timeout_s: float,
                 tick: Callable[[], None]) -> Timing:
@@ -169,6 +185,7 @@ class NodeClient:
 
     def _connected(self) -> bool:
         return (all(p.get_subscription_count() for p in self._publishers.values())
+                and self._reset.service_is_ready()
                 and all(self._node.count_publishers(f'{NODE}/{name}') for name in _OUTPUTS))
 
     def _complete(self, header: Header) -> bool:

@@ -127,7 +127,9 @@ def folder_pictures(folder: Path, lens: Lens) -> list[Photograph]:
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     if not paths:
         raise FileNotFoundError(f'no picture in {folder}: looked for *{", *".join(_SUFFIXES)}')
-    return [_photograph(path, lens) for path in paths]
+    stems = [path.stem for path in paths]
+    return [_photograph(path, path.stem if stems.count(path.stem) == 1 else path.name, lens)
+            for path in paths]
 
 
 def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photograph:
@@ -148,13 +150,13 @@ def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photogr
                    calibration=f'{photograph.calibration}, shrunk from {width} x {height}')
 
 
-def _photograph(path: Path, lens: Lens) -> Photograph:
+def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if bgr is None:
         raise ValueError(f'{path} cannot be read as a picture')
     height, width = bgr.shape[:2]
     rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
-    return shrunk(Photograph(path.stem, rgb, lens.intrinsics(width, height), str(lens)))
+    return shrunk(Photograph(name, rgb, lens.intrinsics(width, height), str(lens)))
 
 
 def _temple() -> Photograph:
