@@ -146,3 +146,16 @@ def test_gravity_of_the_imu_goes_with_the_frames():
     np.testing.assert_allclose(assembler.add_image(image(1.11))[0].down_camera, [0, 1, 0],
                                atol=1e-9, err_msg='a jolt is not gravity')
     assert assembler.add_image(image(5.0))[0].down_camera is None, 'the IMU has gone silent'
+
+
+def test_at_the_end_nothing_is_waited_for():
+    assembler = FrameAssembler('required', stamp_slop_s=0.05)
+    assembler.add_camera_info(info(0.0))
+    near = depth(0.98)
+    assembler.add_depth(near)
+    assert assembler.add_image(image(1.0)) == []
+    assert assembler.add_image(image(2.0)) == []
+    (frame,) = assembler.finish()
+    assert frame.depth is near
+    assert assembler.take_dropped() == 1
+    assert assembler.finish() == []

@@ -136,15 +136,19 @@ class FrameAssembler:
         self._depths.shrink_to(_CACHED)
         return self._complete()
 
+    def finish(self) -> list[Frame]:
+        """Return the frames that only waited for a better partner: nothing more will come."""
+        return self._complete(at_end=True)
+
     def add_imu(self, msg: Imu) -> None:
         """Take a reading of the accelerometer; it goes with the frames that are complete later."""
         force = msg.linear_acceleration
         self._gravity.add(_stamp_ns(msg) * 1e-9, (force.x, force.y, force.z))
 
-    def _complete(self) -> list[Frame]:
+    def _complete(self, at_end: bool = False) -> list[Frame]:
         frames = []
         for stamp_ns, image in self._images.items() if self._infos.latest else ():
-            decided, depth = self._depth_for(stamp_ns)
+            decided, depth = self._depth_for(stamp_ns, at_end)
             if not decided:
                 continue
             self._images.keep(lambda _, other, done=image: other is not done)
@@ -156,13 +160,13 @@ class FrameAssembler:
             frames.append(Frame(image, info, depth, gravity, self.epoch))
         return frames
 
-    def _depth_for(self, stamp_ns: int) -> tuple[bool, Image | None]:
+    def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
         """Return whether it is decided which depth image a picture gets, and which."""
         exact = self._depths.exact(stamp_ns)
         if exact is not None or self._depth_use == 'unused':
             return True, exact
-        can_wait = self._depth_use == 'required' or (
-            self._depths.is_alive(stamp_ns) and not self._images.is_past(stamp_ns))
+        can_wait = not at_end and (self._depth_use == 'required' or (
+            self._depths.is_alive(stamp_ns) and not self._images.is_past(stamp_ns)))
         if can_wait and not self._depths.is_past(stamp_ns):
             return False, None
         return True, self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))

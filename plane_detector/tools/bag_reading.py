@@ -1,0 +1,208 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Recorded topics as the messages that a node would receive.
+
+rosbag2 folders (sqlite3, mcap, compressed by zstd or not), single .mcap and .db3 files, and
+ROS 1 .bag files, read by the library rosbags; no ROS installation is needed for any of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+
+try:
+    from rosbags import rosbag1, rosbag2
+    from rosbags.interfaces import Connection
+    from rosbags.typesys import Stores, get_typestore
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        f'{error}: bags are read and written by the library rosbags, which is installed by '
+        'pip install rosbags', name=error.name) from error
+
+_FILES = ('.bag', '.mcap', '.db3')
+
+
+class BagError(ValueError):
+    """A bag cannot be read, or does not hold what is looked for."""
+
+
+@dataclass(frozen=True)
+class Topic:
+    """Name, type as in ``sensor_msgs/msg/Image``, and number of messages."""
+
+    name: str
+    msg_type: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """
+    A recorded message.
+
+    Attributes
+    ----------
+    topic : str
+    time_ns : int
+        When it was recorded.
+    cdr : bytes or memoryview
+        As it travels in ROS 2.
+
+    """
+
+    topic: str
+    time_ns: int
+    cdr: bytes | memoryview
+
+
+class BagReader:
+    """
+    An open bag; a context manager.
+
+    Parameters
+    ----------
+    path : Path
+        A rosbag2 folder, or a .mcap, .db3 or ROS 1 .bag file.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no bag at this path.
+    BagError
+        It cannot be read.
+
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        file = _storage(path)
+        self.is_ros1 = file.suffix == '.bag'
+        self._ros1_types = get_typestore(Stores.ROS1_NOETIC) if self.is_ros1 else None
+        with self._readable():
+            self._reader = (rosbag1 if self.is_ros1 else rosbag2).Reader(file)
+            self._reader.open()
+        self._connections: dict[str, list[Connection]] = {}
+        for connection in self._reader.connections:
+            self._connections.setdefault(connection.topic, []).append(connection)
+
+    def __enter__(self) -> BagReader:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._reader.close()
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """What is recorded, by name."""
+        return tuple(Topic(name, connections[0].msgtype, sum(c.msgcount for c in connections))
+                     for name, connections in sorted(self._connections.items()))
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the first message; 0 in an empty bag."""
+        return self._reader.start_time if self._reader.message_count else 0
+
+    @property
+    def end_ns(self) -> int:
+        """Time right after the last message; 0 in an empty bag."""
+        return self._reader.end_time if self._reader.message_count else 0
+
+    def describe(self) -> str:
+        """Return what is recorded as a table for people."""
+        width = max((len(topic.name) for topic in self.topics), default=0)
+        rows = [f'  {topic.name:<{width}}  {topic.msg_type}, {topic.count} messages'
+                for topic in self.topics]
+        return '\n'.join([f'{self.path} holds {"these topics" if rows else "no topic"}:', *rows])
+
+    def connection(self, topic: str) -> Connection:
+        """Return what rosbags knows of a topic."""
+        return self._connections[topic][0]
+
+    def read(self, topics: Collection[str], start_ns: int | None = None,
+             stop_ns: int | None = None) -> Iterator[Recorded]:
+        """
+        Yield the messages of topics in the order of their recording.
+
+        Parameters
+        ----------
+        topics : collection of str
+            Names of recorded topics.
+        start_ns, stop_ns : int, optional
+            Time of recording: from the one, before the other.
+
+        Raises
+        ------
+        BagError
+            The bag is damaged.
+
+        """
+        connections = [c for topic in topics for c in self._connections[topic]]
+        with self._readable():
+            # An empty list would mean all topics.
+            for connection, time_ns, data in (
+                    self._reader.messages(connections, start_ns, stop_ns) if connections else ()):
+                yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
+
+    def _to_cdr(self, connection: Connection, data: bytes) -> bytes | memoryview:
+        if self._ros1_types is None:
+            return data
+        return self._ros1_types.ros1_to_cdr(data, connection.msgtype)
+
+    @contextmanager
+    def _readable(self) -> Iterator[None]:
+        """Damaged bytes may provoke anything in a library that parses them."""
+        try:
+            yield
+        except (OSError, BagError):
+            raise
+        except Exception as error:
+            raise BagError(f'{self.path} cannot be read: {error}. If it is damaged or was not '
+                           f'closed, {_repair(self.path)} may help') from error
+
+
+def to_message(recorded: Recorded, message_class: Any) -> Any:
+    """
+    Return the message that a subscription would receive.
+
+    Raises
+    ------
+    BagError
+        The bytes are no message of this class.
+
+    """
+    try:
+        return deserialize_message(bytes(recorded.cdr), message_class)
+    except Exception as error:  # the middleware's own error class is not public
+        raise BagError(f'a message on {recorded.topic} is no {message_class.__name__}: '
+                       f'{error}') from error
+
+
+def _storage(path: Path) -> Path:
+    """Return what rosbags opens: the folder, or the only file of a folder without metadata."""
+    if not path.exists():
+        raise FileNotFoundError(f'there is no bag {path}')
+    if not path.is_dir():
+        if path.suffix not in _FILES:
+            raise BagError(f'{path} is no bag: a rosbag2 folder or a file {", ".join(_FILES)} is')
+        return path
+    files = sorted(file for file in path.iterdir() if file.suffix in _FILES)
+    if (path / 'metadata.yaml').exists():
+        return path
+    if len(files) == 1:  # a recording that was killed
+        return files[0]
+    found = ', '.join(sorted(file.name for file in path.iterdir())) or 'nothing'
+    raise BagError(f'{path} is no bag: it has no metadata.yaml, it holds {found}. Of a folder '
+                   'with several files, ros2 bag reindex makes the metadata anew')
+
+
+def _repair(path: Path) -> str:
+    if path.suffix == '.bag':
+        return 'rosbag reindex'
+    return 'mcap recover' if path.suffix == '.mcap' else 'ros2 bag reindex'
