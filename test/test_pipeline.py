@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recipe from picture to planes, with depth handed in instead of a network."""
+
+import numpy as np
+import pytest
+
+from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
+from plane_detector.config import DepthConfig, ScaleConfig
+from plane_detector.pipeline import Stages
+from plane_detector.tools.scenes import random_room
+
+SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
+SCENE = random_room(np.random.default_rng(3), SMALL)
+SCALE, SHIFT = 0.02, 0.05
+TOPIC = Config(depth=DepthConfig(source='topic'))
+
+
+def planes_of(segmentation):
+    return np.array([np.append(p.normal, p.offset_m) for p in segmentation.planes]).reshape(-1, 4)
+
+
+class Network:
+    """Gives the truth in the unit that it is told to."""
+
+    def __init__(self, output, disparity_noise=0.0):
+        self.output, self.disparity_noise = output, disparity_noise
+
+    def __call__(self, rgb):
+        disparity = 1 / SCENE.depth_m
+        return {'metric_depth': SCENE.depth_m, 'disparity': disparity,
+                'relative_disparity': (disparity - SHIFT) / SCALE}[self.output]
+
+
+def detect(network, config=None):
+    return PlaneDetector(config or Config(), network).detect(SCENE.rgb, SMALL)
+
+
+def test_metric_depth_is_segmented_as_it_comes():
+    found = detect(Network('metric_depth'))
+    expected = segment_planes(SCENE.depth_m, SMALL)
+    np.testing.assert_array_equal(found.labels, expected.labels)
+    np.testing.assert_array_equal(planes_of(found), planes_of(expected))
+    assert found.scale_method == 'metric'
+    np.testing.assert_array_equal(found.depth_m, SCENE.depth_m)
+
+
+def test_a_plain_function_gives_metres():
+    found = PlaneDetector(Config(), lambda rgb: SCENE.depth_m).detect(SCENE.rgb, SMALL)
+    assert found.scale_method == 'metric'
+    assert found.planes
+
+
+def test_metric_disparity_gives_the_planes_of_the_depth():
+    found, expected = detect(Network('disparity')), detect(Network('metric_depth'))
+    assert found.scale_method == 'metric'
+    np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-4)
+    assert len(found.planes) == pytest.approx(len(expected.planes), abs=1)
+    np.testing.assert_allclose(planes_of(found)[:2], planes_of(expected)[:2], atol=2e-3)
+
+
+def test_relative_disparity_with_known_scale_and_shift_is_metric():
+    config = Config(scale=ScaleConfig(method='fixed', disparity_scale=SCALE,
+                                      disparity_shift=SHIFT))
+    found = detect(Network('relative_disparity'), config)
+    assert found.scale_method == 'fixed'
+    np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-3)
+    expected = detect(Network('metric_depth'))
+    np.testing.assert_allclose(planes_of(found)[:2], planes_of(expected)[:2], atol=2e-3)
+
+
+def test_relative_disparity_without_scale_says_so_and_has_labels_all_the_same():
+    found = detect(Network('relative_disparity'), Config(scale=ScaleConfig(method='none')))
+    assert found.scale_method == 'relative'
+    assert found.planes
+    metric = detect(Network('metric_depth'))
+    large = metric.labels == 0
+    assert np.bincount(found.labels[large] + 1).max() > 0.9 * large.sum()
+
+
+def test_the_noise_that_a_network_is_known_for_is_taken():
+    assert detect(Network('metric_depth', 0.02)).disparity_noise >= 0.02
+    assert detect(Network('metric_depth')).disparity_noise < 0.01
+
+
+def test_measured_depth_needs_no_network():
+    found = PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL, SCENE.depth_m)
+    np.testing.assert_array_equal(found.labels, segment_planes(SCENE.depth_m, SMALL).labels)
+    assert found.scale_method == 'metric'
+
+
+def test_measured_depth_that_is_missing_is_an_error():
+    with pytest.raises(ValueError, match='depth.source is topic'):
+        PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL)
+
+
+def test_depth_of_another_size_than_the_picture_is_refused():
+    detector = PlaneDetector(Config(), lambda rgb: np.ones((4, 5), np.float32))
+    with pytest.raises(ValueError, match='one size'):
+        detector.detect(SCENE.rgb, SMALL)
+
+
+def test_intrinsics_of_another_size_are_refused():
+    with pytest.raises(ValueError, match='intrinsics'):
+        PlaneDetector(Config(), Network('metric_depth')).detect(
+            SCENE.rgb, CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480))
+
+
+def test_every_stage_has_its_time():
+    metric, relative = detect(Network('metric_depth')), detect(Network('relative_disparity'))
+    assert {'depth', 'segmentation'} <= set(metric.stage_seconds)
+    assert {'depth', 'segmentation', 'scale', 'measurement'} <= set(relative.stage_seconds)
+    assert all(seconds >= 0 for seconds in relative.stage_seconds.values())
+
+
+def test_stages_are_timed_by_name():
+    stages = Stages()
+    with stages('one'):
+        pass
+    with stages('two'):
+        pass
+    assert list(stages.seconds) == ['one', 'two']
+
+
+def test_the_picture_is_not_modified():
+    before = SCENE.rgb.copy()
+    detect(Network('metric_depth'))
+    np.testing.assert_array_equal(SCENE.rgb, before)
