@@ -100,8 +100,10 @@ def _median_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
     x, y = x[order], y[order]
     half = len(x) // 2
     run = x[half:] - x[:-half]
-    far = run >= np.median(run)
-    slope = np.median((y[half:] - y[:-half])[far] / np.maximum(run[far], 1e-12))
+    apart = run > 0
+    if not apart.any():
+        return 0.0, float(np.median(y))
+    slope = np.median((y[half:] - y[:-half])[apart] / run[apart])
     return float(slope), float(np.median(y - slope * x))
 
 
@@ -115,7 +117,9 @@ def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, sigma: float):
     design = np.stack([x, np.ones_like(x)], axis=1)
-    normal_matrix = design.T @ (weights[:, None] * design) + 1e-12 * np.eye(2)
+    normal_matrix = design.T @ (weights[:, None] * design)
+    # All at one depth is singular: then the variance becomes huge, and the fit is refused.
+    normal_matrix += 1e-12 * (1.0 + np.trace(normal_matrix)) * np.eye(2)
     inverse = np.linalg.inv(normal_matrix)
     alpha, beta = inverse @ (design.T @ (weights * y))
     return float(alpha), float(beta), sigma**2 * inverse

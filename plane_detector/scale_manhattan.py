@@ -219,7 +219,7 @@ def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames, sigma:
             planes.take(np.flatnonzero(axis >= 0))) < MIN_DISTINCT_PLANES:
         return 'two planes are perpendicular for some shift in any room; a third must agree'
     large = planes.pixel_share >= MIN_AXIS_SHARE
-    unsure_deg = _turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max()
+    unsure_deg = _turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max(initial=0.0)
     if unsure_deg > MAX_UNSURE_DEG:
         return f'the right angles leave a plane unsure by {unsure_deg:.0f} degrees'
     apart = _turn_deg(planes, winner.tau, frames.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG

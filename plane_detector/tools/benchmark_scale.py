@@ -265,8 +265,9 @@ def main(arguments: list[str] | None = None) -> None:
     for name in ('kinect', 'nyu'):
         if (options.data / name).is_dir():
             views = list(real_views(options.data / name, np.random.default_rng(seeds.start)))
-            print(accuracy_table(f'Real pictures, {name}: {len(views) // DRAWS_PER_PICTURE} with a '
-                                 f'floor, each seen by {DRAWS_PER_PICTURE} networks', views))
+            title = (f'Real pictures, {name}: {len(views) // DRAWS_PER_PICTURE} with a floor, '
+                     f'each seen by {DRAWS_PER_PICTURE} networks')
+            print(accuracy_table(title, views))
         else:
             print(f'{options.data / name} is not there: no table of it', file=sys.stderr)
     print('### The vote of right angles\n\n| room | pictures | refused | right | bent by more '
