@@ -47,7 +47,7 @@ def test_a_plane_is_judged_by_hand():
 
 
 @pytest.mark.parametrize(('distance_m', 'stray_m', 'purity'), [
-    (1.0, 0.029, 1), (1.0, 0.031, 7 / 8), (4.0, 0.057, 1), (4.0, 0.066, 7 / 8)])
+    (1.0, 0.029, 1), (1.0, 0.04, 7 / 8), (4.0, 0.057, 1), (4.0, 0.075, 7 / 8)])
 def test_the_tolerance_is_3_cm_or_a_share_of_the_depth(distance_m, stray_m, purity):
     sensor_m = np.full((120, 160), distance_m, np.float32)
     sensor_m[:, ::16] += stray_m
@@ -96,8 +96,9 @@ def test_the_depth_of_a_plane_is_where_the_rays_meet_it():
 def test_every_method_finds_a_wall_or_says_why_it_cannot(method):
     if method.absent:
         pytest.skip(method.absent)
-    labels, planes = method(WALL.depth_m, SMALL)
-    result = score(WALL.labels, WALL.planes, labels, planes, np.isfinite(WALL.depth_m))
+    wall = single_wall(SMALL, yaw_deg=20, distance_m=2.0)
+    labels, planes = method(wall.depth_m, SMALL)
+    result = score(wall.labels, wall.planes, labels, planes, np.isfinite(wall.depth_m))
     assert labels.shape == (120, 160)
     assert labels.max() == len(planes) - 1
     assert result.recall == 1

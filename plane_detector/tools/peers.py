@@ -21,6 +21,8 @@ from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 MIN_PIXELS = 1500
 """Smallest plane of the peers, at 640 x 480; as a share of the picture at other sizes."""
+MIN_THICKNESS_M = 0.04
+"""Open3D's patches are boxes; on exact depth they are too thin to hold their own points."""
 
 Segments = tuple[np.ndarray, np.ndarray]
 """Labels (H, W) int32, -1 none, and planes (K, 4): unit normal towards the camera, offset."""
@@ -174,7 +176,9 @@ class Open3dPatches(Open3dCloud):
             normal_variance_threshold_deg=60, coplanarity_deg=75, outlier_ratio=0.75,
             min_plane_edge_length=0, min_num_points=0,
             search_param=open3d.geometry.KDTreeSearchParamKNN(knn=30))
-        indices = [box.get_point_indices_within_bounding_box(cloud.points) for box in boxes]
+        thick = [open3d.geometry.OrientedBoundingBox(
+            box.center, box.R, np.maximum(box.extent, [0, 0, MIN_THICKNESS_M])) for box in boxes]
+        indices = [box.get_point_indices_within_bounding_box(cloud.points) for box in thick]
         return seen, indices, [_through(box.center, box.R[:, 2]) for box in boxes]
 
 
