@@ -7,14 +7,23 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.depth import DepthEstimator
-from plane_detector.scale import estimate_scale
-from plane_detector.scale_estimate import apply_scale
-from plane_detector.segmentation import measure_labels, segment_disparity, segment_planes
+from plane_detector.gravity import unit_direction
+from plane_detector.plane_classes import PlaneClass, classify_planes, refine_gravity
+from plane_detector.scale import COARSE_GRAVITY_DEG, estimate_scale
+from plane_detector.scale_estimate import ScaleEstimate, apply_scale, to_disparity
+from plane_detector.scale_smoothing import ScaleState, update_scale
+from plane_detector.segmentation import (
+    disparity_range,
+    measure_labels,
+    segment_disparity,
+    segment_planes,
+)
 from plane_detector.tracking import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
@@ -41,14 +50,17 @@ class PlaneDetector:
         if estimate_depth is None and self.config.depth.source == 'model':
             estimate_depth = DepthEstimator(self.config.depth)
         self.estimate_depth = estimate_depth
+        self._scale: ScaleState | None = None
         self._tracker = PlaneTracker()
 
     def reset(self) -> None:
-        """Forget the pictures before: the labels start anew."""
+        """Forget the pictures before: scale and labels start anew."""
+        self._scale = None
         self._tracker.reset()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
-               depth_m: np.ndarray | None = None) -> Detection:
+               depth_m: np.ndarray | None = None,
+               down_camera: np.ndarray | None = None) -> Detection:
         """
         Find the planes of a picture.
 
@@ -59,7 +71,10 @@ class PlaneDetector:
         intrinsics : CameraIntrinsics
             Of that picture.
         depth_m : (H, W) floating, optional
-            Measured depth of the same picture, needed when ``config.depth.source`` is ``topic``.
+            Measured depth of the same picture, NaN invalid. With ``config.depth.source`` ``topic``
+            it is what is segmented, and must be there; with ``model`` it may fix the scale.
+        down_camera : (3,) floating, optional
+            Measured direction of gravity; default: ``config.scale.gravity``.
 
         Returns
         -------
@@ -74,27 +89,73 @@ class PlaneDetector:
         stages = Stages()
         with stages('depth'):
             prediction, output = self._predict(rgb, depth_m)
-        if output == 'metric_depth':
-            with stages('segmentation'):
-                found = segment_planes(prediction, intrinsics, self.config,
-                                       disparity_noise=self._known_noise())
-            with stages('tracking'):
-                found, track_labels = self._track(found)
-            return Detection(**vars(found), depth_m=prediction, scale_method='metric',
-                             stage_seconds=stages.seconds, track_labels=track_labels)
         with stages('segmentation'):
-            labels = segment_disparity(prediction, self.config,
-                                       disparity_noise=self._known_noise())
+            labels, found = self._segment(prediction, output, intrinsics)
         with stages('scale'):
-            scale = estimate_scale(prediction, labels, intrinsics, self.config.scale,
-                                   output=output)
-            scaled_m = apply_scale(prediction, scale, self.config.depth.max_depth)
+            scale = self._update_scale(prediction, output, labels, intrinsics, depth_m,
+                                       down_camera)
         with stages('measurement'):
-            found = measure_labels(scaled_m, labels, intrinsics, self.config)
+            found, scaled_m = found or self._measure(prediction, output, labels, intrinsics,
+                                                     scale.estimate)
+            classes = self._classify(found, scale.estimate, down_camera)
         with stages('tracking'):
             found, track_labels = self._track(found)
-        return Detection(**vars(found), depth_m=scaled_m, scale_method=scale.method,
-                         stage_seconds=stages.seconds, track_labels=track_labels)
+        return Detection(**vars(found), depth_m=scaled_m, scale_method=scale.estimate.unit_method,
+                         scale_note=str(scale.estimate), scale_event=scale.event, classes=classes,
+                         track_labels=track_labels, stage_seconds=stages.seconds)
+
+    def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics
+                 ) -> tuple[np.ndarray, tuple[PlaneSegmentation, np.ndarray] | None]:
+        """Return the labels, and the planes too where the prediction is in metres as it is."""
+        known = getattr(self.estimate_depth, 'disparity_noise', 0.0)
+        if output == 'metric_depth' and self._metres_are_right():
+            found = segment_planes(prediction, intrinsics, self.config, disparity_noise=known)
+            return found.labels, (found, prediction)
+        disparity = to_disparity(prediction, output)
+        known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
+        return segment_disparity(disparity, self.config, disparity_noise=known), None
+
+    def _metres_are_right(self) -> bool:
+        scale = self.config.scale
+        return self._is_measured() or (
+            scale.method in ('auto', 'metric') and scale.reference_focal_px == 0)
+
+    def _is_measured(self) -> bool:
+        return self.config.depth.source == 'topic' and self.estimate_depth is None
+
+    def _update_scale(self, prediction: np.ndarray, output: str, labels: np.ndarray,
+                      intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
+                      down_camera: np.ndarray | None) -> ScaleState:
+        """Return what fixes the unit of this picture, given those before."""
+        config = self.config.scale
+        if self._is_measured():
+            config, depth_m = replace(config, method='metric', reference_focal_px=0.0), None
+        measured = estimate_scale(to_disparity(prediction, output), labels, intrinsics, config,
+                                  output=output, gravity_camera=down_camera,
+                                  sensor_depth_m=depth_m)
+        self._scale = update_scale(self._scale, measured, config)
+        return self._scale
+
+    def _measure(self, prediction: np.ndarray, output: str, labels: np.ndarray,
+                 intrinsics: CameraIntrinsics,
+                 scale: ScaleEstimate) -> tuple[PlaneSegmentation, np.ndarray]:
+        """Return the planes of known pixels, and the depth, in the unit of the scale."""
+        disparity = to_disparity(prediction, output)
+        scaled_m = apply_scale(disparity, scale, self.config.depth.max_depth)
+        known = getattr(self.estimate_depth, 'disparity_noise', 0.0) * scale.scale
+        known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
+        return measure_labels(scaled_m, labels, intrinsics, self.config, known), scaled_m
+
+    def _classify(self, found: PlaneSegmentation, scale: ScaleEstimate,
+                  down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:
+        """Tell floor, walls and so on apart, where angles are true and gravity is known."""
+        config = self.config.scale
+        down = unit_direction(config.gravity if down_camera is None else down_camera)
+        if not scale.has_true_angles:
+            down = None
+        elif down is not None and config.gravity_tolerance > COARSE_GRAVITY_DEG:
+            down = refine_gravity(found.planes, down, config.gravity_tolerance)
+        return classify_planes(found.planes, down)
 
     def _track(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         if not self.config.tracking.enabled:
@@ -105,7 +166,7 @@ class PlaneDetector:
 
     def _predict(self, rgb: np.ndarray, depth_m: np.ndarray | None) -> tuple[np.ndarray, str]:
         """Return what is segmented and what it means."""
-        if self.config.depth.source == 'topic' and self.estimate_depth is None:
+        if self._is_measured():
             if depth_m is None:
                 raise ValueError('depth.source is topic, but no depth image was given')
             return np.asarray(depth_m, np.float32), 'metric_depth'
@@ -115,9 +176,6 @@ class PlaneDetector:
             raise ValueError(f'depth of shape {prediction.shape} for a picture of shape '
                              f'{rgb.shape[:2]}: they must be of one size')
         return prediction, 'metric_depth' if output == 'auto' else output
-
-    def _known_noise(self) -> float:
-        return getattr(self.estimate_depth, 'disparity_noise', 0.0)
 
 
 class Stages:

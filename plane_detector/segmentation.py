@@ -100,7 +100,7 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
         Affine in 1/depth, in any unit; not finite where invalid.
     config : Config
     disparity_noise : float
-        What the network is known for, as a share of the picture's disparity range.
+        What the network is known for, in the same unit.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
 
@@ -113,11 +113,18 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
     rng = rng or np.random.default_rng(config.ransac.seed)
     valid = np.isfinite(disparity)
     disparity = np.where(valid, disparity, 0).astype(np.float32)
-    low, high = np.quantile(disparity[valid], RANGE_QUANTILES) if valid.any() else (0.0, 0.0)
-    span = max(float(high - low), np.finfo(np.float32).tiny)
     grid = make_cells(disparity, valid)
-    noise = estimate_noise(grid, 0.0, RELATIVE_FLOOR * span, disparity_noise * span)
+    floor = RELATIVE_FLOOR * disparity_range(np.where(valid, disparity, np.nan))
+    noise = estimate_noise(grid, 0.0, floor, disparity_noise)
     return _label(disparity, valid, grid, noise, config, rng)[0]
+
+
+def disparity_range(disparity: np.ndarray) -> float:
+    """Return the range that all but the outermost finite values lie in; above 0."""
+    sample = disparity[::4, ::4]
+    sample = sample[np.isfinite(sample)]
+    low, high = np.quantile(sample, RANGE_QUANTILES) if sample.size else (0.0, 0.0)
+    return max(float(high - low), float(np.finfo(np.float32).tiny))
 
 
 def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,

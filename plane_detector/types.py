@@ -131,6 +131,12 @@ class Detection(PlaneSegmentation):
     track_labels : tuple of int
         Label of each plane, above 0 and the same from picture to picture; empty when planes are
         not tracked.
+    classes : tuple of int
+        :class:`~plane_detector.plane_classes.PlaneClass` of each plane; empty: all unknown.
+    scale_note : str
+        What the method found and how sure it is, or why there is none.
+    scale_event : str
+        What changed about the scale at this picture; empty when nothing did.
 
     """
 
@@ -138,3 +144,6 @@ class Detection(PlaneSegmentation):
     scale_method: str
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     track_labels: tuple[int, ...] = ()
+    classes: tuple[int, ...] = ()
+    scale_note: str = ''
+    scale_event: str = ''
