@@ -20,8 +20,8 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
-        'numpy>=1.26', 'onnxruntime', 'opencv-python-headless>=4.6', 'scikit-learn', 'scipy',
-        'setuptools', 'tqdm'],
+        'numpy>=1.26', 'onnxruntime', 'opencv-python-headless>=4.6', 'pyyaml', 'scikit-learn',
+        'scipy', 'setuptools', 'tqdm'],
     extras_require={
         'demo': ['scikit-image'],
         'export': ['onnx', 'torch', 'transformers'],
@@ -39,6 +39,7 @@ setup(
         f'node = {NAME}.ros.node:main',
         f'benchmark = {NAME}.tools.benchmark:main',
         f'demo = {NAME}.tools.demo:main',
+        f'replay = {NAME}.tools.replay:main',
         f'parameters = {NAME}.tools.parameters:main',
     ]},
 )

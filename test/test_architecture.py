@@ -23,7 +23,7 @@ ROSDEP_KEYS = {
     'onnxruntime': 'python3-onnxruntime-pip', 'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy', 'skimage': 'python3-skimage', 'sklearn': 'python3-sklearn',
     'threadpoolctl': 'python3-sklearn',  # which depends on it
-    'tqdm': 'python3-tqdm'}
+    'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
 EXTRAS = {'pyransac3d', 'onnx', 'torch', 'transformers', 'open3d'}
 
