@@ -12,6 +12,7 @@ from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
 from plane_detector.paper import paper_labels
 from plane_detector.tools.metrics import score
+from plane_detector.tools.peers import plane_array
 from plane_detector.tools.scenes import (
     Rectangle,
     camera_rotation,
@@ -39,14 +40,10 @@ def corner():
                   np.random.default_rng(0))
 
 
-def planes_of(segmentation):
-    return np.array([np.append(p.normal, p.offset_m) for p in segmentation.planes]).reshape(-1, 4)
-
-
 def test_large_planes_are_found_behind_the_same_interface():
     scene = corner()
     found = segment_planes(scene.depth_m, SMALL, PAPER)
-    result = score(scene.labels, scene.planes, found.labels, planes_of(found),
+    result = score(scene.labels, scene.planes, found.labels, plane_array(found),
                    np.isfinite(scene.depth_m), min_pixels=1000)
     assert result.recall >= 0.66
     assert result.segmentation_covering > 0.7

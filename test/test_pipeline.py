@@ -8,16 +8,13 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import DepthConfig, ScaleConfig
 from plane_detector.pipeline import Stages
+from plane_detector.tools.peers import plane_array
 from plane_detector.tools.scenes import random_room
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)
 SCALE, SHIFT = 0.02, 0.05
 TOPIC = Config(depth=DepthConfig(source='topic'))
-
-
-def planes_of(segmentation):
-    return np.array([np.append(p.normal, p.offset_m) for p in segmentation.planes]).reshape(-1, 4)
 
 
 class Network:
@@ -40,7 +37,7 @@ def test_metric_depth_is_segmented_as_it_comes():
     found = detect(Network('metric_depth'))
     expected = segment_planes(SCENE.depth_m, SMALL)
     np.testing.assert_array_equal(found.labels, expected.labels)
-    np.testing.assert_array_equal(planes_of(found), planes_of(expected))
+    np.testing.assert_array_equal(plane_array(found), plane_array(expected))
     assert found.scale_method == 'metric'
     np.testing.assert_array_equal(found.depth_m, SCENE.depth_m)
 
@@ -56,7 +53,7 @@ def test_metric_disparity_gives_the_planes_of_the_depth():
     assert found.scale_method == 'metric'
     np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-4)
     assert len(found.planes) == pytest.approx(len(expected.planes), abs=1)
-    np.testing.assert_allclose(planes_of(found)[:2], planes_of(expected)[:2], atol=2e-3)
+    np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
 
 
 def test_relative_disparity_with_known_scale_and_shift_is_metric():
@@ -66,7 +63,7 @@ def test_relative_disparity_with_known_scale_and_shift_is_metric():
     assert found.scale_method == 'fixed'
     np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-3)
     expected = detect(Network('metric_depth'))
-    np.testing.assert_allclose(planes_of(found)[:2], planes_of(expected)[:2], atol=2e-3)
+    np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
 
 
 def test_relative_disparity_without_scale_says_so_and_has_labels_all_the_same():

@@ -9,6 +9,7 @@ from plane_detector import Config, segment_planes
 from plane_detector.config import SegmentationConfig
 from plane_detector.segmentation import measure_labels, segment_disparity
 from plane_detector.tools.metrics import overlap, score
+from plane_detector.tools.peers import plane_array
 from plane_detector.tools.scenes import (
     VGA,
     Rectangle,
@@ -29,12 +30,8 @@ FLOOR = Rectangle(np.array([-6.0, -1.0, 0.0]), np.array([12.0, 0, 0]), np.array(
 WALL = Rectangle(np.array([-6.0, 6.0, 0.0]), np.array([12.0, 0, 0]), np.array([0, 0, 4.0]))
 
 
-def planes_of(segmentation):
-    return np.array([np.append(p.normal, p.offset_m) for p in segmentation.planes]).reshape(-1, 4)
-
-
 def scored(scene, segmentation):
-    return score(scene.labels, scene.planes, segmentation.labels, planes_of(segmentation),
+    return score(scene.labels, scene.planes, segmentation.labels, plane_array(segmentation),
                  np.isfinite(scene.depth_m))
 
 
@@ -58,7 +55,7 @@ def test_planes_of_an_exact_room_are_exact(room, seed):
     assert result.segmentation_covering > 0.95
     assert result.recall >= 0.8
     assert result.precision >= 0.9
-    planes = planes_of(found)
+    planes = plane_array(found)
     for i, j in zip(*np.nonzero(shared_with(scene, found).iou > 0.5), strict=True):
         cosine = np.clip(scene.planes[i, :3] @ planes[j, :3], -1, 1)
         assert np.degrees(np.arccos(cosine)) < 0.1
@@ -167,7 +164,7 @@ def test_a_wide_border_without_depth_costs_nothing_within(room):
     depth_m[~inside] = np.nan
     found = segment_planes(depth_m, scene.intrinsics)
     assert (found.labels[~inside] == -1).all()
-    result = score(scene.labels, scene.planes, found.labels, planes_of(found), inside)
+    result = score(scene.labels, scene.planes, found.labels, plane_array(found), inside)
     assert result.segmentation_covering > 0.93
 
 
@@ -255,7 +252,7 @@ def test_measured_labels_give_the_planes_of_the_truth(room):
     measured = measure_labels(scene.depth_m, scene.labels, scene.intrinsics, Config())
     shared = shared_with(scene, measured)
     large = np.flatnonzero(shared.counts[:-1].sum(1) > 1500)
-    np.testing.assert_allclose(planes_of(measured)[shared.iou[large].argmax(1)],
+    np.testing.assert_allclose(plane_array(measured)[shared.iou[large].argmax(1)],
                                scene.planes[large], atol=2e-3)
 
 
