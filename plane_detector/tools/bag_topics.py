@@ -4,8 +4,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
@@ -48,22 +48,16 @@ def input_class(bag: BagReader, topic: str) -> Any:
     return _CLASSES[bag.connection(topic).msgtype]
 
 
-def find_topics(bag: BagReader, wanted: Mapping[str, str], depth_use: str, use_imu: bool
-                ) -> InputTopics:
+def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     """
-    Choose the inputs of a bag.
+    Choose picture and calibration.
 
     Parameters
     ----------
     bag : BagReader
     wanted : mapping of str to str
-        Topics asked for, by ``image``, ``camera_info``, ``depth`` and ``imu``; the others are
-        looked for. Without a name of its own the camera's ``camera_info`` is the one beside the
-        picture's topic, depth the only depth image of the picture's frame_id.
-    depth_use : str
-        ``required``, ``optional`` or ``unused``.
-    use_imu : bool
-        Whether an IMU is read.
+        Topics asked for, by ``image``, ``camera_info``, ``depth`` and ``imu``. A picture is
+        looked for among all topics, its ``camera_info`` beside it.
 
     Raises
     ------
@@ -74,12 +68,37 @@ def find_topics(bag: BagReader, wanted: Mapping[str, str], depth_use: str, use_i
     for role, name in wanted.items():
         _check(bag, role, name)
     image = wanted.get('image') or _find_image(bag)
-    camera_info = wanted.get('camera_info') or _find_camera_info(bag, image)
+    return InputTopics(image, wanted.get('camera_info') or _find_camera_info(bag, image))
+
+
+def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, str],
+                    depth_use: str, use_imu: bool) -> InputTopics:
+    """
+    Choose depth and IMU, as far as they are used.
+
+    Parameters
+    ----------
+    bag : BagReader
+    camera : InputTopics
+        Picture and calibration.
+    wanted : mapping of str to str
+        As for :func:`find_camera`. Depth is looked for among the images of the picture's
+        frame_id: others are not registered to it.
+    depth_use : str
+        ``required``, ``optional`` or ``unused``.
+    use_imu : bool
+
+    Raises
+    ------
+    BagError
+        What is needed is missing, or several may be meant; with what is there.
+
+    """
     depth = wanted.get('depth', '') if depth_use != 'unused' else ''
     if depth_use != 'unused' and not depth:
-        depth = _find_depth(bag, image, depth_use == 'required')
+        depth = _find_depth(bag, camera.image, depth_use == 'required')
     imu = (wanted.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))) if use_imu else ''
-    return InputTopics(image, camera_info, depth, imu)
+    return replace(camera, depth=depth, imu=imu)
 
 
 def _check(bag: BagReader, role: str, name: str) -> None:
@@ -143,12 +162,8 @@ def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
     option = '--' + role.replace('_', '-')
     if not candidates:
         raise BagError(f'no topic for {option} was found. {bag.describe()}')
-    raise BagError(f'{_listed(topic.name for topic in candidates)} may all be meant: say which '
-                   f'by {option}. {bag.describe()}')
-
-
-def _listed(names: Iterable[str]) -> str:
-    return ', '.join(names)
+    names = ', '.join(topic.name for topic in candidates)
+    raise BagError(f'{names} may all be meant: say which by {option}. {bag.describe()}')
 
 
 def _encoding(bag: BagReader, topic: Topic) -> str:
