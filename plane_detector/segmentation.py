@@ -28,6 +28,7 @@ from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
 from plane_detector.ransac import CellModel, Patches, collect, make_model, peel_planes
 from plane_detector.relabelling import relabel
+from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 # The largest planes tell noise that is smooth over more than a window of the estimate.
@@ -40,8 +41,11 @@ MIN_CELL_SHARE = 0.5
 # The range of a disparity of unknown unit, and what its exact planes may stray by.
 RANGE_QUANTILES = (0.02, 0.98)
 RELATIVE_FLOOR = 1e-4
+# No camera sees nearer; its inverse would drown the picture in rounding.
+LEAST_DEPTH_M = 1e-3
 
 
+@one_blas_thread
 def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config | None = None,
                    *, disparity_noise: float = 0.0,
                    rng: np.random.Generator | None = None) -> PlaneSegmentation:
@@ -89,6 +93,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     return PlaneSegmentation(planes, labels, noise.mean)
 
 
+@one_blas_thread
 def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise: float = 0.0,
                       rng: np.random.Generator | None = None) -> np.ndarray:
     """
@@ -127,6 +132,7 @@ def disparity_range(disparity: np.ndarray) -> float:
     return max(float(high - low), float(np.finfo(np.float32).tiny))
 
 
+@one_blas_thread
 def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
                    config: Config, disparity_noise: float = 0.0) -> PlaneSegmentation:
     """
@@ -169,7 +175,7 @@ def _fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def to_disparity(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return 1/depth, 0 where invalid, (H, W) float32, and where it is valid, (H, W) bool."""
-    valid = valid_depth(depth_m)
+    valid = valid_depth(depth_m) & (depth_m >= LEAST_DEPTH_M)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         disparity = np.reciprocal(depth_m, dtype=np.float32)
     if not valid.all():
