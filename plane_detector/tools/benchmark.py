@@ -14,6 +14,7 @@ installed are named as absent.
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
@@ -54,9 +55,8 @@ def _sections(text: str) -> tuple[str, ...]:
     return wanted
 
 
-def main() -> None:
+def report(arguments: argparse.Namespace) -> None:
     """Print the sections that were asked for."""
-    arguments = parsed()
     emit(provenance())
     methods = all_methods()
     if 'rooms' in arguments.only:
@@ -69,6 +69,14 @@ def main() -> None:
             report_real(found, arguments.model, arguments.output)
     if 'time' in arguments.only:
         report_times(methods, arguments.repeats)
+
+
+def main() -> None:
+    """Print the report; what is wrong with the input ends it with a line."""
+    try:
+        report(parsed())
+    except (ValueError, FileNotFoundError) as error:
+        sys.exit(f'{error}')
 
 
 if __name__ == '__main__':

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth import DepthEstimator
 from plane_detector.drawing import figure, overlay
+from plane_detector.model_zoo import NetworkUnavailableError
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.segmentation import segment_planes
 from plane_detector.tools.benchmark_judging import (
@@ -35,6 +36,11 @@ from plane_detector.types import Detection, PlaneSegmentation
 RENDERED = ('living_room',)
 """Sets of clean rendered depth."""
 _PANEL_WIDTH_PX = 480
+# The columns of the table of frames and how their numbers are written.
+_COLUMNS = {'planes by sensor': '.0f', 'pixels on them': '.2f', 'planes by network': '.0f',
+            'purity': '.2f', 'worst purity': '.2f', 'normal error (deg)': '.1f',
+            'offset error (cm)': '.0f', 'large planes': '.0f', 'coverage': '.2f',
+            'pieces': '.1f'}
 
 
 @dataclass(frozen=True)
@@ -64,22 +70,28 @@ def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
     estimate, title = load_network(model)
     emit(f'### Real pictures: planes of the sensor and of the network ({title})')
     compared = [compare(frame, estimate) for frame in tqdm(found, 'real frames', leave=False)]
-    emit(table(('frame', 'planes by sensor', 'pixels on them', 'planes by network', 'purity',
-                'worst purity', 'normal error (deg)', 'offset error (cm)', 'coverage',
-                'pieces'), [_row(one) for one in compared]),
+    emit(table(('frame', *_COLUMNS), _rows(compared)),
          'Purity and errors are means over the predicted planes of a frame, weighed by their '
          'pixels: purity is the share within max(3 cm, 1.5 % of z) of the best plane through '
-         'the sensor\'s points there. Coverage: of the sensor\'s planes over 2 % of the picture, '
-         'the share of pixels that a predicted plane with IoU > 0.5 covers; pieces: predicted '
-         'planes that hold over a tenth of each of them.')
+         'the sensor\'s points there. Coverage: of the sensor\'s large planes, those over 2 % of '
+         'the picture, the share of pixels that a predicted plane with IoU > 0.5 covers; pieces: '
+         'predicted planes that hold over a tenth of each of them.')
     emit(*(f'Contact sheet: `{path}`' for path in write_sheets(compared, output)))
 
 
 def load_network(model: str) -> tuple[Callable[[np.ndarray], np.ndarray] | None, str]:
-    """Return the network, None when it cannot be had, and its name or the reason why not."""
+    """
+    Return a network and its name; None and the reason when it cannot be fetched.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError
+        It is no network, or none that is known.
+
+    """
     try:
         estimate = DepthEstimator(DepthConfig(model=model))
-    except (FileNotFoundError, ValueError) as error:
+    except NetworkUnavailableError as error:
         return None, f'absent: {error}'
     return estimate, f'{estimate.name}, {estimate.output}'
 
@@ -96,21 +108,45 @@ def compare(frame: Frame, estimate: Callable[[np.ndarray], np.ndarray] | None) -
     return Comparison(frame, sensor, network, judged, coverage)
 
 
-def _row(one: Comparison) -> list[str]:
-    seen = np.isfinite(one.frame.depth_m)
-    on_plane = (one.sensor.labels >= 0)[seen].mean()
-    cells = [f'{one.frame.set_name}/{one.frame.name}', str(len(one.sensor.planes)),
-             f'{on_plane:.2f}']
+def _numbers(one: Comparison) -> np.ndarray:
+    """Return what the columns after the first say of a frame; NaN for what is not known."""
+    on_plane = (one.sensor.labels >= 0)[np.isfinite(one.frame.depth_m)].mean()
+    numbers = [len(one.sensor.planes), on_plane]
     if one.network is None or one.coverage is None:
-        return [*cells, *['-'] * 7]
-    weight = np.array([plane.pixels for plane in one.judged], float)
-    judged = np.array([(plane.purity, plane.normal_error_deg, plane.offset_error_m)
+        return np.array([*numbers, *[np.nan] * (len(_COLUMNS) - len(numbers))])
+    judged = np.array([(plane.purity, plane.normal_error_deg, 100 * plane.offset_error_m)
                        for plane in one.judged]).reshape(-1, 3)
-    purity, angle_deg, offset_m = (
+    weight = [plane.pixels for plane in one.judged]
+    purity, angle_deg, offset_cm = (
         np.average(judged, axis=0, weights=weight) if len(judged) else np.full(3, np.nan))
-    return [*cells, str(len(one.network.planes)), f'{purity:.2f}',
-            f'{judged[:, 0].min(initial=1.0):.2f}', f'{angle_deg:.1f}', f'{100 * offset_m:.0f}',
-            f'{one.coverage.share:.2f} of {one.coverage.planes}', f'{one.coverage.pieces:.1f}']
+    return np.array([*numbers, len(one.network.planes), purity, judged[:, 0].min(initial=1.0),
+                     angle_deg, offset_cm, one.coverage.planes, one.coverage.share,
+                     one.coverage.pieces])
+
+
+def _rows(compared: Sequence[Comparison]) -> list[list[str]]:
+    """Return a line for each frame, and after each set of several frames their mean."""
+    rows = []
+    for name, group in groupby(compared, lambda one: one.frame.set_name):
+        members = list(group)
+        numbers = np.array([_numbers(one) for one in members])
+        rows += [[f'{name}/{one.frame.name}', *_cells(line)]
+                 for one, line in zip(members, numbers, strict=True)]
+        if len(members) > 1:
+            rows.append([f'**{name}, mean**', *_cells(_known_mean(numbers))])
+    return rows
+
+
+def _cells(numbers: np.ndarray) -> list[str]:
+    return [f'{value:{form}}' if np.isfinite(value) else '-'
+            for value, form in zip(numbers, _COLUMNS.values(), strict=True)]
+
+
+def _known_mean(numbers: np.ndarray) -> np.ndarray:
+    """Return the mean of each column over what is known, NaN where nothing is."""
+    known = np.isfinite(numbers)
+    return np.where(known.any(0), np.where(known, numbers, 0).sum(0) / np.maximum(known.sum(0), 1),
+                    np.nan)
 
 
 def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
