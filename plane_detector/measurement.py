@@ -19,6 +19,9 @@ from plane_detector.types import CameraIntrinsics, Plane
 # The smooth part of the noise is alike in about this many neighbouring cells.
 CORRELATED_CELLS = 9.0
 TINY_DISPARITY = 1e-9
+# Structure that is everywhere looks like noise; above this share of the typical disparity it is
+# none, and what fits so loosely is no plane.
+MAX_NOISE_SHARE = 0.125
 # Below this the normal is as good as exact.
 LEAST_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (3.22, 0.77, -0.66)
@@ -51,8 +54,11 @@ def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise
     """
     counts = count_labels(grid, labels, len(planes))
     total = counts.sum(axis=0)
+    kept = total >= max(min_pixels, 1)
+    if noise.mean > max(noise.known, MAX_NOISE_SHARE * _typical_disparity(grid)):
+        kept[:] = False
     order = np.argsort(-total, kind='stable')
-    order = order[total[order] >= max(min_pixels, 1)]
+    order = order[kept[order]]
     measured = _measure(grid, counts[:, order], planes[order], noise, intrinsics)
     return measured, renumber(labels, order, len(planes))
 
@@ -77,6 +83,10 @@ def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     return found.reshape(-1, count + 1)[:, 1:].astype(float)
 
 
+def _typical_disparity(grid: CellGrid) -> float:
+    return float(np.median(grid.mean[grid.usable, 2])) if grid.usable.any() else 0.0
+
+
 def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Noise,
              intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
     """Measure planes (K, 3) from the number of their pixels in each cell, (R * C, K)."""
@@ -89,7 +99,8 @@ def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Nois
     depth_m = 1 / np.where(counts > 0, np.maximum(rays @ ray_planes.T, TINY_DISPARITY), np.inf)
     centroids_m = (counts * depth_m).T @ rays / pixels[:, None]
     centroids_m -= ((normals * centroids_m).sum(axis=1) + offsets_m)[:, None] * normals
-    areas_m2 = (counts * depth_m * depth_m * depth_m).sum(axis=0) / (intrinsics.fx * intrinsics.fy * offsets_m)
+    areas_m2 = (counts * depth_m * depth_m * depth_m).sum(axis=0) / (
+        intrinsics.fx * intrinsics.fy * offsets_m)
     rms_m = offsets_m * _relative_rms(grid, counts, planes)
     covariances = _covariances(grid, counts, noise, ray_planes, jacobian)
     shares = pixels / (intrinsics.width * intrinsics.height)
@@ -115,8 +126,8 @@ def confidence(share: float, covariance: np.ndarray) -> float:
         Of (normal, offset).
 
     """
-    return float(1 / (1 + np.exp(-np.dot(CONFIDENCE_WEIGHTS, confidence_features(
-        share, covariance)))))
+    features = confidence_features(share, covariance)
+    return float(1 / (1 + np.exp(-np.dot(CONFIDENCE_WEIGHTS, features))))
 
 
 def confidence_features(share: float, covariance: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from plane_detector.cells import picture_coordinates
 from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
-from plane_detector.ransac import CellModel, Patches, chi_squared
+from plane_detector.ransac import CellModel, Patches
 
 # Grain over this many times the floor is smoothed before pixels are told apart.
 SMOOTHED_GRAIN = 2.0

@@ -103,7 +103,6 @@ def test_a_single_wall_is_one_plane(sigma, yaw_deg):
     assert found.planes[0].offset_m == pytest.approx(3, abs=1e-3 if sigma == 0 else 0.05)
 
 
-@pytest.mark.xfail(strict=True, reason='structure everywhere is taken for noise')
 def test_where_everything_is_curved_there_is_no_plane():
     scene = bumps()
     found = segment_planes(scene.depth_m, scene.intrinsics)
