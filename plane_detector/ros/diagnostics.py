@@ -141,9 +141,11 @@ def model_facts(source: str, estimate_depth: Any) -> dict[str, str]:
     """Return where depth comes from: the network with the reason why it was taken, or a topic."""
     if source == 'topic':
         return {'depth_model': 'none, depth comes from the topic'}
-    name = getattr(estimate_depth, 'name', None) or type(estimate_depth).__name__
-    return {'depth_model': name, 'depth_model_reason': getattr(estimate_depth, 'reason', ''),
-            'execution_provider': getattr(estimate_depth, 'provider', '')}
+    facts = {'depth_model': getattr(estimate_depth, 'name', type(estimate_depth).__name__)}
+    for key, attribute in (('depth_model_reason', 'reason'), ('execution_provider', 'provider')):
+        if hasattr(estimate_depth, attribute):
+            facts[key] = getattr(estimate_depth, attribute)
+    return facts
 
 
 def status_to_msg(name: str, level: bytes, message: str, report: Report,

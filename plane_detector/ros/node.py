@@ -106,6 +106,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._failure = ''
         self._processor = FrameProcessor(
             detector, self._settings, self.resolve_topic_name(image_topic(self._settings)))
+        facts = model_facts(self._config.depth.source, detector.estimate_depth)
+        self.get_logger().info('; '.join(f'{name}: {fact}' for name, fact in facts.items()))
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -115,6 +117,7 @@ class PlaneDetectorNode(LifecycleNode):
                                   self._accept, self._statistics.add_dropped)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
+        self._failure = ''
         self._worker = FrameWorker(self._work_on)
         return super().on_activate(state)
 
@@ -154,7 +157,7 @@ class PlaneDetectorNode(LifecycleNode):
             start_s = time.perf_counter()
             for name, msg in processed.messages.items():
                 self._outputs[name].publish(msg)
-            self._scale_method = processed.result.detection.scale_method
+            self._tell_scale(processed.result.detection.scale_method)
             self._statistics.add_processed({**processed.stage_seconds,
                                             'publish': time.perf_counter() - start_s})
         except ValueError as error:
@@ -231,6 +234,12 @@ class PlaneDetectorNode(LifecycleNode):
         if not report.stage_seconds and self._settings.mode == 'continuous':
             return DiagnosticStatus.WARN, 'no frame lately', facts
         return DiagnosticStatus.OK, 'active', facts
+
+    def _tell_scale(self, method: str) -> None:
+        """Log what fixes the unit of depth, once at every change."""
+        if method != self._scale_method:
+            self._scale_method = method
+            self.get_logger().info(f'scale of the depth: {method}')
 
     # Parts of the transitions
 
