@@ -32,7 +32,7 @@ SIGMAS = (0.0, 0.004, 0.01)
 HELD_OUT = 1000
 """Rooms from this seed on were not looked at while the method was made."""
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
-_COLUMNS = ('method', 'noise (1/m)', 'rooms', 'SC', 'worst SC', 'VOI', 'RI', 'recall',
+_COLUMNS = ('method', 'noise (1/m)', 'rooms', 'SC', 'worst SC (seed)', 'VOI', 'RI', 'recall',
             'worst recall', 'precision', 'worst precision', 'normal error (deg)',
             'offset error (cm)')
 
@@ -95,7 +95,7 @@ def row(method: Method, seeds: Sequence[int], sigma: float) -> list[str]:
     cells = [method.name, f'{sigma:g}', str(len(scores))]
     covering, recall, precision = (
         column(name) for name in ('segmentation_covering', 'recall', 'precision'))
-    cells += [f'{covering.mean():.3f}', f'{covering.min():.2f}',
+    cells += [f'{covering.mean():.3f}', f'{covering.min():.2f} ({seeds[covering.argmin()]})',
               f'{column("variation_of_information").mean():.2f}',
               f'{column("rand_index").mean():.3f}']
     for values in (recall, precision):
