@@ -116,7 +116,8 @@ def collect(model: CellModel, found: list[tuple[np.ndarray, np.ndarray]]) -> Pat
     return Patches(labels.reshape(model.grid.shape), planes)
 
 
-def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig, dbscan: DbscanConfig,
+def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
+                dbscan: DbscanConfig | None,
                 rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
     Find planes among the cells, take them out, go on until none is left.
@@ -126,7 +127,9 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig, dbsca
     model : CellModel
     min_pixels : float
         Smallest plane.
-    ransac, dbscan : RansacConfig, DbscanConfig
+    ransac : RansacConfig
+    dbscan : DbscanConfig or None
+        None: a plane takes its inliers wherever in the picture they are.
     rng : numpy.random.Generator
         Draws the windows.
 
@@ -220,7 +223,7 @@ def _fit_windows(model: CellModel, free: np.ndarray,
 
 
 def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: float,
-                ransac: RansacConfig, dbscan: DbscanConfig):
+                ransac: RansacConfig, dbscan: DbscanConfig | None):
     """Yield plane and cells of the best hypothesis, take them out, and so on."""
     count, failures = model.grid.moments[:, 0], 0
     while len(batch.gain) and failures < MAX_FAILURES:
@@ -238,7 +241,7 @@ def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: f
 
 
 def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
-           ransac: RansacConfig, dbscan: DbscanConfig) -> tuple[np.ndarray, np.ndarray]:
+           ransac: RansacConfig, dbscan: DbscanConfig | None) -> tuple[np.ndarray, np.ndarray]:
     """
     Refit a plane to its inliers until they settle.
 
@@ -260,12 +263,9 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
         inliers = np.zeros(len(free), bool)
         chi_square = quadratic @ monomials(plane[None])[:, 0]
         inliers[candidates] = chi_square < ransac.inlier_threshold**2
-        clusters = grid_clusters(inliers.reshape(model.grid.shape), dbscan.eps,
-                                 dbscan.min_samples).ravel()
-        touched = np.bincount(clusters[members] + 1, minlength=2)[1:]
-        if not touched.any():
-            return plane, np.zeros_like(members)
-        grown = clusters == np.argmax(touched)
+        grown = _around(members, inliers.reshape(model.grid.shape), dbscan)
+        if not grown.any():
+            return plane, grown
         if (grown == members).all():
             break
         refitted = cells.fit_planes(grown.astype(float) @ model.grid.moments)
@@ -273,3 +273,12 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
             return plane, np.zeros_like(members)
         plane, members = refitted, grown
     return plane, members
+
+
+def _around(members: np.ndarray, inliers: np.ndarray, dbscan: DbscanConfig | None) -> np.ndarray:
+    """Return the density cluster of inliers (R, C) that holds most members, (R * C,) bool."""
+    if dbscan is None:
+        return inliers.ravel()
+    clusters = grid_clusters(inliers, dbscan.eps, dbscan.min_samples).ravel()
+    touched = np.bincount(clusters[members] + 1, minlength=2)[1:]
+    return clusters == np.argmax(touched) if touched.any() else np.zeros_like(members)

@@ -17,8 +17,8 @@ import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
 from plane_detector.calibration import calibrate, is_settled
-from plane_detector.cells import CellGrid, fit_planes, make_cells
-from plane_detector.config import Config
+from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coordinates
+from plane_detector.config import Config, DbscanConfig
 from plane_detector.creases import straighten
 from plane_detector.measurement import count_labels, measure_planes, renumber
 from plane_detector.merging import merge_patches
@@ -173,6 +173,51 @@ def _fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndar
     return planes[kept], renumber(labels, kept, len(planes))
 
 
+@one_blas_thread
+def ransac_alone(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                 config: Config | None = None) -> np.ndarray:
+    """
+    Label pixels by RANSAC without clustering, to show what clustering is good for.
+
+    Planes take their inliers wherever they are; there is no DBSCAN, no merging, no competition.
+
+    Parameters
+    ----------
+    depth_m, intrinsics, config
+        As in :func:`segment_planes`.
+
+    Returns
+    -------
+    (H, W) int32
+        Plane of each pixel, -1 none.
+
+    """
+    config = config or Config()
+    check_depth(depth_m, intrinsics)
+    disparity, valid = to_disparity(depth_m)
+    grid = make_cells(disparity, valid)
+    noise = estimate_noise(grid, config.ransac.noise_floor,
+                           known=config.segmentation.disparity_noise)
+    min_pixels = config.segmentation.min_plane_share * depth_m.size
+    _, patches, noise = _find_patches(grid, noise, min_pixels, config, None,
+                                      np.random.default_rng(config.ransac.seed))
+    return np.where(valid, _nearest_plane(disparity, patches.planes, noise,
+                                          config.ransac.inlier_threshold), -1)
+
+
+def _nearest_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
+                   threshold: float) -> np.ndarray:
+    """Return for each pixel the plane that it lies nearest to, -1 beyond the threshold."""
+    x, y = picture_coordinates(disparity.shape)
+    best = threshold**2 * (noise.mean**2 + noise.grain**2 + noise.floor(disparity))
+    labels = np.full(disparity.shape, -1, np.int32)
+    for k, (a, b, c) in enumerate(planes):
+        error = (disparity - (a * x + b * y[:, None] + c)) ** 2
+        labels[error < best] = k
+        best = np.minimum(best, error)
+    return labels
+
+
 def to_disparity(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return 1/depth, 0 where invalid, (H, W) float32, and where it is valid, (H, W) bool."""
     valid = valid_depth(depth_m) & (depth_m >= LEAST_DEPTH_M)
@@ -188,7 +233,8 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Nois
     """Return labels (H, W), planes (K, 3) of the cells' coordinates, and the noise."""
     threshold = config.ransac.inlier_threshold
     min_cell_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * disparity.size
-    model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, rng)
+    model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, config.dbscan,
+                                          rng)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
     patches = join_hidden(model, merge_patches(model, patches))
     if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
@@ -228,12 +274,13 @@ def _large_pieces(mask: np.ndarray, min_pixels: float) -> np.ndarray:
 
 
 def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
+                  dbscan: DbscanConfig | None,
                   rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
     """Find planes; start again while the largest planes say that the noise is another."""
     most = config.segmentation.max_planes
     for _ in range(CALIBRATION_ROUNDS):
         model = make_model(grid, noise)
-        search = peel_planes(model, min_pixels, config.ransac, config.dbscan, rng)
+        search = peel_planes(model, min_pixels, config.ransac, dbscan, rng)
         found = list(islice(search, min(CALIBRATION_PLANES, most)))
         calibrated = calibrate(model, collect(model, found), noise)
         if is_settled(model, noise, calibrated):

@@ -15,13 +15,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import rclpy
 from tqdm import tqdm
 
-from plane_detector.config import Config
 from plane_detector.model_zoo import NETWORKS, choose, fetch
-from plane_detector.paper import paper_labels
+from plane_detector.segmentation import ransac_alone
 from plane_detector.tools.node_client import NodeClient
 from plane_detector.tools.node_process import NodeProcess, use_private_domain
 from plane_detector.tools.pictures import Lens, Photograph, folder_pictures, library_pictures
@@ -104,15 +102,8 @@ def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome
         timing = client.measure(photograph, _MEASURED_S, _FRAME_TIMEOUT_S, tick)
     with _progress(f'{photograph.name}: RANSAC alone, for comparison') as tick:
         tick()
-        ransac_labels = ransac_alone(received.depth_m, photograph)
+        ransac_labels = ransac_alone(received.depth_m, photograph.intrinsics) + 1
     return Outcome(photograph, source, received, timing, ransac_labels)
-
-
-def ransac_alone(depth_m: np.ndarray, photograph: Photograph) -> np.ndarray:
-    """Return the label of each pixel by the paper's RANSAC, without its DBSCAN; 0 for none."""
-    labels, _ = paper_labels(depth_m, photograph.intrinsics, Config(), np.random.default_rng(0),
-                             cluster=False)
-    return labels + 1
 
 
 @contextmanager
