@@ -84,13 +84,7 @@ def test_tiny_pictures_are_segmented_or_not_but_never_wrong(shape):
         assert plane.offset_m == pytest.approx(2, abs=1e-3)
 
 
-NEAR_ZERO = pytest.mark.xfail(strict=True, reason='depth of less than any camera measures drowns '
-                              'the sums of all cells in rounding')
-
-
-@pytest.mark.parametrize('absurd_m', [
-    0.01, 1e-3, 1e6, 1e20, pytest.param(1e-6, marks=NEAR_ZERO),
-    pytest.param(1e-20, marks=NEAR_ZERO)])
+@pytest.mark.parametrize('absurd_m', [1e-20, 1e-6, 1e-3, 0.01, 1e6, 1e20])
 def test_one_absurd_pixel_changes_nothing_around_it(room, absurd_m):
     depth_m = room(SEEDS[1]).depth_m.copy()
     before = segment_planes(depth_m, VGA)
@@ -102,14 +96,12 @@ def test_one_absurd_pixel_changes_nothing_around_it(room, absurd_m):
 
 
 @pytest.mark.filterwarnings('error')
-@NEAR_ZERO
 def test_depth_of_almost_zero_is_survived():
     depth_m = np.full((480, 640), 1e-30, np.float32)
     assert_consistent(segment_planes(depth_m, VGA), depth_m)
 
 
 @pytest.mark.filterwarnings('error')
-@NEAR_ZERO
 def test_garbage_depth_is_survived():
     rng = np.random.default_rng(0)
     depth_m = rng.choice(np.float32([np.nan, np.inf, -np.inf, -3, 0, 1e-20, 0.5, 2, 1e20]),
