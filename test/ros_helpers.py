@@ -24,8 +24,9 @@ from visualization_msgs.msg import MarkerArray
 
 from plane_detector.types import CameraIntrinsics
 
-OUTPUT_TYPES = {'points': PointCloud2, 'planes': PointCloud2, 'labels': Image, 'depth': Image,
-                'overlay': Image, 'plane_poses': PoseArray, 'markers': MarkerArray}
+OUTPUT_TYPES = {'points': PointCloud2, 'points_without_floor': PointCloud2, 'planes': PointCloud2,
+                'labels': Image, 'depth': Image, 'overlay': Image, 'plane_poses': PoseArray,
+                'markers': MarkerArray}
 
 FRAME_ID = 'camera_optical_frame'
 

@@ -88,7 +88,7 @@ def test_points_are_organised_coloured_and_labelled():
 
 def test_planes_cloud():
     planes = (make_plane([0.0, 0.6, -0.8], 2.0), make_plane([0.0, -1.0, 0.0], 1.25))
-    msg = messages.planes_to_msg(header(2.0), planes, np.array([7, 9], np.uint32))
+    msg = messages.planes_to_msg(header(2.0), planes, np.array([7, 9], np.uint32), (1, 3))
     assert [f.name for f in msg.fields] == [
         'x', 'y', 'z', 'normal_x', 'normal_y', 'normal_z', 'd', 'label', 'num_inliers', 'rms',
         'area', 'class', 'confidence']
@@ -104,10 +104,16 @@ def test_planes_cloud():
     np.testing.assert_allclose(table['area'], 2.5)
     np.testing.assert_allclose(table['confidence'], 0.75)
     np.testing.assert_array_equal(table['num_inliers'], 1234)
+    np.testing.assert_array_equal(table['class'], [1, 3])
+
+
+def test_without_classes_they_are_unknown():
+    msg = messages.planes_to_msg(header(), (make_plane([0, 0, -1], 1.0),), np.array([1]), ())
+    assert cloud_array(msg)[0]['class'].tolist() == [0]
 
 
 def test_no_plane_is_an_empty_cloud_with_fields():
-    msg = messages.planes_to_msg(header(), (), np.zeros(0, np.uint32))
+    msg = messages.planes_to_msg(header(), (), np.zeros(0, np.uint32), ())
     assert (msg.height, msg.width, len(msg.data)) == (1, 0, 0)
     assert len(msg.fields) == 13
 

@@ -24,9 +24,10 @@ from ros_helpers import (
     image_array,
     image_msg,
 )
-from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import CompressedImage, Imu
 from std_srvs.srv import Trigger
 
+from plane_detector.plane_classes import PlaneClass
 from plane_detector.ros.node import PlaneDetectorNode
 from plane_detector.tools.scenes import random_room
 from plane_detector.types import CameraIntrinsics
@@ -285,13 +286,68 @@ def test_depth_of_unknown_unit_is_called_relative(robot, room):
         return 1 / room.depth_m
 
     estimate.output = 'relative_disparity'
-    start(robot, estimate, scale__method='none')
+    start(robot, estimate)
     send(robot, room)
     robot.wait_for('planes')
     assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
     captions = [m.text for m in robot.wait_for('markers')[0].markers if m.text]
     assert captions
     assert not any(text.endswith(' m') for text in captions)
+
+
+def test_with_gravity_the_floor_is_told_and_left_out(robot, room):
+    start(robot, lambda rgb: room.depth_m, scale__gravity=room.down_camera.tolist())
+    send(robot, room, 2.5)
+    (obstacles,) = robot.wait_for('points_without_floor')
+    table = cloud_array(robot.wait_for('planes')[0])[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    normal = np.array([floor['normal_x'], floor['normal_y'], floor['normal_z']])
+    assert normal @ room.down_camera < -0.999
+    assert PlaneClass.WALL in table['class']
+    assert obstacles.header == header(2.5)
+    points = cloud_array(obstacles)[0]
+    points_m = np.stack([points[axis] for axis in 'xyz'], axis=-1)
+    assert np.isfinite(points_m).all()
+    assert len(points) == np.isfinite(room.depth_m).sum() - floor['num_inliers']
+    on_floor = np.abs(points_m @ normal + floor['d']) < 0.02
+    assert on_floor.mean() < 0.05
+    captions = [marker.text for marker in robot.wait_for('markers')[0].markers if marker.text]
+    assert any('floor' in caption for caption in captions)
+
+
+def test_gravity_from_the_imu(robot, room):
+    start(robot, lambda rgb: room.depth_m, use_imu=True)
+    imu = Imu(header=header(1.0))
+    force = imu.linear_acceleration
+    force.x, force.y, force.z = (-9.81 * room.down_camera).tolist()
+    robot.publish('imu', imu)
+    robot.spin(timeout_s=0.2)
+    send(robot, room, 1.01)
+    assert PlaneClass.FLOOR in cloud_array(robot.wait_for('planes')[0])[0]['class']
+
+
+def test_without_gravity_there_is_no_cloud_of_obstacles(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room)
+    assert not cloud_array(robot.wait_for('planes')[0])[0]['class'].any()
+    robot.spin(timeout_s=0.3)
+    assert not robot.received['points_without_floor']
+
+
+def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
+    def estimate(rgb):
+        return (0.4 / room.depth_m - 0.03).astype(np.float32)
+
+    estimate.output = 'relative_disparity'
+    start(robot, estimate)
+    send(robot, room, 1.0, depth=True)
+    robot.wait_for('planes')
+    send(robot, room, 1.1, depth=True)
+    planes = robot.wait_for('planes', 2)[1]
+    labels = image_array(robot.wait_for('labels', 2)[1], '<u2')[..., 0]
+    assert_true_to(room, planes, labels)
+    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'depth_topic')
+    assert robot.is_logged('depth_topic')
 
 
 def test_region_of_interest_and_binning(robot, room):

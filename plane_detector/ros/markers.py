@@ -14,7 +14,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from plane_detector.drawing import label_colours
 from plane_detector.outline import plane_outline
+from plane_detector.plane_classes import PlaneClass
 from plane_detector.ros.messages import plane_labels
+from plane_detector.scale_estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 _NAMESPACES = ('outline', 'normal', 'caption')
@@ -49,7 +51,8 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
     for index, (plane, label, colour) in enumerate(zip(detection.planes, labels, colours,
                                                        strict=True)):
         corners_m = plane_outline(detection.labels == index, detection.depth_m, intrinsics, plane)
-        for marker in _plane_markers(header, plane, corners_m, _caption(plane, label, detection)):
+        caption = f'{label}: {_description(detection, index)}'
+        for marker in _plane_markers(header, plane, corners_m, caption):
             marker.id = int(label)
             marker.color = ColorRGBA(**dict(zip('rgb', (colour / 255.0).tolist(), strict=True)),
                                      a=1.0)
@@ -72,10 +75,12 @@ def _plane_markers(header: Header, plane: Plane, corners_m: np.ndarray,
     return outline, normal, text
 
 
-def _caption(plane: Plane, label: int, detection: Detection) -> str:
-    """Label and distance; without a unit where it is not known."""
-    unit = '' if detection.scale_method == 'relative' else ' m'
-    return f'{label}: {plane.offset_m:.2f}{unit}'
+def _description(detection: Detection, index: int) -> str:
+    """Class, where it is known, and distance; without a unit where that is not known."""
+    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
+    name = '' if kind == PlaneClass.UNKNOWN else kind.name.lower().replace('_', ' ') + ' '
+    unit = '' if detection.scale_method == RELATIVE else ' m'
+    return f'{name}{detection.planes[index].offset_m:.2f}{unit}'
 
 
 def _marker(header: Header, name: str, kind: int, points_m: Iterable[np.ndarray]) -> Marker:

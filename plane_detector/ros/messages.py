@@ -22,6 +22,7 @@ from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4'),
                         ('label', '<u4')])
+XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
 PLANE_DTYPE = np.dtype([
     ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
     ('normal_x', '<f4'), ('normal_y', '<f4'), ('normal_z', '<f4'), ('d', '<f4'),
@@ -120,7 +121,15 @@ def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
     return _cloud_msg(header, POINT_DTYPE, data, height, width)
 
 
-def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray) -> PointCloud2:
+def obstacles_to_msg(header: Header, points_m: np.ndarray) -> PointCloud2:
+    """Return points (N, 3), all valid, as an unorganised cloud with the fields x y z."""
+    data = array.array('B')
+    data.frombytes(np.ascontiguousarray(points_m, '<f4').data.cast('B'))
+    return _cloud_msg(header, XYZ_DTYPE, data, 1, len(points_m))
+
+
+def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray,
+                  classes: tuple[int, ...]) -> PointCloud2:
     """
     Return the coefficients: one point per plane, at its centroid; none is an empty cloud.
 
@@ -132,9 +141,12 @@ def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray)
         normal . p + d = 0 with d >= 0.
     labels : (N,) uint32
         Of these planes.
+    classes : tuple of int
+        PlaneClass of these planes; empty: all unknown.
 
     """
     table = np.zeros(len(planes), PLANE_DTYPE)
+    table['class'] = classes or 0
     for row, plane, label in zip(table, planes, labels, strict=True):
         row['x'], row['y'], row['z'] = plane.centroid_m
         row['normal_x'], row['normal_y'], row['normal_z'] = plane.normal
@@ -196,7 +208,7 @@ def _cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
               for name, (kind, offset) in dtype.fields.items()]
     msg = PointCloud2(header=header, height=height, width=width, fields=fields,
                       is_bigendian=False, point_step=dtype.itemsize,
-                      row_step=dtype.itemsize * width, is_dense=dtype is PLANE_DTYPE)
+                      row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE)
     msg.data = data  # after the constructor, which would copy it item by item
     return msg
 

@@ -38,6 +38,7 @@ from plane_detector.ros.outputs import OUTPUTS
 from plane_detector.ros.process import answer_impossible_transitions, run
 from plane_detector.ros.processing import FrameProcessor
 from plane_detector.ros.worker import FrameWorker
+from plane_detector.types import Detection
 
 _WARN_PERIOD_S = 5.0
 
@@ -74,7 +75,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Inputs | None = None
         self._outputs: dict[str, Any] = {}
         self._frame_requested = self._reset_requested = False
-        self._failure = self._last_reason = self._scale_method = ''
+        self._failure = self._last_reason = ''
+        self._scale_facts: dict[str, str] = {}
         self.create_service(Trigger, '~/detect', self._on_detect)
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
@@ -157,7 +159,7 @@ class PlaneDetectorNode(LifecycleNode):
             start_s = time.perf_counter()
             for name, msg in processed.messages.items():
                 self._outputs[name].publish(msg)
-            self._tell_scale(processed.result.detection.scale_method)
+            self._tell_scale(processed.result.detection)
             self._statistics.add_processed({**processed.stage_seconds,
                                             'publish': time.perf_counter() - start_s})
         except ValueError as error:
@@ -217,8 +219,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
-        facts = {'state': self.state, 'mode': self._settings.mode,
-                 'scale': self._scale_method}
+        facts = {'state': self.state, 'mode': self._settings.mode, **self._scale_facts}
         if self._processor is not None:
             facts.update(model_facts(self._config.depth.source,
                                      self._processor.detector.estimate_depth))
@@ -235,11 +236,11 @@ class PlaneDetectorNode(LifecycleNode):
             return DiagnosticStatus.WARN, 'no frame lately', facts
         return DiagnosticStatus.OK, 'active', facts
 
-    def _tell_scale(self, method: str) -> None:
-        """Log what fixes the unit of depth, once at every change."""
-        if method != self._scale_method:
-            self._scale_method = method
-            self.get_logger().info(f'scale of the depth: {method}')
+    def _tell_scale(self, detection: Detection) -> None:
+        """Keep what fixes the unit of depth for the diagnostics; log every change of it."""
+        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note}
+        if detection.scale_event:
+            self.get_logger().info(detection.scale_event)
 
     # Parts of the transitions
 

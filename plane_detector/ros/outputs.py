@@ -22,8 +22,10 @@ from visualization_msgs.msg import MarkerArray
 from plane_detector.backprojection import depth_to_points
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import overlay
+from plane_detector.plane_classes import PlaneClass
 from plane_detector.ros import messages
 from plane_detector.ros.markers import markers_to_msg
+from plane_detector.scale_estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection
 
 
@@ -62,24 +64,46 @@ class Result:
         return messages.pixel_labels(self.detection)
 
 
+    @cached_property
+    def points_m(self) -> np.ndarray:
+        """The point of each pixel, (H, W, 3) float32."""
+        return depth_to_points(self.detection.depth_m, self.intrinsics)
+
+    @property
+    def thinned(self) -> tuple[slice, slice]:
+        """The rows and columns that the clouds hold."""
+        return (slice(None, None, self.settings.points_decimation),) * 2
+
+
 class Output(NamedTuple):
-    """Type of a topic's messages, and how one is made of a result."""
+    """Type of a topic's messages, and how one is made of a result; None: there is none now."""
 
     msg_type: Any
     make: Callable[[Result], Any]
 
 
 def _points(result: Result) -> PointCloud2:
-    thinned = (slice(None, None, result.settings.points_decimation),) * 2
-    points_m = depth_to_points(result.detection.depth_m, result.intrinsics)
-    return messages.points_to_msg(result.header, points_m[thinned],
+    thinned = result.thinned
+    return messages.points_to_msg(result.header, result.points_m[thinned],
                                   np.ascontiguousarray(result.rgb[thinned]),
                                   result.labels[thinned])
 
 
+def _points_without_floor(result: Result) -> PointCloud2 | None:
+    """Obstacles: nothing rather than all or no points while the floor or the unit is not known."""
+    detection = result.detection
+    if not any(detection.classes) or detection.scale_method == RELATIVE:
+        return None
+    is_floor = np.append([kind == PlaneClass.FLOOR for kind in detection.classes], False)
+    points_m, labels = result.points_m[result.thinned], detection.labels[result.thinned]
+    return messages.obstacles_to_msg(
+        result.header, points_m[~is_floor[labels] & np.isfinite(points_m[..., 2])])
+
+
 def _planes(result: Result) -> PointCloud2:
     return messages.planes_to_msg(result.header, result.detection.planes,
-                                  messages.plane_labels(result.detection))
+                                  messages.plane_labels(result.detection),
+                                  result.detection.classes)
 
 
 def _poses(result: Result) -> PoseArray:
@@ -105,6 +129,7 @@ def _overlay(result: Result) -> Image:
 
 OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, _points),
+    'points_without_floor': Output(PointCloud2, _points_without_floor),
     'planes': Output(PointCloud2, _planes),
     'plane_poses': Output(PoseArray, _poses),
     'markers': Output(MarkerArray, _markers),

@@ -26,7 +26,7 @@ class Processed:
     Attributes
     ----------
     messages : mapping of str to message
-        By the name of the output, only those that were wanted.
+        By the name of the output: of those that were wanted, those that there are now.
     result : Result
         What they are made of.
     stage_seconds : mapping of str to float
@@ -82,11 +82,13 @@ class FrameProcessor:
             self._epoch = frame.epoch
         picture = self._converter.convert(frame, self.settings)
         converted_s = time.perf_counter()
-        detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m)
+        detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m,
+                                         frame.down_camera)
         detected_s = time.perf_counter()
         result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
                         self.settings, self._shown)
-        made = {name: OUTPUTS[name].make(result) for name in wanted}
+        made = {name: msg for name in wanted
+                if (msg := OUTPUTS[name].make(result)) is not None}
         self._remember_markers(detection, made)
         return Processed(made, result, {
             'convert': converted_s - start_s, **detection.stage_seconds,
