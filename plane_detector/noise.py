@@ -123,9 +123,10 @@ def _window_statistics(grid: CellGrid) -> np.ndarray:
     values = np.hstack([cells.mean_moments(grid), grid.slope, slope_square,
                         grid.inner_rms[:, None] ** 2]) * usable
     side = min(WINDOW_CELLS, *grid.shape)
-    table = cells.summed_area_table(values.reshape(*grid.shape, -1))
-    starts = cells.window_starts(grid.shape, side, max(1, side // 3))
-    sums = cells.window_sums(table, *starts, side)
+    rows, columns = grid.shape[0] // side, grid.shape[1] // side
+    tiles = values.reshape(*grid.shape, -1)[:rows * side, :columns * side]
+    sums = tiles.reshape(rows, side, columns * side, -1).sum(axis=1)
+    sums = sums.reshape(rows, columns, side, -1).sum(axis=2).reshape(rows * columns, -1)
     sums = sums[sums[:, cells.N] > max(0.75 * side**2, 3)]
     planes, count = cells.fit_planes(sums), sums[:, cells.N]
     mean = cells.squared_error(planes, sums) / (count - 3)

@@ -34,7 +34,7 @@ WINDOW_MAX_VARIANCES = 2.5
 ROUND_PLANE_SHARE = 0.1
 REFINEMENTS = 4
 # A hypothesis that refines to nothing costs time; after this many in a row the round is over.
-MAX_FAILURES = 12
+MAX_FAILURES = 6
 
 
 @dataclass(frozen=True)

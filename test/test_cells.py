@@ -103,19 +103,15 @@ def test_points_on_a_line_have_no_plane(points):
     assert np.isnan(cells.fit_planes(moments)).all()
 
 
-@pytest.mark.parametrize(('side', 'stride'), [(1, 1), (3, 1), (4, 3), (7, 2)])
-def test_window_sums_equal_loops_over_windows(side, stride):
-    values = np.random.default_rng(5).normal(size=(11, 7, 2))
-    expected = [values[r:r + side, c:c + side].sum((0, 1))
-                for r in range(0, 11 - side + 1, stride) for c in range(0, 7 - side + 1, stride)]
-    rows, columns = cells.window_starts((11, 7), side, stride)
-    sums = cells.window_sums(cells.summed_area_table(values), rows, columns, side)
-    np.testing.assert_allclose(sums, expected, atol=1e-12)
-
-
-def test_a_window_larger_than_the_grid_has_no_place():
-    rows, columns = cells.window_starts((5, 3), 4, 1)
-    assert rows.size == columns.size == 0
+def test_only_the_cells_that_are_looked_at_are_summed_up():
+    disparity, valid = disparity_image(np.random.default_rng(5))
+    valid[:, disparity.shape[1] // 3:] = False
+    disparity[~valid] = 0
+    dense = cells.make_cells(disparity, valid)
+    sparse = cells.make_cells(disparity, valid, sparse=True)
+    np.testing.assert_allclose(sparse.moments, dense.moments, atol=1e-9)
+    np.testing.assert_array_equal(sparse.usable, dense.usable)
+    np.testing.assert_allclose(sparse.slope, dense.slope, atol=1e-6)
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (480, 640), (3000, 4000)])
