@@ -60,7 +60,7 @@ def collect_frames(data: Path) -> list[Frame]:
     for source in (lambda: frames(data), library_frames):
         try:
             found += source()
-        except (FileNotFoundError, ModuleNotFoundError) as error:
+        except (FileNotFoundError, ImportError) as error:
             emit(f'Not looked at: {error}.')
     return found
 

@@ -100,8 +100,8 @@ def library_frames() -> list[Frame]:
 
     Raises
     ------
-    ModuleNotFoundError
-        scikit-image is not installed.
+    ImportError
+        scikit-image, or Pillow that reads its pictures, is not installed.
 
     """
     return [Frame('libraries', picture.name, picture.rgb, picture.true_depth_m,
