@@ -146,8 +146,9 @@ class ScaleConfig(Checked):
     disparity_shift: float = _setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
     reference_focal_px: float = _setting(
-        0.0, 'focal length, at the width of this picture, of the camera that a metric network '
-        'assumes: depth is multiplied by fx / this; 0: off', 'px', 0.0, 1e5)
+        -1.0, 'focal length, at the width of this picture, of the camera that a metric network '
+        'assumes: depth is multiplied by fx / this; -1: the one that a network of the zoo is '
+        'known to be trained with; 0: no correction', 'px', -1.0, 1e5)
     camera_height: float = _setting(
         0.0, 'height of the camera above the floor, 0: unknown', 'm', 0.0, 1000.0)
     gravity: tuple[float, ...] = _setting(

@@ -14,6 +14,7 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.depth import DepthEstimator
 from plane_detector.gravity import unit_direction
+from plane_detector.lens import lens_factor
 from plane_detector.plane_classes import PlaneClass, classify_planes, refine_gravity
 from plane_detector.scale import COARSE_GRAVITY_DEG, estimate_scale
 from plane_detector.scale_estimate import ScaleEstimate, apply_scale, to_disparity
@@ -88,7 +89,7 @@ class PlaneDetector:
         """
         stages = Stages()
         with stages('depth'):
-            prediction, output = self._predict(rgb, depth_m)
+            prediction, output = self._predict(rgb, intrinsics, depth_m)
         with stages('segmentation'):
             labels, found = self._segment(prediction, output, intrinsics)
         with stages('scale'):
@@ -116,9 +117,7 @@ class PlaneDetector:
         return segment_disparity(disparity, self.config, disparity_noise=known), None
 
     def _metres_are_right(self) -> bool:
-        scale = self.config.scale
-        return self._is_measured() or (
-            scale.method in ('auto', 'metric') and scale.reference_focal_px == 0)
+        return self._is_measured() or self.config.scale.method in ('auto', 'metric')
 
     def _is_measured(self) -> bool:
         return self.config.depth.source == 'topic' and self.estimate_depth is None
@@ -129,7 +128,7 @@ class PlaneDetector:
         """Return what fixes the unit of this picture, given those before."""
         config = self.config.scale
         if self._is_measured():
-            config, depth_m = replace(config, method='metric', reference_focal_px=0.0), None
+            config, depth_m = replace(config, method='metric'), None
         measured = estimate_scale(to_disparity(prediction, output), labels, intrinsics, config,
                                   output=output, gravity_camera=down_camera,
                                   sensor_depth_m=depth_m)
@@ -164,7 +163,8 @@ class PlaneDetector:
         self._tracker.config = self.config.tracking
         return self._tracker.update(found)
 
-    def _predict(self, rgb: np.ndarray, depth_m: np.ndarray | None) -> tuple[np.ndarray, str]:
+    def _predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
+                 depth_m: np.ndarray | None) -> tuple[np.ndarray, str]:
         """Return what is segmented and what it means."""
         if self._is_measured():
             if depth_m is None:
@@ -175,7 +175,17 @@ class PlaneDetector:
         if prediction.shape != rgb.shape[:2]:
             raise ValueError(f'depth of shape {prediction.shape} for a picture of shape '
                              f'{rgb.shape[:2]}: they must be of one size')
-        return prediction, 'metric_depth' if output == 'auto' else output
+        output = 'metric_depth' if output == 'auto' else output
+        return self._without_lens(prediction, output, intrinsics), output
+
+    def _without_lens(self, prediction: np.ndarray, output: str,
+                      intrinsics: CameraIntrinsics) -> np.ndarray:
+        """Correct metres for another lens than that of the network's training."""
+        factor = lens_factor(intrinsics, self.config.scale.reference_focal_px,
+                             getattr(self.estimate_depth, 'focal_per_height', 0.0))
+        if output == 'relative_disparity' or factor == 1.0:
+            return prediction
+        return prediction * np.float32(factor if output == 'metric_depth' else 1 / factor)
 
 
 class Stages:

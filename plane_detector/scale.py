@@ -131,10 +131,8 @@ def _unitless(picture: _Picture, tau: float, method: str, has_true_angles: bool,
 def _metric(picture: _Picture) -> ScaleEstimate | str:
     if picture.output == 'relative_disparity':
         return 'the network gives no metres'
-    reference_px = picture.config.reference_focal_px
-    scale = reference_px / picture.intrinsics.fx if reference_px > 0 else 1.0
-    note = 'the network\'s metres' + (f' times {1 / scale:.4g}' if scale != 1 else '')
-    return ScaleEstimate(scale, 0.0, 'metric', True, True, np.nan, note, picture.span)
+    return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, 'the network\'s metres',
+                         picture.span)
 
 
 def _depth_topic(picture: _Picture) -> ScaleEstimate | str:

@@ -104,14 +104,12 @@ def test_relative_depth_is_positive_and_one_in_the_middle():
     assert np.isfinite(depth).mean() > 0.98
 
 
-@pytest.mark.parametrize('reference_px, factor', [(0.0, 1.0), (525.0, 0.5)])
-def test_metric_network_and_its_focal_length(reference_px, factor):
+def test_metric_network_keeps_its_metres():
     scene = room()
     disparity = to_disparity(scene.depth_m, 'metric_depth')
-    scale = estimate_scale(disparity, scene.labels, SMALL,
-                           ScaleConfig(reference_focal_px=reference_px), output='metric_depth')
+    scale = estimate_scale(disparity, scene.labels, SMALL, output='metric_depth')
     assert scale.method == 'metric' and scale.is_metric
-    np.testing.assert_allclose(apply_scale(disparity, scale), factor * scene.depth_m, rtol=1e-5)
+    np.testing.assert_allclose(apply_scale(disparity, scale), scene.depth_m, rtol=1e-5)
 
 
 def test_a_relative_network_is_never_taken_for_a_metric_one():

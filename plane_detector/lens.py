@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Metric networks do not see the lens: they take every picture for one of the camera that they were
+trained on. A longer lens makes things look nearer than they are by the ratio of the focal lengths
+(the canonical camera of Metric3D, Yin et al. 2023), which multiplying the depth undoes.
+"""
+
+from __future__ import annotations
+
+from plane_detector.types import CameraIntrinsics
+
+OWN_FOCAL = -1.0
+
+
+def lens_factor(intrinsics: CameraIntrinsics, reference_focal_px: float,
+                focal_per_height: float) -> float:
+    """
+    Return what the metres of a network have to be multiplied with.
+
+    Parameters
+    ----------
+    intrinsics : CameraIntrinsics
+        Of the picture.
+    reference_focal_px : float
+        Focal length that the network assumes, at the width of the picture; 0: no correction;
+        OWN_FOCAL: the one that the network is known to be trained with.
+    focal_per_height : float
+        Focal length over picture height that the network is known to be trained with, 0: unknown.
+
+    Returns
+    -------
+    float
+        1 where nothing is to be corrected or nothing is known.
+
+    """
+    if reference_focal_px > 0:
+        return intrinsics.fx / reference_focal_px
+    if reference_focal_px == OWN_FOCAL and focal_per_height > 0:
+        return intrinsics.fy / intrinsics.height / focal_per_height
+    return 1.0
