@@ -60,8 +60,8 @@ class PlaneDetector:
         self._tracker.reset()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
-               depth_m: np.ndarray | None = None,
-               down_camera: np.ndarray | None = None) -> Detection:
+               depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
+               covered: np.ndarray | None = None) -> Detection:
         """
         Find the planes of a picture.
 
@@ -76,6 +76,9 @@ class PlaneDetector:
             it is what is segmented, and must be there; with ``model`` it may fix the scale.
         down_camera : (3,) floating, optional
             Measured direction of gravity; default: ``config.scale.gravity``.
+        covered : (H, W) bool, optional
+            Where the picture shows something; rectification leaves corners black, and a network
+            has a depth for these too.
 
         Returns
         -------
@@ -90,6 +93,8 @@ class PlaneDetector:
         stages = Stages()
         with stages('depth'):
             prediction, output = self._predict(rgb, intrinsics, depth_m)
+            if covered is not None:
+                prediction = np.where(covered, prediction, np.float32(np.nan))
         with stages('segmentation'):
             labels, found = self._segment(prediction, output, intrinsics)
         with stages('scale'):
@@ -169,14 +174,19 @@ class PlaneDetector:
         if self._is_measured():
             if depth_m is None:
                 raise ValueError('depth.source is topic, but no depth image was given')
-            return np.asarray(depth_m, np.float32), 'metric_depth'
+            return self._within_max_depth(np.asarray(depth_m, np.float32)), 'metric_depth'
         output = getattr(self.estimate_depth, 'output', self.config.depth.output)
+        if isinstance(self.estimate_depth, DepthEstimator):
+            self.estimate_depth.max_depth_m = self.config.depth.max_depth
         prediction = np.asarray(self.estimate_depth(rgb), np.float32)
         if prediction.shape != rgb.shape[:2]:
             raise ValueError(f'depth of shape {prediction.shape} for a picture of shape '
                              f'{rgb.shape[:2]}: they must be of one size')
         output = 'metric_depth' if output == 'auto' else output
-        return self._without_lens(prediction, output, intrinsics), output
+        prediction = self._without_lens(prediction, output, intrinsics)
+        if output == 'metric_depth':
+            prediction = self._within_max_depth(prediction)
+        return prediction, output
 
     def _without_lens(self, prediction: np.ndarray, output: str,
                       intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -186,6 +196,9 @@ class PlaneDetector:
         if output == 'relative_disparity' or factor == 1.0:
             return prediction
         return prediction * np.float32(factor if output == 'metric_depth' else 1 / factor)
+
+    def _within_max_depth(self, depth_m: np.ndarray) -> np.ndarray:
+        return np.where(depth_m <= self.config.depth.max_depth, depth_m, np.float32(np.nan))
 
 
 class Stages:

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metres of a network that was trained with another lens."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from plane_detector.config import Config, ScaleConfig
+from plane_detector.config import Config, DepthConfig, ScaleConfig
 from plane_detector.lens import OWN_FOCAL, lens_factor
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.tools.scenes import VGA, single_wall
@@ -39,14 +37,14 @@ def test_the_pipeline_corrects_the_lens_unless_told_not_to(output):
     corrected = PlaneDetector(Config(), network).detect(scene.rgb, VGA)
     assert corrected.planes[0].offset_m == pytest.approx(scene.planes[0, 3], rel=1e-3)
     np.testing.assert_allclose(corrected.depth_m, scene.depth_m, rtol=1e-5)
-    plain = replace(Config(), scale=ScaleConfig(reference_focal_px=0.0))
+    plain = Config(scale=ScaleConfig(reference_focal_px=0.0))
     as_it_is = PlaneDetector(plain, network).detect(scene.rgb, VGA)
     assert as_it_is.planes[0].offset_m == pytest.approx(scene.planes[0, 3] / 2, rel=1e-3)
 
 
 def test_measured_depth_has_no_lens():
     scene = single_wall(distance_m=3.0)
-    config = replace(Config(), depth=replace(Config().depth, source='topic'),
-                     scale=ScaleConfig(reference_focal_px=100.0))
+    config = Config(depth=DepthConfig(source='topic'),
+                    scale=ScaleConfig(reference_focal_px=100.0))
     found = PlaneDetector(config).detect(scene.rgb, VGA, scene.depth_m)
     assert found.planes[0].offset_m == pytest.approx(scene.planes[0, 3], rel=1e-4)

@@ -9,7 +9,7 @@ from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_plan
 from plane_detector.config import DepthConfig, ScaleConfig
 from plane_detector.pipeline import Stages
 from plane_detector.tools.peers import plane_array
-from plane_detector.tools.scenes import random_room
+from plane_detector.tools.scenes import random_room, single_wall
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)
@@ -123,3 +123,23 @@ def test_the_picture_is_not_modified():
     before = SCENE.rgb.copy()
     detect(Network('metric_depth'))
     np.testing.assert_array_equal(SCENE.rgb, before)
+
+
+def test_what_the_picture_does_not_cover_has_no_depth_and_no_plane():
+    scene = single_wall()
+    covered = np.ones(scene.depth_m.shape, bool)
+    covered[:, :100] = False
+    found = PlaneDetector(Config(), lambda rgb: scene.depth_m).detect(
+        scene.rgb, scene.intrinsics, covered=covered)
+    assert np.isnan(found.depth_m[:, :100]).all()
+    assert (found.labels[:, :100] == -1).all() and (found.labels[:, 100:] == 0).all()
+
+
+@pytest.mark.parametrize('source', ['model', 'topic'])
+def test_depth_beyond_the_largest_is_invalid_whatever_its_source(source):
+    scene = single_wall(yaw_deg=40.0)
+    limit_m = float(np.median(scene.depth_m))
+    config = Config(depth=DepthConfig(source=source, max_depth=limit_m))
+    network = (lambda rgb: scene.depth_m) if source == 'model' else None
+    found = PlaneDetector(config, network).detect(scene.rgb, scene.intrinsics, scene.depth_m)
+    np.testing.assert_array_equal(np.isnan(found.depth_m), scene.depth_m > limit_m)

@@ -35,12 +35,15 @@ class Picture:
         Of it.
     depth_m : (H, W) float32 or None
         Measured depth, metres, NaN invalid.
+    covered : (H, W) bool or None
+        Where the original picture had pixels; None: everywhere.
 
     """
 
     rgb: np.ndarray
     intrinsics: CameraIntrinsics
     depth_m: np.ndarray | None
+    covered: np.ndarray | None = None
 
 
 class PictureConverter:
@@ -77,11 +80,11 @@ class PictureConverter:
         depth_m = None
         if frame.depth is not None:
             depth_m = _fit_depth(encodings.depth_from_msg(frame.depth), intrinsics)
-        if rectify:
-            rectification = self._rectification_of(info)
-            rgb = rectification.picture(rgb)
-            depth_m = None if depth_m is None else rectification.depth(depth_m)
-        return Picture(rgb, intrinsics, depth_m)
+        if not rectify:
+            return Picture(rgb, intrinsics, depth_m)
+        rectification = self._rectification_of(info)
+        depth_m = None if depth_m is None else rectification.depth(depth_m)
+        return Picture(rectification.picture(rgb), intrinsics, depth_m, rectification.inside())
 
     def _is_to_rectify(self, info: CameraInfo, rectify: str) -> bool:
         if rectify == 'auto':

@@ -83,7 +83,7 @@ class FrameProcessor:
         picture = self._converter.convert(frame, self.settings)
         converted_s = time.perf_counter()
         detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m,
-                                         frame.down_camera)
+                                         frame.down_camera, picture.covered)
         detected_s = time.perf_counter()
         result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
                         self.settings, self._shown)
