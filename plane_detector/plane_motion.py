@@ -24,7 +24,9 @@ _NORMAL_SPREAD_RAD = np.radians(1.0)
 _TURN_SPREAD_RAD = np.radians(2.0)
 # How planes of one rigid scene stray, and how far a camera moves between two pictures, as shares
 # of the distance of what it sees.
-_OFFSET_SPREAD, _STEP_SPREAD, _SCALE_SPREAD = 0.02, 0.04, 0.04
+_OFFSET_SPREAD, _STEP_SPREAD, _SCALE_SPREAD = 0.02, 0.1, 0.04
+# At first any turn, and a jump of the unit by any factor, is nearly as likely as none.
+_FIRST_CAUTION = 0.01
 
 
 @dataclass(frozen=True)
@@ -105,14 +107,16 @@ def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray
 def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) that turns normals (N, 3) into each other."""
     rotation = np.eye(3)
-    robust = weights
+    robust, caution = weights, _FIRST_CAUTION
     for _ in range(_ROUNDS):
-        moment = (after * robust[:, None]).T @ before + _NO_TURN_WEIGHT * np.eye(3)
+        moment = (after * robust[:, None]).T @ before + caution * _NO_TURN_WEIGHT * np.eye(3)
         left, _, right = np.linalg.svd(moment)
         left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
         rotation = left @ right
         error_rad = np.linalg.norm(before @ rotation.T - after, axis=1)
         robust = weights * _cauchy(error_rad / _TURN_SPREAD_RAD)
+        turn_rad = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
+        caution = _cauchy(turn_rad / _TURN_SPREAD_RAD)
     return rotation
 
 
@@ -124,14 +128,14 @@ def _translation_and_scale(normals: np.ndarray, before: np.ndarray, after: np.nd
     # Unknowns: t as a share of the typical distance, and scale - 1.
     system = np.column_stack([-normals * typical_m, before]) / distances_m[:, None]
     change = (after - before) / distances_m
-    spread = np.array([_STEP_SPREAD] * 3 + [_SCALE_SPREAD])
-    unknown = np.zeros(4)
+    prior = np.array([_STEP_SPREAD] * 3 + [_SCALE_SPREAD]) ** -2
+    robust, caution = weights, np.array([1.0, 1.0, 1.0, _FIRST_CAUTION])
     for _ in range(_ROUNDS):
-        robust = weights * _cauchy((system @ unknown - change) / _OFFSET_SPREAD)
         normal_matrix = (system.T * robust) @ system / _OFFSET_SPREAD ** 2
-        prior = np.diag(_cauchy(unknown / spread) / spread ** 2)
-        unknown = np.linalg.solve(normal_matrix + prior,
+        unknown = np.linalg.solve(normal_matrix + np.diag(caution * prior),
                                   system.T @ (robust * change) / _OFFSET_SPREAD ** 2)
+        robust = weights * _cauchy((system @ unknown - change) / _OFFSET_SPREAD)
+        caution = _cauchy(unknown * np.sqrt(prior))
     return unknown[:3] * typical_m, float(np.clip(1 + unknown[3], 0.01, 100.0))
 
 

@@ -1,0 +1,136 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""How much planes of two pictures are alike: by their pixels, their place, their coefficients."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.types import Plane
+
+_TINY = 1e-12
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """
+    Pixels that known planes share with found ones.
+
+    Attributes
+    ----------
+    of_union : (T, N) float64
+        As a share of the pixels of either: 1 only for the same pixels.
+    of_known : (T, N) float64
+        As a share of those of the known plane: 1 also for each of the parts that have become one.
+
+    """
+
+    of_union: np.ndarray
+    of_known: np.ndarray
+
+
+def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> Overlap:
+    """Return what planes share, each given by the indices of its pixels."""
+    size = 1 + max((int(pixels.max(initial=0)) for pixels in (*before, *after)), default=0)
+    plane = np.zeros(size, np.intp)
+    for index, pixels in enumerate(after):
+        plane[pixels] = index + 1
+    common = np.array([np.bincount(plane[pixels], minlength=len(after) + 1)[1:]
+                       for pixels in before]).reshape(len(before), len(after))
+    before_size = np.array([len(pixels) for pixels in before], int)[:, None]
+    after_size = np.array([len(pixels) for pixels in after], int)
+    return Overlap(common / np.maximum(before_size + after_size - common, 1),
+                    common / np.maximum(before_size, 1))
+
+
+def places_agree(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap) -> np.ndarray:
+    """
+    Return how far planes are at the same place, (T, N), 0 to 1.
+
+    By the pixels that they share or, where the camera turned so far that they share none, by
+    how near their centroids are for their size.
+    """
+    shared = (overlap.of_union + overlap.of_known) / 2
+    return np.maximum(shared, _nearness(_stack(before), _stack(after)))
+
+
+def squared_deviation(before: Sequence[Plane], after: Sequence[Plane], angle_deg: float,
+                      offset_share: float, growth: np.ndarray | float = 1.0) -> np.ndarray:
+    """
+    Return by how many standard deviations coefficients differ, (T, N), squared.
+
+    Parameters
+    ----------
+    before, after : sequence of Plane
+        T and N planes, in one camera frame.
+    angle_deg : float
+        Standard deviation of the angle between normals, to which that of the fits is added.
+    offset_share : float
+        The same for the distance of one plane's centroid from the other plane, as a share of
+        its distance from the camera.
+    growth : (T,) float or float
+        Factor on these variances.
+
+    """
+    return _squared_deviation(_stack(before), _stack(after), angle_deg, offset_share,
+                              np.reshape(growth, (-1, 1)))
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """
+    Planes as arrays.
+
+    Attributes
+    ----------
+    normal, centroid_m : (N, 3) float64
+    offset_m, distance_m, area_m2 : (N,) float64
+        Of the plane from the camera, of the centroid from the camera, of the plane.
+    normal_variance, distance_variance : (N,) float64
+        Squared radians; squared shares of the distance, at the centroid.
+
+    """
+
+    normal: np.ndarray
+    centroid_m: np.ndarray
+    offset_m: np.ndarray
+    distance_m: np.ndarray
+    area_m2: np.ndarray
+    normal_variance: np.ndarray
+    distance_variance: np.ndarray
+
+
+def _stack(planes: Sequence[Plane]) -> _Stack:
+    centroid_m = np.stack([plane.centroid_m for plane in planes])
+    distance_m = np.maximum(np.linalg.norm(centroid_m, axis=1), _TINY)
+    covariance = np.stack([plane.covariance for plane in planes])
+    point = np.column_stack([centroid_m, np.ones(len(planes))])
+    return _Stack(
+        np.stack([plane.normal for plane in planes]), centroid_m,
+        np.array([plane.offset_m for plane in planes]), distance_m,
+        np.array([plane.area_m2 for plane in planes]),
+        np.trace(covariance[:, :3, :3], axis1=1, axis2=2),
+        np.einsum('ni,nij,nj->n', point, covariance, point) / distance_m ** 2)
+
+
+def _nearness(before: _Stack, after: _Stack) -> np.ndarray:
+    """Return (T, N): 1 for the same centroid, less the farther apart for the smaller's size."""
+    apart_m = before.centroid_m[:, None] - after.centroid_m
+    smaller_m2 = np.maximum(np.minimum.outer(before.area_m2, after.area_m2), _TINY)
+    larger_m2 = np.maximum(np.maximum.outer(before.area_m2, after.area_m2), _TINY)
+    return np.exp(-(apart_m ** 2).sum(axis=2) / smaller_m2) * np.sqrt(smaller_m2 / larger_m2)
+
+
+def _squared_deviation(before: _Stack, after: _Stack, angle_deg: float, offset_share: float,
+                       growth: np.ndarray) -> np.ndarray:
+    turn_rad = np.arccos(np.clip(before.normal @ after.normal.T, -1, 1))
+    off = (before.centroid_m @ after.normal.T + after.offset_m) / before.distance_m[:, None]
+    back = (before.normal @ after.centroid_m.T + before.offset_m[:, None]) / after.distance_m
+    turn_variance = (np.radians(angle_deg) ** 2 * growth
+                     + np.add.outer(before.normal_variance, after.normal_variance))
+    off_variance = (offset_share ** 2 * growth
+                    + np.add.outer(before.distance_variance, after.distance_variance))
+    return turn_rad ** 2 / turn_variance + (off ** 2 + back ** 2) / (2 * off_variance)
