@@ -206,30 +206,31 @@ def fit_planes(moments: np.ndarray) -> np.ndarray:
         a, b, c; NaN where the pixels lie on a line or are fewer than three.
 
     """
-    x, y, d = (moments[..., k] / np.maximum(moments[..., N], 1) for k in (X, Y, D))
     n = np.maximum(moments[..., N], 1)
+    x, y, d = (moments[..., k] / n for k in (X, Y, D))
     xx, xy, yy = (moments[..., XX] / n - x * x, moments[..., XY] / n - x * y,
                   moments[..., YY] / n - y * y)
     xd, yd = moments[..., XD] / n - x * d, moments[..., YD] / n - y * d
     determinant = xx * yy - xy * xy
     divisor = np.where(determinant > 1e-6 * (xx + yy) ** 2, determinant, np.nan)
     a, b = (yy * xd - xy * yd) / divisor, (xx * yd - xy * xd) / divisor
-    return np.stack([a, b, d - a * x - b * y], axis=-1)
+    return np.moveaxis(np.array([a, b, d - a * x - b * y]), 0, -1)
 
 
 def error_weights(planes: np.ndarray) -> np.ndarray:
     """Return the weights (..., 10) of the moments in the squared error of planes (..., 3)."""
     a, b, c = np.moveaxis(planes, -1, 0)
-    return np.stack([c * c, 2 * a * c, 2 * b * c, a * a, 2 * a * b, b * b, -2 * c, -2 * a, -2 * b,
-                     np.ones_like(a)], axis=-1)
+    weights = np.array([c * c, 2 * a * c, 2 * b * c, a * a, 2 * a * b, b * b, -2 * c, -2 * a,
+                        -2 * b, np.ones_like(a)])
+    return np.moveaxis(weights, 0, -1)
 
 
 def squared_error(planes: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10+)."""
-    return (error_weights(planes) * moments[..., :10]).sum(axis=-1)
+    return np.einsum('...k,...k', error_weights(planes), moments[..., :10])
 
 
 def mean_moments(grid: CellGrid) -> np.ndarray:
     """Return the moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
     x, y, d = grid.mean.T
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d], axis=1)
+    return np.array([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d]).T

@@ -9,6 +9,8 @@ space too: the gap in disparity between them is bounded by the inlier threshold.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from scipy.sparse import coo_array
@@ -86,6 +88,7 @@ def label_clusters(labels: np.ndarray, eps: float, min_samples: int) -> np.ndarr
     return clusters.reshape(labels.shape)
 
 
+@lru_cache(maxsize=8)
 def _neighbours(shape: tuple[int, int], diagonal: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return the pairs of cells that are neighbours in a grid, each pair once."""
     index = np.arange(shape[0] * shape[1]).reshape(shape)

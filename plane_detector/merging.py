@@ -11,6 +11,7 @@ parallel planes apart, since the smooth part of the noise does not jump from cel
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -54,12 +55,7 @@ class Borders:
 
 def find_borders(labels: np.ndarray, reach: int = BORDER_REACH_CELLS) -> Borders:
     """Find which patches of labels (R, C) touch along rows or columns of cells."""
-    index = np.arange(labels.size).reshape(labels.shape)
-    flat, near, far = labels.ravel(), [], []
-    for gap in range(1, reach + 1):
-        near += [index[:, :-gap].ravel(), index[:-gap].ravel()]
-        far += [index[:, gap:].ravel(), index[gap:].ravel()]
-    near, far = np.concatenate(near), np.concatenate(far)
+    flat, (near, far) = labels.ravel(), _pairs(labels.shape, reach)
     touching = (flat[near] != flat[far]) & (flat[near] >= 0) & (flat[far] >= 0)
     near, far = near[touching], far[touching]
     swap = flat[near] > flat[far]
@@ -68,6 +64,16 @@ def find_borders(labels: np.ndarray, reach: int = BORDER_REACH_CELLS) -> Borders
     keys, pair, count = np.unique(flat[near].astype(np.int64) * size + flat[far],
                                   return_inverse=True, return_counts=True)
     return Borders(keys // max(size, 1), keys % max(size, 1), count, pair.ravel(), near, far)
+
+
+@lru_cache(maxsize=8)
+def _pairs(shape: tuple[int, int], reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cells of a grid that are up to ``reach`` apart in a row or column."""
+    index, near, far = np.arange(shape[0] * shape[1]).reshape(shape), [], []
+    for gap in range(1, reach + 1):
+        near += [index[:, :-gap].ravel(), index[:-gap].ravel()]
+        far += [index[:, gap:].ravel(), index[gap:].ravel()]
+    return np.concatenate(near), np.concatenate(far)
 
 
 def merge_patches(model: CellModel, patches: Patches) -> Patches:

@@ -84,10 +84,10 @@ def make_model(grid: CellGrid, noise: Noise) -> CellModel:
     x, y, d = grid.mean.T
     slope_x, slope_y = grid.slope.T
     w, s = (1 / np.maximum(v, MIN_VARIANCE) for v in (variances.mean, variances.slope))
-    quadratic = np.stack([
+    quadratic = np.array([
         w * x * x + s, 2 * w * x * y, w * y * y + s, 2 * w * x, 2 * w * y, w,
         -2 * (w * x * d + s * slope_x), -2 * (w * y * d + s * slope_y), -2 * w * d,
-        w * d * d + s * (slope_x**2 + slope_y**2)], axis=1)
+        w * d * d + s * (slope_x**2 + slope_y**2)]).T
     return CellModel(grid, variances, planar, quadratic)
 
 

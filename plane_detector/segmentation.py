@@ -255,6 +255,8 @@ def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, pl
         return labels, planes
     narrow = make_cells(np.where(left, disparity, 0), left, size, sparse=True)
     model = make_model(narrow, noise.for_smaller_cells(grid.size_px, size))
+    if narrow.moments[model.planar, 0].sum() < MIN_CELL_SHARE * min_pixels:
+        return labels, planes
     search = peel_planes(model, MIN_CELL_SHARE * min_pixels, config.ransac, config.dbscan, rng)
     patches = collect(model, list(islice(search, room)))
     found = label_pixels(disparity, left, model, patches, noise, config.ransac.inlier_threshold)
