@@ -84,7 +84,8 @@ class BagReader:
         self.path = path
         file = _storage(path)
         self.is_ros1 = file.suffix == '.bag'
-        self._ros1_types = get_typestore(Stores.ROS1_NOETIC) if self.is_ros1 else None
+        # ROS 1's bytes in ROS 2's definitions: rosbags leaves out the seq of the headers itself.
+        self._types = get_typestore(Stores.ROS2_JAZZY)
         with self._readable():
             self._reader = (rosbag1 if self.is_ros1 else rosbag2).Reader(file)
             self._reader.open()
@@ -151,9 +152,9 @@ class BagReader:
                 yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
 
     def _to_cdr(self, connection: Connection, data: bytes) -> bytes | memoryview:
-        if self._ros1_types is None:
+        if not self.is_ros1:
             return data
-        return self._ros1_types.ros1_to_cdr(data, connection.msgtype)
+        return self._types.ros1_to_cdr(data, connection.msgtype)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:

@@ -223,7 +223,8 @@ class _Run:
 
     def _write(self, time_ns: int, processed: Processed) -> None:
         for name in self._options.outputs:
-            self._writer.write(_output_topic(name), time_ns, processed.messages[name])
+            if name in processed.messages:  # an output may have nothing to say of a frame
+                self._writer.write(_output_topic(name), time_ns, processed.messages[name])
 
     def _timed_frames(self) -> Iterator[tuple[int, Frame]]:
         """Yield the frames, the time that reading them takes on the tally."""
