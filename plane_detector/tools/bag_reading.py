@@ -164,8 +164,10 @@ class BagReader:
         except (OSError, BagError):
             raise
         except Exception as error:
-            raise BagError(f'{self.path} cannot be read: {error}. If it is damaged or was not '
-                           f'closed, {_repair(self.path)} may help') from error
+            reason = ' '.join(str(error).split()).rstrip('.')
+            raise BagError(f'{self.path} cannot be read: {reason}. {_listing(self.path)} If it '
+                           f'is damaged or was not closed, {_repair(self.path)} may help'
+                           ) from error
 
 
 def to_message(recorded: Recorded, message_class: Any) -> Any:
@@ -193,17 +195,25 @@ def _storage(path: Path) -> Path:
         if path.suffix not in _FILES:
             raise BagError(f'{path} is no bag: a rosbag2 folder or a file {", ".join(_FILES)} is')
         return path
-    files = sorted(file for file in path.iterdir() if file.suffix in _FILES)
     if (path / 'metadata.yaml').exists():
         return path
+    files = [file for file in path.iterdir() if file.suffix in _FILES]
     if len(files) == 1:  # a recording that was killed
         return files[0]
-    found = ', '.join(sorted(file.name for file in path.iterdir())) or 'nothing'
-    raise BagError(f'{path} is no bag: it has no metadata.yaml, it holds {found}. Of a folder '
+    raise BagError(f'{path} is no bag: it has no metadata.yaml. {_listing(path)} Of a folder '
                    'with several files, ros2 bag reindex makes the metadata anew')
 
 
+def _listing(path: Path) -> str:
+    """Return what files there are, in a sentence."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    named = ', '.join(f'{file.name} ({file.stat().st_size} bytes)' for file in files)
+    return f'There is {named or "nothing in it"}.'
+
+
 def _repair(path: Path) -> str:
+    """Return the tool that mends such a bag."""
     if path.suffix == '.bag':
         return 'rosbag reindex'
-    return 'mcap recover' if path.suffix == '.mcap' else 'ros2 bag reindex'
+    is_mcap = path.suffix == '.mcap' or any(path.glob('*.mcap'))
+    return 'mcap recover' if is_mcap else 'ros2 bag reindex'
