@@ -16,6 +16,9 @@ import numpy as np
 
 # The cells' number hardly depends on the picture's size: with it grow their sides.
 CELLS_PER_PICTURE = 4800
+# A few lines of a lidar are enough of a cell, one line is not.
+MIN_VALID_SHARE = 0.15
+MIN_SPREAD = 0.01
 # Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.
 N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
 
@@ -44,7 +47,7 @@ class CellGrid:
     inner_rms : (R * C,) float64
         Root mean square of d about that plane.
     usable : (R * C,) bool
-        At least half of the cell is valid and its own plane is well determined.
+        Enough of the cell is valid, and spread well enough, to determine its own plane.
 
     """
 
@@ -98,7 +101,7 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
     local, middle = _local_moments(blocks, mask, size, disparity.shape[1])
     x, y = _cell_centres(disparity.shape, size)
     shape = (len(y), len(x))
-    slope, inner_rms, usable = _own_planes(local, size)
+    slope, inner_rms, usable = _own_planes(local, size, disparity.shape[1])
     moments = _shifted(local, x[chosen[1]], y[chosen[0]], middle)
     mean = moments[:, [X, Y, D]] / np.maximum(moments[:, N:N + 1], 1)
     columns = [moments, mean, slope, inner_rms, usable]
@@ -160,14 +163,17 @@ def _pixel_basis(size: int, width: int) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1).astype(np.float32)
 
 
-def _own_planes(local: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _own_planes(local: np.ndarray, size: int,
+                width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit each cell's own plane: slope (R * C, 2), rms about it (R * C,), usable (R * C,)."""
     n = np.maximum(local[:, N], 1)
     x, y, d = local[:, X] / n, local[:, Y] / n, local[:, D] / n
     xx, xy, yy = local[:, XX] / n - x * x, local[:, XY] / n - x * y, local[:, YY] / n - y * y
     xd, yd, dd = local[:, XD] / n - x * d, local[:, YD] / n - y * d, local[:, DD] / n - d * d
     determinant = xx * yy - xy * xy
-    enough = (local[:, N] >= 0.5 * size**2) & (determinant > 0)
+    whole = ((size**2 - 1) / 12 / width**2) ** 2
+    enough = ((local[:, N] >= max(MIN_VALID_SHARE * size**2, 4))
+              & (determinant > MIN_SPREAD * whole))
     divisor = np.where(enough, determinant, 1.0)
     slope_x, slope_y = (yy * xd - xy * yd) / divisor, (xx * yd - xy * xd) / divisor
     variance = dd - slope_x * xd - slope_y * yd

@@ -19,11 +19,13 @@ from plane_detector import cells
 from plane_detector.cells import CellGrid
 
 WINDOW_CELLS = 9
-WINDOW_QUANTILE = 0.25
+WINDOW_QUANTILE = 0.15
 # Known noise of a network tilts cells by about this much per unit of picture width.
 SLOPE_PER_NOISE = 8.0
 # ... and bends them within by this share of it.
 GRAIN_PER_NOISE = 0.25
+# Sums in float32 leave this much of the variance that the slope makes within a cell.
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,7 @@ def cell_variances(grid: CellGrid, noise: Noise) -> CellVariances:
     n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel.
     """
     floor = noise.floor(grid.mean[:, 2])
+    span = (grid.size_px / grid.width_px) ** 2 / 12 * (grid.slope**2).sum(axis=1)
     tilt = 12 * (grid.width_px / grid.size_px**2) ** 2
     return CellVariances(noise.mean**2 + floor, noise.slope**2 + floor * tilt,
-                         noise.grain**2 + floor)
+                         noise.grain**2 + floor + ROUNDING * span)

@@ -210,7 +210,6 @@ def test_every_real_frame_has_planes_by_its_sensor(data_folder):
     assert len(names) == 8
 
 
-@pytest.mark.xfail(strict=True, reason='few whole tiles between holes: structure counts as noise')
 def test_a_depth_camera_is_not_taken_for_a_network(data_folder):
     """A Kinect is good to an eighth of a pixel, 0.003 per metre, also in a cluttered room."""
     noise = {frame.name: compare(frame, None).sensor.disparity_noise

@@ -59,13 +59,21 @@ def test_inner_rms_is_the_misfit_of_the_cells_own_plane():
     np.testing.assert_allclose(grid.inner_rms[usable], expected, rtol=1e-3, atol=1e-6)
 
 
-def test_cells_that_are_mostly_holes_are_not_usable():
+def test_cells_that_are_nearly_all_holes_are_not_usable():
     disparity, valid = disparity_image(np.random.default_rng(3))
     grid = cells.make_cells(disparity, valid)
     share = grid.moments[:, 0] / grid.size_px**2
-    assert (share[grid.usable] >= 0.5).all()
+    assert (share[grid.usable] >= cells.MIN_VALID_SHARE).all()
     assert grid.usable[share == 1].all()
-    assert not grid.usable[share < 0.5].any()
+
+
+@pytest.mark.parametrize(('lines', 'usable'), [([3], False), ([2, 5], True)])
+def test_one_line_of_a_lidar_is_no_plane_two_are(lines, usable):
+    valid = np.zeros((480, 640), bool)
+    for line in lines:
+        valid[line::8] = True
+    grid = cells.make_cells(np.where(valid, np.float32(0.2), np.float32(0)), valid)
+    assert (grid.usable == usable).all()
 
 
 def test_far_and_near_planes_are_summed_exactly_enough():

@@ -72,7 +72,8 @@ def test_planes_of_a_noisy_room_are_found(room, seed, sigma):
     assert result.segmentation_covering > covering
     assert result.recall > recall
     assert result.precision > precision
-    assert result.normal_error_deg < 4
+    # The median tilt of small boxes' faces grows with the noise.
+    assert result.normal_error_deg < max(4, 600 * sigma)
     assert result.offset_error_m < 0.1
 
 
