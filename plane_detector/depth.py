@@ -278,6 +278,8 @@ def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.use_deterministic_compute = True
+    # Else the threads look for work long after each picture, on the cores of the stages to come.
+    options.add_session_config_entry('session.force_spinning_stop', '1')
     options.log_severity_level = 3  # exported networks are full of harmless warnings
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))
     try:
