@@ -20,14 +20,14 @@ from plane_detector.ransac import CellModel, Patches
 
 SIGHT_LINES = 24
 SAMPLES_PER_LINE = 24
-NEARER_DEVIATIONS = 3.0
-# Of the cells between two pieces this share must be nearer than their plane.
-MIN_HIDDEN_SHARE = 0.8
+FARTHER_DEVIATIONS = 3.0
+# Of the cells between two pieces no more than this share may be farther than their plane.
+MAX_SEEN_THROUGH = 0.2
 
 
 def join_hidden(model: CellModel, patches: Patches) -> Patches:
     """
-    Join coplanar patches wherever all that lies between them is nearer than their plane.
+    Join coplanar patches where next to nothing between them is farther than their plane.
 
     Parameters
     ----------
@@ -58,7 +58,6 @@ def _is_hidden_between(model: CellModel, patches: Patches, first: int, second: i
     at_first, at_second = (np.argwhere(patches.labels == k) for k in (first, second))
     start = at_first[np.linspace(0, len(at_first) - 1, SIGHT_LINES).astype(int)]
     end = _nearest(start, at_second)
-    start = _nearest(end, at_first)
     t = np.linspace(0, 1, SAMPLES_PER_LINE)[:, None, None]
     between = np.rint(start + t * (end - start)).astype(int).reshape(-1, 2)
     cell = np.ravel_multi_index(between.T, patches.labels.shape)
@@ -67,9 +66,10 @@ def _is_hidden_between(model: CellModel, patches: Patches, first: int, second: i
     if not len(cell):
         return False
     x, y, d = model.grid.mean[cell].T
-    a, b, c = patches.planes[first]
-    nearer = d - (a * x + b * y + c) > NEARER_DEVIATIONS * np.sqrt(model.variances.mean[cell])
-    return bool(nearer.mean() >= MIN_HIDDEN_SHARE)
+    members = np.isin(patches.labels.ravel(), (first, second)) & model.planar
+    a, b, c = cells.fit_planes(model.grid.moments[members].sum(axis=0))
+    farther = (a * x + b * y + c) - d > FARTHER_DEVIATIONS * np.sqrt(model.variances.mean[cell])
+    return bool(farther.mean() <= MAX_SEEN_THROUGH)
 
 
 def _nearest(points: np.ndarray, others: np.ndarray) -> np.ndarray:
