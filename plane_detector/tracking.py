@@ -33,8 +33,8 @@ _ROWS = 120
 _MIN_SCORE = 0.05
 # Of two known planes that a found one may be, the one of the picture before comes first.
 _MISSED = 0.3
-# And one that was found only once counts half: a part of an older one that broke for a picture.
-_YOUTH = 0.5
+# And one found only once comes last: it may be a part of an older one that broke for a picture.
+_YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
 _MOTION_MAX_TURN_RAD = np.radians(30.0)
 # Coefficients that change by more are not noise, and are not smoothed.

@@ -211,7 +211,7 @@ def walk(frame_count):
     for time_s in np.arange(frame_count) / FRAME_RATE_HZ:
         sway = np.sin(2 * np.pi * 1.8 * time_s)
         look = TURN_DEG_S * period_s / (2 * np.pi) * np.sin(2 * np.pi * time_s / period_s)
-        yield (camera_rotation(look, -12 + 2 * sway, 1.5 * sway),
+        yield (camera_rotation(look, -20 + 2 * sway, 1.5 * sway),
                np.array([2.3 + 0.03 * sway, 0.3 + WALK_M_S * time_s, 1.5 + 0.02 * sway]))
 
 
@@ -246,7 +246,7 @@ def label_switches(scenes, sigma, every=1):
 
 
 def matches(scene, found):
-    """Return found plane by rectangle, where their pixels overlap by more than half."""
+    """Return found plane by rectangle, where it is found whole: their pixels overlap by 0.7."""
     result = {}
     for truth, rectangle in enumerate(scene.rectangles):
         mask = scene.labels == truth
