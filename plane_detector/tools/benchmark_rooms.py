@@ -29,7 +29,7 @@ from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
-HELD_OUT = 1000
+HELD_OUT = 2000
 """Rooms from this seed on were not looked at while the method was made."""
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 _COLUMNS = ('method', 'noise (1/m)', 'rooms', 'SC', 'worst SC (seed)', 'VOI', 'RI', 'recall',
