@@ -250,6 +250,23 @@ def test_parameters_from_a_file(bag, replay, tmp_path):
     assert all(msg.width == 1 for msg in planes_of(target))
 
 
+def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
+    """The network's relative disparity is 3 / z: its unit is that of the depth topic."""
+    messages = camera_messages(scenes)
+    for (_, _, msg), scene in zip(messages[::3], scenes, strict=True):
+        msg.data = image_msg(millimetres_as_rgb(3 / scene.depth_m), 'rgb8').data
+    network = write_depth_network(tmp_path / 'disparity.onnx', height=120, width=160)
+    code, target, text = replay(
+        write_bag(tmp_path / 'walk', messages), '-p', 'depth.source:=model',
+        '-p', f'depth.model:={network}', '-p', 'depth.output:=relative_disparity',
+        '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]')
+    assert code == 0, text
+    assert f'Reading {IMAGE}, {INFO}, {DEPTH}' in text
+    for scene, msg in zip(scenes, planes_of(target), strict=True):
+        offsets_m = cloud_array(msg)[0]['d'][:3]
+        assert (np.abs(offsets_m[:, None] - scene.planes[:, 3]).min(axis=1) < 0.05).all()
+
+
 @pytest.mark.parametrize('options, told', [
     (('-p', 'segmentation.max_plane:=1'), 'unknown parameter segmentation.max_plane'),
     (('-p', 'segmentation.max_planes:=0'), 'max_planes must be in'),

@@ -21,7 +21,8 @@ from plane_detector.tools.settings import load_settings
 
 _INTERRUPTED = 130
 _TOPICS = {'image': 'sensor_msgs/Image or CompressedImage', 'camera_info': 'its CameraInfo',
-           'depth': 'measured depth, registered to the picture', 'imu': 'sensor_msgs/Imu'}
+           'depth': 'measured depth of the picture, taken instead of the network unless '
+                    '-p depth.source:=model', 'imu': 'sensor_msgs/Imu'}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,9 +48,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _options(arguments: argparse.Namespace):
     from plane_detector.tools.replaying import ReplayOptions
-    assignments = list(arguments.parameter)
-    if arguments.depth:
-        assignments.append('depth.source:=topic')
+    by_depth = ['depth.source:=topic'] if arguments.depth else []
+    assignments = [*by_depth, *arguments.parameter]
     config, settings = load_settings(arguments.params_file, assignments)
     return ReplayOptions(
         source=arguments.input,
