@@ -47,16 +47,15 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
     labels = plane_labels(detection)
     markers = [_delete(header, name, label) for label in sorted(set(shown) - set(labels.tolist()))
                for name in _NAMESPACES]
-    colours = label_colours(labels)
-    for index, (plane, label, colour) in enumerate(zip(detection.planes, labels, colours,
-                                                       strict=True)):
+    lifetime = Duration(seconds=lifetime_s).to_msg()
+    shares = (label_colours(labels) / 255.0).tolist()
+    for index, (plane, label, share) in enumerate(zip(detection.planes, labels, shares,
+                                                      strict=True)):
         corners_m = plane_outline(detection.labels == index, detection.depth_m, intrinsics, plane)
         caption = f'{label}: {_description(detection, index)}'
+        colour = ColorRGBA(**dict(zip('rgb', share, strict=True)), a=1.0)
         for marker in _plane_markers(header, plane, corners_m, caption):
-            marker.id = int(label)
-            marker.color = ColorRGBA(**dict(zip('rgb', (colour / 255.0).tolist(), strict=True)),
-                                     a=1.0)
-            marker.lifetime = Duration(seconds=lifetime_s).to_msg()
+            marker.id, marker.color, marker.lifetime = int(label), colour, lifetime
             markers.append(marker)
     return MarkerArray(markers=markers)
 
@@ -95,5 +94,5 @@ def _delete(header: Header, name: str, label: int) -> Marker:
 
 
 def _point(point_m: np.ndarray) -> Point:
-    x, y, z = (float(value) for value in point_m)
+    x, y, z = point_m.tolist()
     return Point(x=x, y=y, z=z)

@@ -91,7 +91,7 @@ def plane_labels(detection: Detection) -> np.ndarray:
 def pixel_labels(detection: Detection) -> np.ndarray:
     """Return the label of each pixel, (H, W) uint32, 0 for no plane."""
     lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(detection)])
-    return lookup[detection.labels + 1]
+    return np.take(lookup, detection.labels + 1)
 
 
 def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
@@ -113,11 +113,9 @@ def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
     """
     height, width = labels.shape
     data = array.array('B', [0]) * (height * width * POINT_DTYPE.itemsize)
-    cloud = np.frombuffer(data, POINT_DTYPE).reshape(height, width)
-    for axis, name in enumerate('xyz'):
-        cloud[name] = points_m[..., axis]
-    cloud['rgb'] = _packed_colour(rgb)
-    cloud['label'] = labels
+    channels = np.frombuffer(data, '<f4').reshape(height, width, -1)  # every field takes 4 bytes
+    cv2.merge([np.ascontiguousarray(points_m), _packed_colour(rgb),
+               np.ascontiguousarray(labels).view('<f4')], channels)
     return _cloud_msg(header, POINT_DTYPE, data, height, width)
 
 
@@ -208,8 +206,9 @@ def _cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
               for name, (kind, offset) in dtype.fields.items()]
     msg = PointCloud2(header=header, height=height, width=width, fields=fields,
                       is_bigendian=False, point_step=dtype.itemsize,
-                      row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE)
-    msg.data = data  # after the constructor, which would copy it item by item
+                      row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE,
+                      check_fields=True)
+    msg.data = data  # taken as it is: the constructor copies, so does a setter without checks
     return msg
 
 
@@ -217,6 +216,6 @@ def _image_msg(header: Header, encoding: str, pixels: np.ndarray) -> Image:
     data = array.array('B')
     data.frombytes(np.ascontiguousarray(pixels).data.cast('B'))
     msg = Image(header=header, height=pixels.shape[0], width=pixels.shape[1], encoding=encoding,
-                is_bigendian=0, step=len(data) // pixels.shape[0])
-    msg.data = data
+                is_bigendian=0, step=len(data) // pixels.shape[0], check_fields=True)
+    msg.data = data  # as above
     return msg

@@ -17,6 +17,8 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from plane_detector.ros.memory import keep_freed_memory
+
 _SPIN_TIMEOUT_S = 0.2
 
 
@@ -42,6 +44,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
+    keep_freed_memory()
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         _spin(make_node())
