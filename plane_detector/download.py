@@ -143,13 +143,15 @@ def _answer(url: str) -> http.client.HTTPResponse:
     try:
         answer = answers.get(timeout=ANSWER_TIMEOUT_S)
     except queue.Empty:
-        raise TimeoutError(f'no answer within {ANSWER_TIMEOUT_S:g} s') from None
+        answer = TimeoutError()
+    if isinstance(_cause(answer), TimeoutError):  # of the queue or of the socket
+        raise TimeoutError(f'no answer within {ANSWER_TIMEOUT_S:g} s')
     if isinstance(answer, Exception):
         raise answer
     return answer
 
 
-def _cause(error: Exception) -> object:
+def _cause(error: object) -> object:
     """Return what an error of urllib wraps, which reads better than the wrapping."""
     return getattr(error, 'reason', error)
 
