@@ -5,19 +5,19 @@ Small ONNX networks whose depth is a known function of the pixels.
 
 `millimetres_as_rgb` writes a depth image into the red and green of a picture, and the network
 of `write_depth_network` reads it back, so that a test knows the depth that a network gives.
+Tests that write a network are skipped where onnx is missing, as it is after rosdep.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
-import onnx
-from onnx import TensorProto, helper, numpy_helper
+import pytest
 
 PLAIN = {'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
 """Settings of `DepthConfig` under which the networks here read metres."""
-_TYPES = {np.float32: TensorProto.FLOAT, np.float16: TensorProto.FLOAT16}
 # Of R, G, B in 0 to 1: depth_m = (256 R + G) * 255 / 1000.
 METRES_OF_RGB = (65.28, 0.255, 0.0)
 
@@ -51,13 +51,16 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
         Of the network's normalised input.
 
     """
+    onnx = _onnx()
+    helper, numpy_helper, float32 = onnx.helper, onnx.numpy_helper, onnx.TensorProto.FLOAT
+
     def shape(channels: int) -> list[int | str]:
         return [1, height, width, channels] if channels_last else [1, channels, height, width]
 
     kernel = np.reshape(np.float32(weights), (3, 1) if channels_last else (1, 3, 1, 1))
-    end = _TYPES[dtype]
+    end = {np.float32: float32, np.float16: onnx.TensorProto.FLOAT16}[dtype]
     nodes = [
-        helper.make_node('Cast', ['image'], ['image32'], to=TensorProto.FLOAT),
+        helper.make_node('Cast', ['image'], ['image32'], to=float32),
         helper.make_node('MatMul' if channels_last else 'Conv', ['image32', 'kernel'], ['mixed']),
         helper.make_node('Add', ['mixed', 'bias'], ['depth32']),
         helper.make_node('Cast', ['depth32'], ['depth'], to=end)]
@@ -70,6 +73,7 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
 def write_network(path: Path, nodes: list, inputs: list[tuple], outputs: list[tuple],
                   constants: list = ()) -> Path:
     """Write a network of these nodes; inputs and outputs are (name, element type, shape)."""
+    onnx, helper = _onnx(), _onnx().helper
     graph = helper.make_graph(
         nodes, 'test', [helper.make_tensor_value_info(*end) for end in inputs],
         [helper.make_tensor_value_info(*end) for end in outputs], list(constants))
@@ -78,3 +82,7 @@ def write_network(path: Path, nodes: list, inputs: list[tuple], outputs: list[tu
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
     return path
+
+
+def _onnx() -> ModuleType:
+    return pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')

@@ -19,7 +19,7 @@ MOST_FILE_LINES, MOST_FUNCTION_LINES = 300, 40
 
 # Third-party imports of the package, and the rosdep key that brings each.
 ROSDEP_KEYS = {
-    'ament_index_python': 'rclpy', 'cv2': 'python3-opencv', 'numpy': 'python3-numpy',
+    'cv2': 'python3-opencv', 'numpy': 'python3-numpy',
     'onnxruntime': 'python3-onnxruntime-pip', 'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy', 'skimage': 'python3-skimage', 'sklearn': 'python3-sklearn',
     'threadpoolctl': 'python3-sklearn',  # which depends on it

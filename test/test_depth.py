@@ -7,7 +7,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
 
 from plane_detector import depth as depth_module
@@ -21,8 +20,9 @@ from plane_detector.resampling import (
     prepare_input,
 )
 
+onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
+helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
 IMAGENET = InputRecipe(1 / 255, IMAGENET_MEAN, IMAGENET_STD)
-FLOAT = TensorProto.FLOAT
 
 
 def config_for(path, **changes):
@@ -258,7 +258,7 @@ def test_a_network_that_fails_on_its_input_is_told(tmp_path):
     nodes = [helper.make_node('Reshape', ['image', 'to'], ['depth'])]
     path = write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 'h', 'w'])],
                          [('depth', FLOAT, [3, 4])],
-                         [numpy_helper.from_array(np.array([3, 4]), 'to')])
+                         [onnx.numpy_helper.from_array(np.array([3, 4]), 'to')])
     with pytest.raises(ValueError, match=r'\(1, 3, 14, 14\) fails, .*inputs: image .*depth'):
         DepthEstimator(config_for(path, input_width=14, input_height=14))
 
@@ -288,7 +288,7 @@ def identity(path, shape, out_shape=None, element=FLOAT, extra_input=False):
 
 @pytest.mark.parametrize(('shape', 'changes', 'said'), [
     ([1, 3, 8, 8], {'extra_input': True}, 'must have one input'),
-    ([1, 3, 8, 8], {'element': TensorProto.UINT8}, 'must have one input, of float32'),
+    ([1, 3, 8, 8], {'element': onnx.TensorProto.UINT8}, 'must have one input, of float32'),
     ([1, 1, 8, 8], {}, 'must be one RGB picture'),
     ([2, 3, 8, 8], {}, 'must be one RGB picture'),
     ([3, 8, 8], {}, 'must be one RGB picture'),
