@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-FRAMES, MEGABYTES = 20, 10
+FRAMES, ARRAYS = 20, 30
 PROGRAM = f"""
 import resource, sys, threading
 import numpy as np
@@ -21,7 +21,7 @@ def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
 
 def frame():
-    picture = np.ones({MEGABYTES} << 20, np.uint8)
+    return [np.ones(1 << 20, np.uint8) for _ in range({ARRAYS})]
 
 def work():
     frame()

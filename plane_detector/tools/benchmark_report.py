@@ -18,9 +18,9 @@ from plane_detector.tools.benchmark_depth import machine
 _PACKAGES = ('numpy', 'scikit-learn', 'pyransac3d', 'open3d')
 
 
-def provenance() -> str:
+def provenance(program: str = 'benchmark') -> str:
     """Return the command, the machine, the versions and the commit, as Markdown."""
-    command = ['python3', '-m', 'plane_detector.tools.benchmark', *sys.argv[1:]]
+    command = ['python3', '-m', f'plane_detector.tools.{program}', *sys.argv[1:]]
     versions = ', '.join(f'{name} {_version(name)}' for name in _PACKAGES)
     return (f'`{shlex.join(command)}`\n\n{machine()}, OpenCV {cv2.__version__}, {versions}; '
             f'commit {commit()}')

@@ -21,6 +21,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from plane_detector.tools.pictures import Photograph
+from plane_detector.types import CameraIntrinsics
 
 NODE = 'plane_detector'
 FRAME_ID = 'camera_optical_frame'
@@ -140,7 +141,7 @@ class NodeClient:
         """
         header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
         self._messages.clear()
-        self._publishers['camera_info'].publish(_camera_info(header, photograph))
+        self._publishers['camera_info'].publish(camera_info_to_msg(header, photograph.intrinsics))
         if photograph is not self._scene:
             self._introduce(photograph, timeout_s)
         if 'depth' in self._publishers:
@@ -232,8 +233,8 @@ def _image(header: Header, encoding: str, pixels: np.ndarray) -> Image:
     return msg
 
 
-def _camera_info(header: Header, photograph: Photograph) -> CameraInfo:
-    i = photograph.intrinsics
+def camera_info_to_msg(header: Header, i: CameraIntrinsics) -> CameraInfo:
+    """Return the CameraInfo of a pinhole camera."""
     return CameraInfo(
         header=header, width=i.width, height=i.height, distortion_model='plumb_bob', d=[0.0] * 5,
         k=[i.fx, 0.0, i.cx, 0.0, i.fy, i.cy, 0.0, 0.0, 1.0],

@@ -66,6 +66,11 @@ class NodeProcess:
     def __exit__(self, *_: object) -> None:
         self.stop()
 
+    @property
+    def process_id(self) -> int:
+        """Of the operating system."""
+        return self._process.pid
+
     def check_running(self) -> None:
         """
         Check that the node lives.
