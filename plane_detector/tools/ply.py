@@ -13,7 +13,8 @@ _VERTEX = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('red', 'u1'), ('g
 _PLY_TYPES = {'f4': 'float', 'u1': 'uchar', 'i4': 'int'}
 
 
-def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndarray) -> int:
+def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndarray,
+              in_metres: bool = True) -> int:
     """
     Write the points that have a position, little-endian binary.
 
@@ -22,11 +23,13 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndar
     path : Path
         The file; replaced when it is there.
     points_m : (..., 3) floating
-        Metres; not finite points are left out.
+        Not finite ones are left out.
     rgb : (..., 3) uint8
         Colour of each point.
     labels : (...) integer
         Plane of each point, 0 for none.
+    in_metres : bool
+        Whether the unit of the points is the metre, or not known; the file says it.
 
     Returns
     -------
@@ -44,7 +47,8 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndar
     properties = [f'property {_PLY_TYPES[kind.str[1:]]} {name}'
                   for name, (kind, _) in _VERTEX.fields.items()]
     header = ['ply', 'format binary_little_endian 1.0',
-              'comment metres; camera frame: x right, y down, z forward; label 0: no plane',
+              f'comment {"metres" if in_metres else "unit of length not known"}',
+              'comment camera frame: x right, y down, z forward; label 0: no plane',
               f'element vertex {len(vertices)}', *properties, 'end_header', '']
     with open(path, 'wb') as file:
         file.write('\n'.join(header).encode('ascii'))

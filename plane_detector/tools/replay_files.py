@@ -17,6 +17,7 @@ from plane_detector.backprojection import depth_to_points
 from plane_detector.ros.messages import PLANE_DTYPE
 from plane_detector.ros.outputs import Result
 from plane_detector.ros.processing import Processed
+from plane_detector.scale_estimate import RELATIVE
 from plane_detector.tools.ply import write_ply
 
 
@@ -71,7 +72,8 @@ class ReplayFiles:
         if self._ply is not None:
             points_m = depth_to_points(result.detection.depth_m, result.intrinsics)
             write_ply(self._ply / f'{index:06d}.ply', points_m,
-                      drawing.tint(result.rgb, result.labels), result.labels)
+                      drawing.tint(result.rgb, result.labels), result.labels,
+                      in_metres=result.detection.scale_method != RELATIVE)
         if self._rows is not None:
             self._rows.writerows(_rows(index, processed))
 
@@ -80,7 +82,7 @@ def _figure(result: Result) -> np.ndarray:
     """Return picture, depth and planes side by side."""
     detection = result.detection
     near, far = drawing.depth_range(detection.depth_m)
-    unit = 'units' if detection.scale_method == 'relative' else 'm'
+    unit = 'units' if detection.scale_method == RELATIVE else 'm'
     stamp = result.header.stamp
     return drawing.figure([
         (f'picture of {stamp.sec}.{stamp.nanosec:09d}', result.rgb),

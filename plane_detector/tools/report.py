@@ -70,7 +70,8 @@ def write_files(outcome: Outcome, folder: Path) -> list[Path]:
     cv2.imwrite(str(paths[0]), cv2.cvtColor(_figure(outcome), cv2.COLOR_RGB2BGR))
     points, rgb = outcome.received.points, outcome.photograph.rgb
     xyz_m = np.stack([points['x'], points['y'], points['z']], axis=-1)
-    write_ply(paths[1], xyz_m, drawing.tint(rgb, points['label']), points['label'])
+    write_ply(paths[1], xyz_m, drawing.tint(rgb, points['label']), points['label'],
+              in_metres=outcome.unit == 'm')
     _write_csv(paths[2], outcome.received.planes)
     return paths
 

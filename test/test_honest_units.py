@@ -1,0 +1,181 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""When nothing fixes the scale, nothing that leaves the package claims metres."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+from rclpy.parameter import Parameter
+from ros_helpers import Robot, camera_info_msg, image_msg
+
+from plane_detector.plane_classes import PlaneClass
+from plane_detector.ros.node import PlaneDetectorNode
+from plane_detector.tools.node_client import Received, Timing
+from plane_detector.tools.pictures import Photograph
+from plane_detector.tools.ply import write_ply
+from plane_detector.tools.report import Outcome, print_outcome, write_files
+from plane_detector.tools.scenes import attic, random_room
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
+GRAVITY = [0.0, 1.0, 0.0]
+LENGTH = re.compile(r'\d\s*(mm|cm|m|m2|met(re|er)s?)\b')
+WORD = re.compile(r'\b(met(re|er)s?|metric)\b', re.IGNORECASE)
+DENIALS = ('metric: the network gives no metres', 'the network gives no metres',
+           'the depth has no known scale: it is not compared with the truth in metres')
+ROOM = random_room(np.random.default_rng(3), CAMERA)
+ATTIC = attic(np.random.default_rng(1), CAMERA)  # without right angles but those of the gable
+
+
+def claims(text):
+    """Return what in a text says that a length is known in metres."""
+    for denial in DENIALS:
+        text = text.replace(denial, '')
+    return [match.group() for pattern in (LENGTH, WORD) for match in pattern.finditer(text)]
+
+
+class RelativeNetwork:
+    """The true disparity, its scale and shift unknown."""
+
+    output = 'relative_disparity'
+    name = 'a relative network'
+
+    def __init__(self, scene):
+        self._disparity = 3.0 / scene.depth_m - 0.2
+
+    def __call__(self, rgb):
+        return self._disparity
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """All the text that is drawn into pictures."""
+    texts = []
+    put_text = cv2.putText
+
+    def recording(image, text, *arguments, **options):
+        texts.append(text)
+        return put_text(image, text, *arguments, **options)
+
+    monkeypatch.setattr(cv2, 'putText', recording)
+    return texts
+
+
+@pytest.fixture
+def robot(capfd):
+    robot = Robot(capfd=capfd)
+    yield robot
+    robot.shutdown()
+
+
+def run(robot, scene, frames=3, **values):
+    """Let a node see a scene some times; return the values of its diagnostics."""
+    overrides = [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
+    node = PlaneDetectorNode(RelativeNetwork(scene), context=robot.context,
+                             parameter_overrides=overrides)
+    robot.add(node)
+    assert robot.spin(lambda: node.state == 'active'), robot.log()
+    for stamp_s in range(1, frames + 1):
+        robot.publish('camera_info', camera_info_msg(scene.intrinsics, stamp_s))
+        robot.publish('image', image_msg(scene.rgb, 'rgb8', stamp_s))
+        robot.wait_for('markers', stamp_s)
+        robot.wait_for('overlay', stamp_s)
+    while 'scale' not in (diagnosis := robot.diagnosis()[1]):
+        assert len(robot.received['diagnostics']) < 20, diagnosis
+    return diagnosis
+
+
+def captions(robot):
+    return [marker.text for msg in robot.received['markers'] for marker in msg.markers
+            if marker.text]
+
+
+@pytest.mark.parametrize('scene, values, reason', [
+    (ATTIC, {'scale__method': 'none'}, 'asked for by scale.method'),
+    (ROOM, {}, 'manhattan, unit unknown'),
+    (ROOM, {'scale__method': 'metric'}, 'the network gives no metres'),
+    (ROOM, {'scale__method': 'depth_topic'}, 'no measured depth'),
+    (ROOM, {'scale__method': 'fixed'}, 'scale.disparity_scale is not given'),
+    (ROOM, {'scale__camera_height': 1.4}, 'unit unknown'),
+    (ROOM, {'scale__method': 'camera_height', 'scale__gravity': GRAVITY}, 'not both known'),
+    (ROOM, {'scale__gravity': GRAVITY, 'scale__gravity_tolerance': 30.0}, 'unit unknown'),
+    (ROOM, {'scale__gravity': [0.0, -1.0, 0.0], 'scale__camera_height': 0.01,
+            'scale__method': 'camera_height'}, 'no plane can be the floor')])
+def test_no_metres_are_claimed_where_nothing_fixes_the_scale(robot, drawn, scene, values,
+                                                              reason):
+    diagnosis = run(robot, scene, **values)
+    assert diagnosis['scale'] == 'relative'
+    assert reason in diagnosis['scale_note']
+    said = [f'{key}: {value}' for key, value in diagnosis.items()]
+    statuses = [status for msg in robot.received['diagnostics'] for status in msg.status]
+    said += [status.message for status in statuses]
+    for text in (*said, *robot.log().splitlines(), *captions(robot), *drawn):
+        assert claims(text) == [], text
+    assert captions(robot) and drawn, 'there is something to read'
+    assert not robot.received['points_without_floor'], 'obstacles need metres'
+
+
+def test_the_same_network_claims_metres_once_its_scale_is_given(robot):
+    diagnosis = run(robot, ROOM, scale__method='fixed', scale__disparity_scale=1 / 3,
+                    scale__disparity_shift=0.2 / 3)
+    assert diagnosis['scale'] == 'fixed'
+    assert all(claims(text) for text in captions(robot))
+
+
+def test_metres_end_with_the_scale(robot):
+    """Set at run time: from the next frame on there are none."""
+    run(robot, ROOM, scale__method='fixed', scale__disparity_scale=1 / 3,
+        scale__disparity_shift=0.2 / 3)
+    (node,) = (node for node in robot.executor.get_nodes() if isinstance(node, PlaneDetectorNode))
+    node.set_parameters([Parameter('scale.method', value='none')])
+    robot.log()
+    robot.received['markers'].clear()
+    robot.publish('image', image_msg(ROOM.rgb, 'rgb8', 9))
+    robot.wait_for('markers')
+    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
+    assert not any(claims(text) for text in captions(robot))
+    assert 'scale: relative' in robot.log()
+
+
+@pytest.mark.parametrize('text, count', [
+    ('7: wall 2.31 m', 1), ('area 3m2', 1), ('floor 1.4 m below', 1), ('depth in metres', 1),
+    ('metric: the network\'s metres', 2), ('metric: the network gives no metres; fixed', 0),
+    ('latency.depth_ms: 12.00', 0), ('7: wall 2.31', 0), ('manhattan, unit unknown, +-1.2%', 0)])
+def test_what_a_claim_is(text, count):
+    assert len(claims(text)) == count
+
+
+@pytest.mark.parametrize('in_metres', [True, False])
+def test_a_cloud_file_says_whether_its_unit_is_known(tmp_path, in_metres):
+    path = tmp_path / 'cloud.ply'
+    write_ply(path, np.ones((1, 3)), np.ones((1, 3), np.uint8), np.ones(1, int), in_metres)
+    header = path.read_bytes().split(b'end_header')[0].decode()
+    assert bool(claims(header)) == in_metres
+    assert ('unit of length not known' in header) != in_metres
+
+
+@pytest.mark.parametrize('scale', ['relative', 'fixed'])
+def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, scale):
+    points = np.zeros((240, 320), [(name, 'f4') for name in 'xyz'] + [('label', 'u4')])
+    points['z'] = ROOM.depth_m
+    planes = np.ones(2, [(name, 'f4') for name in (
+        'normal_x', 'normal_y', 'normal_z', 'd', 'rms', 'area')]
+        + [('label', 'u4'), ('num_inliers', 'u4')])
+    photograph = Photograph('room', ROOM.rgb, CAMERA, 'calibration as given', ROOM.depth_m)
+    outcome = Outcome(photograph, 'a network', Received(points, planes, ROOM.depth_m, ROOM.rgb),
+                      Timing(1, 1.0, [{'scale': scale}]), points['label'])
+    paths = write_files(outcome, tmp_path)
+    print_outcome(outcome, [])
+    printed = capsys.readouterr().out
+    cloud = next(path for path in paths if path.suffix == '.ply').read_bytes()
+    said = [*printed.splitlines(), *drawn, cloud.split(b'end_header')[0].decode()]
+    assert any(claims(text) for text in said) == (scale == 'fixed')
+    assert ('[m]' in printed) == (scale == 'fixed')
+
+
+def test_classes_without_a_unit_are_told_all_the_same(robot):
+    run(robot, ROOM, scale__gravity=ROOM.down_camera.tolist())
+    kinds = {kind.name.lower() for kind in (PlaneClass.FLOOR, PlaneClass.WALL)}
+    assert any(kind in text for text in captions(robot) for kind in kinds)
