@@ -142,7 +142,8 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
 
     """
     free, drawn, found = model.planar.copy(), 0, True
-    while found and drawn < ransac.max_iterations:
+    count = model.grid.moments[:, cells.N]
+    while found and drawn < ransac.max_iterations and count @ free >= min_pixels:
         found = False
         batch = _draw(model, free, min_pixels, ransac, rng)
         drawn += len(batch.planes)
@@ -164,8 +165,11 @@ class _Batch:
 
     def remove(self, taken: np.ndarray) -> None:
         """Take the support of newly assigned cells (R * C,) bool out of every gain."""
-        rows = np.flatnonzero(taken[self.cells])
-        self.gain -= self.support[rows].sum(axis=0)
+        rows = taken[self.cells]
+        if rows.mean() > 0.25:  # a product with all of it is faster than a copy of much of it
+            self.gain -= rows.astype(float) @ self.support
+        else:
+            self.gain -= self.support[rows].sum(axis=0)
 
 
 def _draw(model: CellModel, free: np.ndarray, min_pixels: float, ransac: RansacConfig,
@@ -182,7 +186,7 @@ def _draw(model: CellModel, free: np.ndarray, min_pixels: float, ransac: RansacC
     weighted[:, 9] += count
     support = weighted @ monomials(planes)
     np.maximum(support, 0, out=support)
-    return _Batch(planes, seeds, members, support, support.sum(axis=0))
+    return _Batch(planes, seeds, members, support, np.ones(len(support)) @ support)
 
 
 def _window_planes(model: CellModel, free: np.ndarray, wanted: int,

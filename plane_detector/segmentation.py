@@ -38,6 +38,7 @@ CALIBRATION_ROUNDS = 5
 MIN_CELL_SIZE_PX = 3
 # Half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
+DEFAULTS = Config()
 # The range of a disparity of unknown unit, and what its exact planes may stray by.
 RANGE_QUANTILES = (0.02, 0.98)
 RELATIVE_FLOOR = 1e-4
@@ -77,7 +78,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
         The depth image is none, or of another size than the intrinsics say.
 
     """
-    config = config or Config()
+    config = config or DEFAULTS
     rng = rng or np.random.default_rng(config.ransac.seed)
     check_depth(depth_m, intrinsics)
     if config.segmentation.method == 'paper':
@@ -192,7 +193,7 @@ def ransac_alone(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
         Plane of each pixel, -1 none.
 
     """
-    config = config or Config()
+    config = config or DEFAULTS
     check_depth(depth_m, intrinsics)
     disparity, valid = to_disparity(depth_m)
     grid = make_cells(disparity, valid)
