@@ -134,8 +134,11 @@ def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
 @pytest.mark.parametrize('arguments, reason', [
     (('-p', 'segmentation.max_planes:=0'), 'segmentation.max_planes'),
     (('-p', 'depth.max_depth:=80'), 'depth.max_depth'),
-    (('-p', 'mode:=sometimes'), 'mode must be one of')])
-def test_an_impossible_parameter_ends_the_start_with_the_reason(start, arguments, reason):
+    (('-p', 'mode:=sometimes'), 'mode must be one of'),
+    (('--params-file', '/nowhere.yaml'), '/nowhere.yaml'),
+    (('-r', 'image'), "remap rule: '-r image'"),
+    (('--unknown',), '--unknown')])
+def test_an_impossible_argument_ends_the_start_with_the_reason(start, arguments, reason):
     node = start(*arguments)
     assert node.process.wait(STARTED_S) == 1
     assert reason in node.log()

@@ -39,14 +39,14 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 1 when the node cannot be made with these parameters, else 0.
+        The exit code: 1 when the node cannot be made with these arguments, else 0.
 
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _interrupt)
     keep_freed_memory()
     try:
-        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+        _init(args)
         _spin(make_node())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -73,6 +73,14 @@ def answer_impossible_transitions(node: LifecycleNode) -> None:
     for service in node.services:
         if service.srv_type is ChangeState:
             service.callback = guarded(service.callback)
+
+
+def _init(args: list[str] | None) -> None:
+    """Initialise rclpy; raise ValueError where it does not understand the command line."""
+    try:
+        rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # the base of rclpy's own, which it does not export
+        raise ValueError(f'rclpy refuses the arguments: {error}') from error
 
 
 def _interrupt(_number: int, _stack: Any) -> None:
