@@ -4,7 +4,8 @@
 Pictures and depth images of a real lens to those of a pinhole camera.
 
 The models are those of sensor_msgs/CameraInfo as OpenCV implements them: plumb_bob (Brown, 5
-coefficients), rational_polynomial (8) and equidistant (Kannala and Brandt, 4).
+coefficients), rational_polynomial (8; 12 and 14 with OpenCV's thin prism and tilted sensor) and
+equidistant (Kannala and Brandt, 4).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8,), 'equidistant': (4,)}
+_COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equidistant': (4,)}
 
 
 @dataclass(frozen=True)
@@ -93,8 +94,8 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
         raise ValueError(f'distortion model {model!r} is not known: '
                          f'{", ".join(_COEFFICIENTS)} are; rectify the picture before this node')
     if len(distortion) not in _COEFFICIENTS[model]:
-        raise ValueError(f'{model} has {_COEFFICIENTS[model][-1]} coefficients, not '
-                         f'{len(distortion)}')
+        counts = ' or '.join(str(count) for count in _COEFFICIENTS[model])
+        raise ValueError(f'{model} has {counts} coefficients, not {len(distortion)}')
     rotation = np.asarray(rotation, float) if np.any(rotation) else np.eye(3)
     lens = cv2.fisheye if model == 'equidistant' else cv2
     map_x, map_y = lens.initUndistortRectifyMap(

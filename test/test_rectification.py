@@ -52,6 +52,15 @@ def test_maps_follow_the_model(model, d, project):
     np.testing.assert_allclose(maps.map_y, expected_y, atol=2e-3)
 
 
+@pytest.mark.parametrize('count', [12, 14])
+def test_further_coefficients_of_zero_change_nothing(count):
+    d = np.array([0.4, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03])
+    eight, more = (make_rectification('rational_polynomial', np.pad(d, (0, n - 8)), MATRIX, TURN,
+                                      NEW_MATRIX, SIZE) for n in (8, count))
+    np.testing.assert_allclose(more.map_x, eight.map_x, atol=1e-3)
+    np.testing.assert_allclose(more.map_y, eight.map_y, atol=1e-3)
+
+
 def test_depth_of_a_turned_camera_is_along_the_new_axis():
     """A plane z = 2 of the rectified camera, seen by the turned one, comes back as 2."""
     maps = make_rectification('plumb_bob', np.zeros(5), MATRIX, TURN, NEW_MATRIX, SIZE)
@@ -73,7 +82,8 @@ def test_rotation_of_zeros_is_none():
 
 
 @pytest.mark.parametrize('model, d, reason', [
-    ('spherical', np.zeros(5), 'spherical'), ('plumb_bob', np.zeros(8), '5 coefficients'),
+    ('spherical', np.zeros(5), 'spherical'), ('plumb_bob', np.zeros(8), '4 or 5 coeff'),
+    ('rational_polynomial', np.zeros(5), '8 or 12 or 14 coefficients'),
     ('equidistant', np.zeros(5), '4 coefficients')])
 def test_what_is_no_known_model_is_refused(model, d, reason):
     with pytest.raises(ValueError, match=reason):
