@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import array
 import csv
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -202,7 +203,6 @@ def test_cloud_from_msg_follows_the_fields():
 
 def test_demo_runs_the_node_over_dds(tmp_path, pictures):
     pytest.importorskip('rclpy')
-    pytest.importorskip('pyransac3d')
     run = subprocess.run(
         [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
          str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=240)
@@ -224,10 +224,13 @@ def test_demo_runs_the_node_over_dds(tmp_path, pictures):
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
 
 
-def test_demo_says_what_is_wrong(tmp_path):
+@pytest.mark.parametrize('arguments, reason', [
+    (['--images', '.'], 'demo: no picture in'), (['--fx', '525'], 'demo: a calibration')])
+def test_demo_says_what_is_wrong(tmp_path, arguments, reason):
     pytest.importorskip('rclpy')
     run = subprocess.run(
-        [sys.executable, '-m', 'plane_detector.tools.demo', '--images', str(tmp_path)],
-        cwd=ROOT, capture_output=True, text=True, timeout=60)
+        [sys.executable, '-m', 'plane_detector.tools.demo', *arguments], cwd=tmp_path,
+        capture_output=True, text=True, timeout=60,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
     assert run.returncode == 1
-    assert run.stderr.strip().startswith('demo: no picture in')
+    assert run.stderr.strip().startswith(reason)

@@ -47,6 +47,9 @@ def _run(options: argparse.Namespace) -> None:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
     if options.images and options.without_network:
         raise ValueError('pictures of a folder have no measured depth: they need the network')
+    if lens != Lens() and not options.images:
+        raise ValueError('a calibration or a field of view is for your own pictures: name their '
+                         'folder by --images (make demo IMAGES=...)')
     photographs = (folder_pictures(options.images, lens) if options.images
                    else library_pictures())
     options.output.mkdir(parents=True, exist_ok=True)
