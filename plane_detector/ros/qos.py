@@ -49,11 +49,6 @@ class InputSubscription:
         """The resolved name."""
         return self._subscription.topic_name
 
-    @property
-    def publishers(self) -> int:
-        """How many publishers there are now."""
-        return self._node.count_publishers(self.topic)
-
     def destroy(self) -> None:
         """End the subscription."""
         self._node.destroy_subscription(self._subscription)
