@@ -21,6 +21,7 @@ ARGUMENTS = {
     'image': ('image', 'topic of the colour picture'),
     'camera_info': ('camera_info', 'topic of its CameraInfo'),
     'depth': ('depth', 'topic of measured depth, for depth.source: topic'),
+    'imu': ('imu', 'topic of the IMU, for use_imu'),
     'model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
     'use_sim_time': ('', 'true: take the time from /clock'),
     'log_level': ('info', 'debug, info, warn, error or fatal'),
@@ -54,6 +55,7 @@ def start_node(context: LaunchContext) -> list[Node]:
             ('image/compressed', f'{value["image"]}/compressed'),
             ('camera_info', value['camera_info']),
             ('depth', value['depth']),
+            ('imu', value['imu']),
         ],
         arguments=['--ros-args', '--log-level', value['log_level']],
     )]
