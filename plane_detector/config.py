@@ -111,6 +111,9 @@ class DepthConfig(Checked):
         'its own', low=1e-9, read_only=True)
     max_depth: float = _setting(
         80.0, 'depth beyond this is taken as invalid', 'm', 0.01, 1e4)
+    damping: float = _setting(
+        0.8, 'share of the disparity kept from the pictures before, while the camera stands still '
+        'and nothing moves, against flicker of the network; 0: none', '', 0.0, 0.99)
     providers: tuple[str, ...] = _setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers, the first that runs is '
         'taken', read_only=True)
@@ -146,9 +149,9 @@ class ScaleConfig(Checked):
     disparity_shift: float = _setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
     reference_focal_px: float = _setting(
-        -1.0, 'focal length, at the width of this picture, of the camera that a metric network '
-        'assumes: depth is multiplied by fx / this; -1: the one that a network of the zoo is '
-        'known to be trained with; 0: no correction', 'px', -1.0, 1e5)
+        0.0, 'focal length, at the width of this picture, of the camera that a metric network '
+        'assumes: depth is multiplied by fx / this; 0: no correction; -1: the one that a network '
+        'of the zoo is known to be trained with', 'px', -1.0, 1e5)
     camera_height: float = _setting(
         0.0, 'height of the camera above the floor, 0: unknown', 'm', 0.0, 1000.0)
     gravity: tuple[float, ...] = _setting(
