@@ -11,6 +11,7 @@ this one touches a pixel until the labels are brought back to full resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -59,6 +60,12 @@ class CellGrid:
     slope: np.ndarray
     inner_rms: np.ndarray
     usable: np.ndarray
+
+    @cached_property
+    def mean_moments(self) -> np.ndarray:
+        """The moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
+        x, y, d = self.mean.T
+        return np.array([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d]).T
 
 
 def cell_size(shape: tuple[int, int]) -> int:
@@ -234,9 +241,3 @@ def error_weights(planes: np.ndarray) -> np.ndarray:
 def squared_error(planes: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10+)."""
     return np.einsum('...k,...k', error_weights(planes), moments[..., :10])
-
-
-def mean_moments(grid: CellGrid) -> np.ndarray:
-    """Return the moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
-    x, y, d = grid.mean.T
-    return np.array([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d]).T

@@ -124,7 +124,7 @@ def _summarise(model: CellModel, patches: Patches) -> _Summary:
     labels = np.where(model.planar, patches.labels.ravel(), -1)
     one_hot = (labels[:, None] == np.arange(len(patches.planes))).astype(float)
     count = np.maximum(one_hot.sum(axis=0), 1)
-    return _Summary(one_hot.T @ cells.mean_moments(model.grid), count,
+    return _Summary(one_hot.T @ model.grid.mean_moments, count,
                     (model.variances.mean @ one_hot) / count)
 
 

@@ -122,7 +122,7 @@ def _window_statistics(grid: CellGrid) -> np.ndarray:
     """Return the rms of means, slopes and pixels in each window of enough cells, (n, 3)."""
     usable = grid.usable[:, None].astype(float)
     slope_square = (grid.slope**2).sum(axis=1, keepdims=True)
-    values = np.hstack([cells.mean_moments(grid), grid.slope, slope_square,
+    values = np.hstack([grid.mean_moments, grid.slope, slope_square,
                         grid.inner_rms[:, None] ** 2]) * usable
     side = min(WINDOW_CELLS, *grid.shape)
     rows, columns = grid.shape[0] // side, grid.shape[1] // side
