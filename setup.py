@@ -40,6 +40,5 @@ setup(
         f'benchmark = {NAME}.tools.benchmark:main',
         f'demo = {NAME}.tools.demo:main',
         f'replay = {NAME}.tools.replay:main',
-        f'parameters = {NAME}.tools.parameters:main',
     ]},
 )
