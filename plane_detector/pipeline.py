@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.config import Config
+from plane_detector.damping import DampedDisparity, damp_flicker
 from plane_detector.depth import DepthEstimator
 from plane_detector.gravity import unit_direction
 from plane_detector.lens import lens_factor
@@ -51,12 +52,13 @@ class PlaneDetector:
         if estimate_depth is None and self.config.depth.source == 'model':
             estimate_depth = DepthEstimator(self.config.depth)
         self.estimate_depth = estimate_depth
+        self._damped: DampedDisparity | None = None
         self._scale: ScaleState | None = None
         self._tracker = PlaneTracker()
 
     def reset(self) -> None:
-        """Forget the pictures before: scale and labels start anew."""
-        self._scale = None
+        """Forget the pictures before: averages, scale and labels start anew."""
+        self._damped = self._scale = None
         self._tracker.reset()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
@@ -93,6 +95,7 @@ class PlaneDetector:
         stages = Stages()
         with stages('depth'):
             prediction, output = self._predict(rgb, intrinsics, depth_m)
+            prediction = self._damp(prediction, output, rgb)
             if covered is not None:
                 prediction = np.where(covered, prediction, np.float32(np.nan))
         with stages('segmentation'):
@@ -187,6 +190,18 @@ class PlaneDetector:
         if output == 'metric_depth':
             prediction = self._within_max_depth(prediction)
         return prediction, output
+
+    def _damp(self, prediction: np.ndarray, output: str, rgb: np.ndarray) -> np.ndarray:
+        """Return what a network says with less flicker; measured depth stays as it is."""
+        keep = self.config.depth.damping
+        if keep == 0 or self._is_measured():
+            self._damped = None
+            return prediction
+        self._damped = damp_flicker(self._damped, to_disparity(prediction, output), rgb, keep,
+                                    same_scale=output != 'relative_disparity')
+        if self._damped.pictures == 1:
+            return prediction
+        return to_disparity(self._damped.disparity, output)  # 1/z undoes itself
 
     def _without_lens(self, prediction: np.ndarray, output: str,
                       intrinsics: CameraIntrinsics) -> np.ndarray:

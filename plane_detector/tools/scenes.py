@@ -148,6 +148,11 @@ def _colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) ->
 
 def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
     """Return a furnished room: boxes on the floor, and cupboards and pictures on the walls."""
+    return render(*furnished_room(rng), intrinsics, rng)
+
+
+def furnished_room(rng: np.random.Generator) -> tuple[list[Rectangle], np.ndarray, np.ndarray]:
+    """Return the rectangles of a room, and rotation (3, 3) and position (3,) of a camera in it."""
     size = rng.uniform([3.5, 4.0, 2.3], [7.0, 8.0, 3.2])
     position = np.append(rng.uniform(0.1, 0.9, 2) * size[:2], rng.uniform(0.9, 1.8))
     to_x, to_y = rng.uniform(0.3, 0.7, 2) * size[:2] - position[:2]
@@ -156,7 +161,7 @@ def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) ->
     furniture: list[Rectangle] = []
     for _ in range(rng.integers(6, 16)):
         furniture += _furniture(rng, size, position)
-    return render(box(size / 2, size) + furniture, rotation, position, intrinsics, rng)
+    return box(size / 2, size) + furniture, rotation, position
 
 
 def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -> list[Rectangle]:

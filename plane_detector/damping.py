@@ -1,0 +1,162 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Flicker of a network's disparity, damped while the picture stays the same.
+
+A network sees sensor noise too, and gives another depth in every frame of a camera that stands
+still. While nothing moves the disparity is averaged over time; as soon as anything does, the new
+picture stands alone, the whole of it: a lag would bend planes, and a picture that is damped in
+one part only has two levels of noise, of which the segmentation sees one. Both the picture and
+the disparity are compared with their own averages, so that slow motion adds up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+_BLUR_PX = 1.5
+# Brightness that differs by this many standard deviations of its noise is another one; the noise
+# is taken to be within these grey levels.
+_GREY_SIGMAS, _GREY_NOISE = 5.0, (0.4, 1.5)
+# So is the mean disparity of a block, if it is off by more than this share of the picture's span
+# too: networks flicker ten times more at edges than elsewhere.
+_DEPTH_SIGMAS, _DEPTH_SHARE, _BLOCK_PX = 4.0, 0.1, 8
+# Something moves where more than this share of the pixels has another brightness or disparity;
+# less is noise or, with its surroundings, too small for a plane.
+_GREY_MOVING, _DEPTH_MOVING, _SPREAD_PX = 0.0005, 0.005, 17
+_STEP_PX = 4  # statistics need not look at every row and column
+# Without this many edges in these nothing tells that the camera stands still.
+_EDGE_GREY_PER_PX, _FEWEST_ON_EDGES = 6.0, 50
+_FIT_ROUNDS, _FEWEST_FITTED = 3, 100
+_MAD_TO_SIGMA = 1.4826
+
+
+@dataclass(frozen=True)
+class DampedDisparity:
+    """
+    Averages up to a picture.
+
+    Attributes
+    ----------
+    disparity : (H, W) float32
+        Not finite where that of the last picture is not.
+    grey : (H, W) float32
+        Blurred brightness.
+    pictures : int
+        How many went into the averages.
+
+    """
+
+    disparity: np.ndarray
+    grey: np.ndarray
+    pictures: int
+
+
+def damp_flicker(previous: DampedDisparity | None, disparity: np.ndarray, rgb: np.ndarray,
+                 keep: float, *, same_scale: bool) -> DampedDisparity:
+    """
+    Average the disparity of a picture with those before, if nothing has changed.
+
+    Parameters
+    ----------
+    previous : DampedDisparity or None
+        Of the picture before; None, or of another size: the picture starts a new average.
+    disparity : (H, W) floating
+        Not finite where invalid.
+    rgb : (H, W, 3) uint8
+        The picture itself.
+    keep : float
+        Share of the average that is kept at every picture, 0 to below 1. The first pictures
+        count alike.
+    same_scale : bool
+        False for relative disparity, whose scale and shift may change with every picture: the
+        average is brought to those of the new one.
+
+    Returns
+    -------
+    DampedDisparity
+        In scale and shift of the new picture.
+
+    """
+    disparity = disparity.astype(np.float32, copy=False)
+    grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0),
+                            _BLUR_PX)
+    alone = DampedDisparity(disparity, grey, 1)
+    if previous is None or previous.grey.shape != grey.shape or not _shows_motion(grey):
+        return alone
+    changed = _has_changed(previous.grey, grey)
+    known = np.isfinite(disparity) & np.isfinite(previous.disparity)
+    expected = previous.disparity
+    if not same_scale:
+        expected = _in_scale_of(disparity, expected, known & ~changed)
+        if expected is None:
+            return alone
+    differs = _differs(disparity, expected, known)
+    if changed.mean() > _GREY_MOVING or differs.mean() > _DEPTH_MOVING:
+        return alone
+    still = ~_spread(changed | differs)
+    weight = np.float32(min(keep, previous.pictures / (previous.pictures + 1)))
+    return DampedDisparity(
+        np.where(still & known, weight * expected + (1 - weight) * disparity, disparity),
+        np.where(still, weight * previous.grey + (1 - weight) * grey, grey),
+        previous.pictures + 1)
+
+
+def _shows_motion(grey: np.ndarray) -> bool:
+    """Say whether the picture has edges, by which a motion of the camera would be seen."""
+    on_edges = sum(np.count_nonzero(np.abs(np.diff(lines, axis=axis)) > _EDGE_GREY_PER_PX)
+                   for lines, axis in ((grey[::_STEP_PX], 1), (grey[:, ::_STEP_PX], 0)))
+    return on_edges >= _FEWEST_ON_EDGES
+
+
+def _has_changed(before: np.ndarray, grey: np.ndarray) -> np.ndarray:
+    """Return where the brightness is another one, (H, W) bool."""
+    difference = np.abs(grey - before)
+    sigma = np.clip(_MAD_TO_SIGMA * np.median(difference[::_STEP_PX, ::_STEP_PX]), *_GREY_NOISE)
+    return difference > _GREY_SIGMAS * sigma
+
+
+def _spread(mask: np.ndarray) -> np.ndarray:
+    return cv2.dilate(mask.view(np.uint8), np.ones((_SPREAD_PX, _SPREAD_PX), np.uint8)).view(bool)
+
+
+def _in_scale_of(disparity: np.ndarray, before: np.ndarray,
+                 still: np.ndarray) -> np.ndarray | None:
+    """Return what was before in scale and shift of a new disparity; None where they are unsure."""
+    thinned = (slice(None, None, _STEP_PX),) * 2
+    used = still[thinned]
+    old, new = (values[thinned][used].astype(float) for values in (before, disparity))
+    scale = shift = 0.0
+    for _ in range(_FIT_ROUNDS):
+        if len(old) < _FEWEST_FITTED or not np.ptp(old) > 0:
+            return None
+        scale = np.cov(old, new, ddof=0)[0, 1] / old.var()
+        shift = new.mean() - scale * old.mean()
+        residual = np.abs(new - scale * old - shift)
+        inside = residual <= 3 * _MAD_TO_SIGMA * np.median(residual)
+        old, new = old[inside], new[inside]
+    return np.float32(scale) * before + np.float32(shift) if scale > 0 else None
+
+
+def _differs(disparity: np.ndarray, expected: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return where the disparity is further off than it flickers, (H, W) bool."""
+    thinned = (slice(None, None, _STEP_PX),) * 2
+    if not known[thinned].any():
+        return np.zeros(known.shape, bool)
+    difference = np.subtract(disparity, expected, out=np.zeros_like(disparity), where=known)
+    share = _block_means(known.astype(np.float32))
+    mean = np.abs(_block_means(difference)) / np.maximum(share, 1e-6)
+    flicker = _MAD_TO_SIGMA * np.median(mean[share > 0])
+    span = np.ptp(np.quantile(expected[thinned][known[thinned]], (0.05, 0.95)))
+    far = mean > max(_DEPTH_SIGMAS * flicker, _DEPTH_SHARE * span)
+    return cv2.resize(far.view(np.uint8), known.shape[::-1],
+                      interpolation=cv2.INTER_NEAREST).view(bool)
+
+
+def _block_means(values: np.ndarray) -> np.ndarray:
+    """Return the means of blocks of the picture, as nearly square as its sides allow."""
+    height, width = (max(1, round(side / _BLOCK_PX)) for side in values.shape)
+    return cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)
