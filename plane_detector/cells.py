@@ -101,11 +101,12 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
 
     """
     size = size or cell_size(disparity.shape)
-    blocks, mask = _blocks(disparity, size), _blocks(valid, size)
-    chosen = mask.any(axis=(1, 3)) if sparse else np.ones((len(mask), mask.shape[2]), bool)
+    images = blocks(disparity, size), blocks(valid, size)
+    chosen = images[1].any(axis=(1, 3)) if sparse else np.ones(images[1].shape[::2], bool)
     chosen = np.nonzero(chosen)
-    blocks, mask = (_pick(image, chosen, sparse).reshape(-1, size**2) for image in (blocks, mask))
-    local, middle = _local_moments(blocks, mask, size, disparity.shape[1])
+    local, middle = _local_moments(
+        *(_pick(image, chosen, sparse).reshape(-1, size**2) for image in images), size,
+        disparity.shape[1])
     x, y = _cell_centres(disparity.shape, size)
     shape = (len(y), len(x))
     slope, inner_rms, usable = _own_planes(local, size, disparity.shape[1])
@@ -117,17 +118,17 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
     return CellGrid(size, disparity.shape[1], shape, *columns)
 
 
-def _blocks(image: np.ndarray, size: int) -> np.ndarray:
-    """Return the image as cells (R, s, C, s), filled up with zeros to whole ones."""
+def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
+    """Return the image (H, W) as cells (R, s, C, s), filled up to whole ones."""
     missing = [(0, -side % size) for side in image.shape]
     if any(end for _, end in missing):
-        image = np.pad(image, missing)
+        image = np.pad(image, missing, constant_values=fill)
     return image.reshape(image.shape[0] // size, size, -1, size)
 
 
-def _pick(blocks: np.ndarray, chosen: tuple[np.ndarray, np.ndarray], sparse: bool) -> np.ndarray:
+def _pick(image: np.ndarray, chosen: tuple[np.ndarray, np.ndarray], sparse: bool) -> np.ndarray:
     """Return the chosen cells (n, s, s); all of them need no index."""
-    return blocks[chosen[0], :, chosen[1], :] if sparse else blocks.transpose(0, 2, 1, 3)
+    return image[chosen[0], :, chosen[1], :] if sparse else image.transpose(0, 2, 1, 3)
 
 
 def _scatter(values: np.ndarray, chosen: tuple[np.ndarray, np.ndarray],

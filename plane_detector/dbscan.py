@@ -9,13 +9,15 @@ space too: the gap in disparity between them is bounded by the inlier threshold.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import cv2
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from sklearn.cluster import DBSCAN
+
+# Slices of the cells of a grid and of their neighbours: right, down, and along the diagonals.
+NEIGHBOURS = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :]))
+DIAGONALS = ((np.s_[:-1, :-1], np.s_[1:, 1:]), (np.s_[:-1, 1:], np.s_[1:, :-1]))
 
 
 def grid_clusters(mask: np.ndarray, eps: float, min_samples: int) -> np.ndarray:
@@ -70,32 +72,96 @@ def label_clusters(labels: np.ndarray, eps: float, min_samples: int) -> np.ndarr
     """
     if eps >= 2:
         return _clusters_one_by_one(labels, eps, min_samples)
-    flat = labels.ravel()
-    near, far = _neighbours(labels.shape, diagonal=eps >= np.sqrt(2))
-    alike = (flat[near] == flat[far]) & (flat[near] >= 0)
-    near, far = near[alike], far[alike]
-    density = 1 + np.bincount(near, minlength=flat.size) + np.bincount(far, minlength=flat.size)
-    core = (flat >= 0) & (density >= min_samples)
-    linked = core[near] & core[far]
-    links = coo_array((np.ones(linked.sum(), bool), (near[linked], far[linked])),
-                      shape=(flat.size, flat.size))
-    _, clusters = connected_components(links, directed=False)
-    clusters = np.where(core, clusters, -1).astype(np.int32)
-    # A border cell joins the last of the clusters that it touches.
-    for cell, neighbour in ((near, far), (far, near)):
-        joins = core[neighbour] & ~core[cell]
-        np.maximum.at(clusters, cell[joins], clusters[neighbour[joins]])
-    return clusters.reshape(labels.shape)
+    sides = _alike(labels, NEIGHBOURS)
+    corners = _alike(labels, DIAGONALS) if eps >= np.sqrt(2) else []
+    density = np.ones(labels.shape, np.int32)
+    for near, far, alike in sides + corners:
+        density[near] += alike
+        density[far] += alike
+    core = (labels >= 0) & (density >= min_samples)
+    right, down = (alike & core[near] & core[far] for near, far, alike in sides)
+    clusters = linked_components(core, right, down)
+    for near, far, alike in corners:
+        clusters = _united(clusters, near, far, alike & core[near] & core[far])
+    return _with_border_cells(clusters, core, sides + corners)
 
 
-@lru_cache(maxsize=8)
-def _neighbours(shape: tuple[int, int], diagonal: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs of cells that are neighbours in a grid, each pair once."""
-    index = np.arange(shape[0] * shape[1]).reshape(shape)
-    pairs = [(index[:, :-1], index[:, 1:]), (index[:-1], index[1:])]
-    if diagonal:
-        pairs += [(index[:-1, :-1], index[1:, 1:]), (index[:-1, 1:], index[1:, :-1])]
-    return tuple(np.concatenate([pair[k].ravel() for pair in pairs]) for k in range(2))
+def linked_components(mask: np.ndarray, right: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """
+    Find the connected components of a grid whose links are given.
+
+    Parameters
+    ----------
+    mask : (R, C) bool
+        Cells that count.
+    right : (R, C - 1) bool
+        Cells that are linked with the next one in their row.
+    down : (R - 1, C) bool
+        ... with the next one in their column.
+
+    Returns
+    -------
+    (R, C) int32
+        From 0, -1 where the mask is not set.
+
+    """
+    # Cells are the pixels with even coordinates, the links between them the pixels between these.
+    picture = np.zeros((2 * mask.shape[0], 2 * mask.shape[1]), np.uint8)
+    picture[::2, ::2] = mask
+    picture[::2, 1:-1:2] = right
+    picture[1:-1:2, ::2] = down
+    _, components = cv2.connectedComponents(picture, connectivity=4, ltype=cv2.CV_32S)
+    return components[::2, ::2] - 1
+
+
+def _alike(labels: np.ndarray, directions: tuple) -> dict[tuple, np.ndarray]:
+    """Say for the slices of each direction which neighbours have the same label."""
+    labelled = labels >= 0
+    return {(near, far): (labels[near] == labels[far]) & labelled[near]
+            for near, far in directions}
+
+
+def _united(clusters: np.ndarray, near: tuple, far: tuple, linked: np.ndarray) -> np.ndarray:
+    """Unite clusters (R, C) that further links join."""
+    first, second = clusters[near][linked], clusters[far][linked]
+    apart = first != second
+    if not apart.any():
+        return clusters
+    count = int(clusters.max()) + 1
+    links = coo_array((np.ones(apart.sum(), bool), (first[apart], second[apart])),
+                      shape=(count, count))
+    _, united = connected_components(links, directed=False)
+    return np.where(clusters >= 0, united[clusters], -1).astype(np.int32)
+
+
+def _alike(labels: np.ndarray, directions: tuple) -> list[tuple]:
+    """Return each direction's slices and which neighbours along it have the same label."""
+    labelled = labels >= 0
+    return [(near, far, (labels[near] == labels[far]) & labelled[near])
+            for near, far in directions]
+
+
+def _united(clusters: np.ndarray, near: tuple, far: tuple, linked: np.ndarray) -> np.ndarray:
+    """Unite clusters (R, C) that further links join."""
+    first, second = clusters[near][linked], clusters[far][linked]
+    apart = first != second
+    if not apart.any():
+        return clusters
+    count = int(clusters.max()) + 1
+    links = coo_array((np.ones(apart.sum(), bool), (first[apart], second[apart])),
+                      shape=(count, count))
+    _, united = connected_components(links, directed=False)
+    return np.where(clusters >= 0, united[clusters], -1).astype(np.int32)
+
+
+def _with_border_cells(clusters: np.ndarray, core: np.ndarray, alike: list[tuple]) -> np.ndarray:
+    """Give each cell that is not core the last of the clusters that it touches."""
+    joined = clusters.copy()
+    for near, far, same in alike:
+        for cell, neighbour in ((near, far), (far, near)):
+            joins = same & ~core[cell]
+            np.maximum(joined[cell], clusters[neighbour], out=joined[cell], where=joins)
+    return joined
 
 
 def _clusters_one_by_one(labels: np.ndarray, eps: float, min_samples: int) -> np.ndarray:

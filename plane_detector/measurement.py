@@ -75,12 +75,21 @@ def renumber(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     """Return how many pixels of each label each cell has, (R * C, K) float64."""
-    rows, columns = grid.shape
-    row = np.arange(labels.shape[0], dtype=np.int32) // grid.size_px
-    column = np.arange(labels.shape[1], dtype=np.int32) // grid.size_px
-    key = (row[:, None] * columns + column) * np.int32(count + 1) + (labels + 1)
-    found = np.bincount(key.ravel(), minlength=rows * columns * (count + 1))
-    return found.reshape(-1, count + 1)[:, 1:].astype(float)
+    rows, columns, size = *grid.shape, grid.size_px
+    blocks = cells.blocks(labels, size, fill=-1)
+    across = blocks.reshape(rows, size, columns * size)
+    highest, lowest = (reduce(across, axis=1).reshape(rows, columns, size)
+                       for reduce in (np.max, np.min))
+    highest, lowest = highest.max(axis=2), lowest.min(axis=2)
+    counts = np.zeros((rows * columns, count + 1))
+    # Most cells have one label.
+    counts[np.arange(rows * columns), highest.ravel() + 1] = size**2
+    at_row, at_column = np.nonzero(highest != lowest)
+    mixed = blocks[at_row, :, at_column, :].reshape(-1, size**2)
+    key = mixed + (1 + (count + 1) * np.arange(len(mixed)))[:, None]
+    found = np.bincount(key.ravel(), minlength=len(mixed) * (count + 1))
+    counts[at_row * columns + at_column] = found.reshape(-1, count + 1)
+    return counts[:, 1:]
 
 
 def _typical_disparity(grid: CellGrid) -> float:
@@ -94,25 +103,29 @@ def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Nois
     ray_planes = planes @ jacobian.T
     length = np.linalg.norm(ray_planes, axis=1)
     normals, offsets_m = -ray_planes / length[:, None], 1 / length
-    rays = _cell_rays(grid, intrinsics)
+    cell, plane = np.divmod(np.flatnonzero(counts > 0), len(planes))
+    found, rays = counts[cell, plane], _cell_rays(grid, intrinsics)[cell]
+    depth_m = 1 / np.maximum((rays * ray_planes[plane]).sum(axis=1), TINY_DISPARITY)
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(plane, found * values, len(planes))
+
     pixels = counts.sum(axis=0)
-    depth_m = 1 / np.where(counts > 0, np.maximum(rays @ ray_planes.T, TINY_DISPARITY), np.inf)
-    centroids_m = (counts * depth_m).T @ rays / pixels[:, None]
+    centroids_m = np.stack([total(depth_m * ray) for ray in rays.T], axis=1) / pixels[:, None]
     centroids_m -= ((normals * centroids_m).sum(axis=1) + offsets_m)[:, None] * normals
-    areas_m2 = (counts * depth_m * depth_m * depth_m).sum(axis=0) / (
-        intrinsics.fx * intrinsics.fy * offsets_m)
-    rms_m = offsets_m * _relative_rms(grid, counts, planes)
+    areas_m2 = total(depth_m**3) / (intrinsics.fx * intrinsics.fy * offsets_m)
+    rms_m = offsets_m * _relative_rms(grid, cell, plane, found, planes)
     covariances = _covariances(grid, counts, noise, ray_planes, jacobian)
-    shares = pixels / (intrinsics.width * intrinsics.height)
+    sure = confidence(pixels / (intrinsics.width * intrinsics.height), covariances)
     return tuple(
         Plane(normals[k], float(offsets_m[k]), centroids_m[k], int(pixels[k]), float(rms_m[k]),
-              float(areas_m2[k]), covariances[k], confidence(shares[k], covariances[k]))
+              float(areas_m2[k]), covariances[k], float(sure[k]))
         for k in range(len(planes)))
 
 
-def confidence(share: float, covariance: np.ndarray) -> float:
+def confidence(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """
-    Return the probability that a plane is one of the scene.
+    Return the probability (K,) that each plane is one of the scene.
 
     Logistic in the logarithms of its share of the picture and of the standard deviation of its
     normal, fitted to whether planes of rendered rooms match a true one with IoU > 0.5:
@@ -120,20 +133,21 @@ def confidence(share: float, covariance: np.ndarray) -> float:
 
     Parameters
     ----------
-    share : float
+    share : (K,) float64
         Of the picture's pixels.
-    covariance : (4, 4) float64
+    covariance : (K, 4, 4) float64
         Of (normal, offset).
 
     """
     features = confidence_features(share, covariance)
-    return float(1 / (1 + np.exp(-np.dot(CONFIDENCE_WEIGHTS, features))))
+    return 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
 
 
-def confidence_features(share: float, covariance: np.ndarray) -> np.ndarray:
-    """Return 1 and the logarithms of the share and of the normal's deviation in radians, (3,)."""
-    deviation_rad = np.sqrt(np.trace(covariance[:3, :3]))
-    return np.array([1.0, np.log(max(share, 1e-9)), np.log(max(deviation_rad, LEAST_TILT_RAD))])
+def confidence_features(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return 1 and the logarithms of share and of the normal's deviation in radians, (K, 3)."""
+    deviation_rad = np.sqrt(np.einsum('kii->k', covariance[:, :3, :3]))
+    return np.stack([np.ones(len(share)), np.log(np.maximum(share, 1e-9)),
+                     np.log(np.maximum(deviation_rad, LEAST_TILT_RAD))], axis=1)
 
 
 def _ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -153,19 +167,22 @@ def _cell_rays(grid: CellGrid, intrinsics: CameraIntrinsics) -> np.ndarray:
                      (v_px - intrinsics.cy) / intrinsics.fy, np.ones(len(u_px))], axis=1)
 
 
-def _relative_rms(grid: CellGrid, counts: np.ndarray, planes: np.ndarray) -> np.ndarray:
+def _relative_rms(grid: CellGrid, cell: np.ndarray, plane: np.ndarray, found: np.ndarray,
+                  planes: np.ndarray) -> np.ndarray:
     """
     Return the rms (K,) of (1/z - plane) / (1/z); times the offset it is the distance in metres.
 
     Cells that a plane has to itself say it; when there is none, all its cells do.
     """
-    count = grid.moments[:, cells.N]
-    whole = (counts == count[:, None]) & (counts > 0)
-    taken = np.where(whole.any(axis=0), whole, counts > 0)
-    middle = grid.moments[:, cells.D] / np.maximum(count, 1)
-    square = grid.moments @ cells.error_weights(planes).T
-    relative = np.maximum(square, 0) / np.maximum(middle, TINY_DISPARITY)[:, None] ** 2
-    return np.sqrt((relative * taken).sum(axis=0) / np.maximum(count @ taken, 1))
+    count, disparity = grid.moments[cell, cells.N], grid.mean[cell, 2]
+    whole = found == count
+    has_whole = np.bincount(plane, whole, len(planes)) > 0
+    taken = whole | ~has_whole[plane]
+    square = (grid.moments @ cells.error_weights(planes).T)[cell, plane]
+    middle = np.maximum(disparity, TINY_DISPARITY)
+    total, pixels = (np.bincount(plane[taken], values[taken], len(planes))
+                     for values in (np.maximum(square, 0) / middle**2, count))
+    return np.sqrt(total / np.maximum(pixels, 1))
 
 
 def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,

@@ -35,27 +35,28 @@ class Noise:
 
     Attributes
     ----------
+    depth_floor_m : float
+        Of the depth of a pixel, at least; what 16-bit millimetres leave of an exact plane.
+    disparity_floor : float
+        Of the disparity of a pixel, at least, per metre.
+    known : float
+        What the source of the depth is known for, per metre; ``mean`` is at least this, since the
+        errors of a network are smooth and hide from every window.
     mean : float
         Of a cell's mean about its plane, per metre.
     slope : float
         Of each component of a cell's slope, per metre and picture width.
     grain : float
         Of a pixel about its cell's own plane, per metre.
-    depth_floor_m : float
-        Of the depth of a pixel, at least; what 16-bit millimetres leave of an exact plane.
-    disparity_floor : float
-        Of the disparity of a pixel, at least, per metre.
-    known : float
-        What the source of the depth is known for, per metre; ``mean`` is at least this.
 
     """
 
-    mean: float
-    slope: float
-    grain: float
     depth_floor_m: float
-    disparity_floor: float
-    known: float
+    disparity_floor: float = 0.0
+    known: float = 0.0
+    mean: float = 0.0
+    slope: float = 0.0
+    grain: float = 0.0
 
     def floor(self, disparity: np.ndarray) -> np.ndarray:
         """Return the variance that pixels of this disparity have at least."""
@@ -69,7 +70,6 @@ class Noise:
         """Return the noise with another smooth part, at least what is known."""
         return replace(self, mean=max(float(mean), self.known),
                        slope=max(float(slope), SLOPE_PER_NOISE * self.known))
-
 
     def for_smaller_cells(self, size_px: int, smaller_px: int) -> Noise:
         """
@@ -91,19 +91,15 @@ class CellVariances:
     grain: np.ndarray
 
 
-def estimate_noise(grid: CellGrid, depth_floor_m: float, disparity_floor: float = 0.0,
-                   known: float = 0.0) -> Noise:
+def estimate_noise(grid: CellGrid, least: Noise) -> Noise:
     """
     Estimate the noise of a picture.
 
     Parameters
     ----------
     grid : CellGrid
-    depth_floor_m, disparity_floor : float
-        Depth and disparity noise are taken to be at least this.
-    known : float
-        What the source of the depth is known for, per metre; the noise is taken to be at least
-        this, since the errors of a network are smooth and hide from every window.
+    least : Noise
+        Its floors and what is known bound the estimate from below.
 
     Returns
     -------
@@ -113,9 +109,8 @@ def estimate_noise(grid: CellGrid, depth_floor_m: float, disparity_floor: float 
     windows = _window_statistics(grid)
     mean, slope, grain = (
         np.quantile(windows, WINDOW_QUANTILE, axis=0) if len(windows) else np.zeros(3))
-    grain = max(float(grain), GRAIN_PER_NOISE * known)
-    unknown = Noise(0.0, 0.0, grain, depth_floor_m, disparity_floor, known)
-    return unknown.with_smooth_part(mean, slope)
+    grain = max(float(grain), GRAIN_PER_NOISE * least.known)
+    return replace(least, grain=grain).with_smooth_part(mean, slope)
 
 
 def _window_statistics(grid: CellGrid) -> np.ndarray:

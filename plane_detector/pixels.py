@@ -15,7 +15,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from plane_detector.cells import picture_coordinates
+from plane_detector.cells import blocks, picture_coordinates
 from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -59,8 +59,8 @@ def label_pixels(disparity: np.ndarray, valid: np.ndarray, model: CellModel, pat
     at_row, at_column = np.nonzero(near & ~certain)
     if len(at_row):
         smooth, grain = _smoothed(disparity, noise)
-        blocks = canvas.reshape(rows, size, columns, size)
-        blocks[at_row, :, at_column, :] = _choose(
+        cells = canvas.reshape(rows, size, columns, size)
+        cells[at_row, :, at_column, :] = _choose(
             smooth, model, patches, noise, grain, threshold, at_row, at_column)
     labels = canvas[:disparity.shape[0], :disparity.shape[1]]
     if not valid.all():
@@ -92,7 +92,7 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
     """Return the labels (n, s, s) of the pixels of some cells, by least residual."""
     size = model.grid.size_px
     x, y = _block_coordinates(disparity.shape, size, at_row, at_column)
-    d = _blocks(disparity, size, patches.labels.shape)[at_row, :, at_column, :]
+    d = blocks(disparity, size)[at_row, :, at_column, :]
     candidates = _candidates(patches.labels, at_row, at_column)
     best = np.full(d.shape, np.inf, np.float32)
     chosen = np.full(d.shape, -1, np.int32)
@@ -140,14 +140,6 @@ def _block_coordinates(shape: tuple[int, int], size: int, at_row: np.ndarray,
     x = x[0] + at_column[:, None] * size * step + offset
     y = y[0] + at_row[:, None] * size * step + offset
     return x[:, None, :].astype(np.float32), y[:, :, None].astype(np.float32)
-
-
-def _blocks(image: np.ndarray, size: int, shape: tuple[int, int]) -> np.ndarray:
-    """Return the image as cells (R, s, C, s), filled up with zeros."""
-    height, width = shape[0] * size, shape[1] * size
-    if image.shape != (height, width):
-        image = np.pad(image, ((0, height - image.shape[0]), (0, width - image.shape[1])))
-    return image.reshape(shape[0], size, shape[1], size)
 
 
 def _candidates(labels: np.ndarray, at_row: np.ndarray, at_column: np.ndarray) -> np.ndarray:

@@ -117,8 +117,8 @@ def collect(model: CellModel, found: list[tuple[np.ndarray, np.ndarray]]) -> Pat
 
 
 def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
-                dbscan: DbscanConfig | None,
-                rng: np.random.Generator) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+                dbscan: DbscanConfig | None, rng: np.random.Generator,
+                taken: np.ndarray | bool = False) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
     Find planes among the cells, take them out, go on until none is left.
 
@@ -132,6 +132,8 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
         None: a plane takes its inliers wherever in the picture they are.
     rng : numpy.random.Generator
         Draws the windows.
+    taken : (R * C,) bool, optional
+        Cells that belong to planes already; default: none.
 
     Yields
     ------
@@ -141,7 +143,7 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
         Its cells.
 
     """
-    free, drawn, found = model.planar.copy(), 0, True
+    free, drawn, found = model.planar & np.logical_not(taken), 0, True
     count = model.grid.moments[:, cells.N]
     while found and drawn < ransac.max_iterations and count @ free >= min_pixels:
         found = False

@@ -16,9 +16,9 @@ import cv2
 import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
-from plane_detector.calibration import calibrate, is_settled
 from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coordinates
-from plane_detector.config import Config, DbscanConfig
+from plane_detector.components import flat_components
+from plane_detector.config import Config
 from plane_detector.creases import straighten
 from plane_detector.measurement import count_labels, measure_planes, renumber
 from plane_detector.merging import merge_patches
@@ -26,14 +26,12 @@ from plane_detector.noise import Noise, estimate_noise
 from plane_detector.occlusion import join_hidden
 from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
-from plane_detector.ransac import CellModel, Patches, collect, make_model, peel_planes
+from plane_detector.ransac import collect, make_model
 from plane_detector.relabelling import relabel
+from plane_detector.search import find_patches, search_planes
 from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
-# The largest planes tell noise that is smooth over more than a window of the estimate.
-CALIBRATION_PLANES = 3
-CALIBRATION_ROUNDS = 5
 # Cells of fewer pixels say nothing of their slope.
 MIN_CELL_SIZE_PX = 3
 # Half of a plane's pixels may lie in cells that straddle its border.
@@ -87,8 +85,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     disparity, valid = to_disparity(depth_m)
     grid = make_cells(disparity, valid)
     known = config.segmentation.disparity_noise or disparity_noise
-    noise = estimate_noise(grid, config.ransac.noise_floor, known=known)
-    labels, planes, noise = _label(disparity, valid, grid, noise, config, rng)
+    least = Noise(config.ransac.noise_floor, known=known)
+    labels, planes, noise = _label(disparity, valid, grid, least, config, rng)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
     planes, labels = measure_planes(grid, labels, planes, noise, intrinsics, min_pixels)
     return PlaneSegmentation(planes, labels, noise.mean)
@@ -121,8 +119,8 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
     disparity = np.where(valid, disparity, 0).astype(np.float32)
     grid = make_cells(disparity, valid)
     floor = RELATIVE_FLOOR * disparity_range(np.where(valid, disparity, np.nan))
-    noise = estimate_noise(grid, 0.0, floor, disparity_noise)
-    return _label(disparity, valid, grid, noise, config, rng)[0]
+    least = Noise(0.0, floor, disparity_noise)
+    return _label(disparity, valid, grid, least, config, rng)[0]
 
 
 def disparity_range(disparity: np.ndarray) -> float:
@@ -158,7 +156,7 @@ def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIn
     disparity, valid = to_disparity(depth_m)
     labels = np.where(valid, labels, -1)
     grid = make_cells(disparity, valid)
-    noise = estimate_noise(grid, config.ransac.noise_floor, known=disparity_noise)
+    noise = estimate_noise(grid, Noise(config.ransac.noise_floor, known=disparity_noise))
     planes, labels = _fit_labels(grid, labels)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
     measured, labels = measure_planes(grid, labels, planes, noise, intrinsics, min_pixels)
@@ -197,11 +195,10 @@ def ransac_alone(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
     check_depth(depth_m, intrinsics)
     disparity, valid = to_disparity(depth_m)
     grid = make_cells(disparity, valid)
-    noise = estimate_noise(grid, config.ransac.noise_floor,
-                           known=config.segmentation.disparity_noise)
+    least = Noise(config.ransac.noise_floor, known=config.segmentation.disparity_noise)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
-    _, patches, noise = _find_patches(grid, noise, min_pixels, config, None,
-                                      np.random.default_rng(config.ransac.seed))
+    rng = np.random.default_rng(config.ransac.seed)
+    _, patches, noise = find_patches(grid, least, min_pixels, config, None, rng)
     return np.where(valid, _nearest_plane(disparity, patches.planes, noise,
                                           config.ransac.inlier_threshold), -1)
 
@@ -229,13 +226,12 @@ def to_disparity(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return disparity, valid
 
 
-def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise: Noise,
+def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Noise,
            config: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Noise]:
     """Return labels (H, W), planes (K, 3) of the cells' coordinates, and the noise."""
     threshold = config.ransac.inlier_threshold
     min_cell_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * disparity.size
-    model, patches, noise = _find_patches(grid, noise, min_cell_pixels, config, config.dbscan,
-                                          rng)
+    model, patches, noise = find_patches(grid, least, min_cell_pixels, config, config.dbscan, rng)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
     patches = join_hidden(model, merge_patches(model, patches))
     if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
@@ -258,7 +254,10 @@ def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, pl
     model = make_model(narrow, noise.for_smaller_cells(grid.size_px, size))
     if narrow.moments[model.planar, 0].sum() < MIN_CELL_SHARE * min_pixels:
         return labels, planes
-    search = peel_planes(model, MIN_CELL_SHARE * min_pixels, config.ransac, config.dbscan, rng)
+    least_pixels, threshold = MIN_CELL_SHARE * min_pixels, config.ransac.inlier_threshold
+    exact = noise.is_exact(float(np.median(grid.mean[:, 2])))
+    plain = flat_components(model, least_pixels, threshold) if exact else []
+    search = search_planes(model, plain, least_pixels, config, config.dbscan, rng)
     patches = collect(model, list(islice(search, room)))
     found = label_pixels(disparity, left, model, patches, noise, config.ransac.inlier_threshold)
     return np.where(found >= 0, found + len(planes), labels), np.vstack([planes, patches.planes])
@@ -274,20 +273,3 @@ def _large_pieces(mask: np.ndarray, min_pixels: float) -> np.ndarray:
         return np.zeros_like(mask)
     whole = large[pieces].repeat(2, axis=0).repeat(2, axis=1)
     return mask & (whole[:mask.shape[0], :mask.shape[1]] > 0)
-
-
-def _find_patches(grid: CellGrid, noise: Noise, min_pixels: float, config: Config,
-                  dbscan: DbscanConfig | None,
-                  rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
-    """Find planes; start again while the largest planes say that the noise is another."""
-    most = config.segmentation.max_planes
-    for _ in range(CALIBRATION_ROUNDS):
-        model = make_model(grid, noise)
-        search = peel_planes(model, min_pixels, config.ransac, dbscan, rng)
-        found = list(islice(search, min(CALIBRATION_PLANES, most)))
-        calibrated = calibrate(model, collect(model, found), noise)
-        if is_settled(model, noise, calibrated):
-            break
-        noise = calibrated
-    found += islice(search, most - len(found))
-    return model, collect(model, found), noise

@@ -97,8 +97,9 @@ def furnished(rotation, position, far_wall=False):
 
 
 def world_planes(segmentation, rotation, position):
-    """Return the planes in the frame of the world."""
-    planes = plane_array(segmentation)
+    """Return the planes in the frame of the world, without slivers near the smallest size."""
+    large = [plane.inlier_count > 2500 for plane in segmentation.planes]
+    planes = plane_array(segmentation)[large]
     normals = planes[:, :3] @ rotation.T
     return np.column_stack([normals, planes[:, 3] - normals @ position])
 

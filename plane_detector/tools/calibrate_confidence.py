@@ -33,9 +33,10 @@ def samples(seeds: range) -> tuple[np.ndarray, np.ndarray]:
             found = segment_planes(depth_m, scene.intrinsics)
             shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
             matched += list((shared.iou > 0.5).any(axis=0))
-            features += [confidence_features(plane.inlier_count / found.labels.size,
-                                             plane.covariance) for plane in found.planes]
-    return np.array(features), np.array(matched)
+            shares = np.array([plane.inlier_count for plane in found.planes]) / found.labels.size
+            covariances = np.array([plane.covariance for plane in found.planes])
+            features.append(confidence_features(shares, covariances.reshape(-1, 4, 4)))
+    return np.concatenate(features), np.array(matched)
 
 
 def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
