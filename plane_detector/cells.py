@@ -37,6 +37,8 @@ class CellGrid:
         Side of a cell.
     width_px : int
         Width of the picture, the unit of x and y.
+    origin : (float, float)
+        x and y of the first pixel.
     shape : (int, int)
         Rows and columns of cells, R x C.
     moments : (R * C, 10) float64
@@ -54,6 +56,7 @@ class CellGrid:
 
     size_px: int
     width_px: int
+    origin: tuple[float, float]
     shape: tuple[int, int]
     moments: np.ndarray
     mean: np.ndarray
@@ -81,9 +84,10 @@ def picture_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]
 
 
 def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
-               sparse: bool = False) -> CellGrid:
+               corner_px: tuple[int, int] = (0, 0),
+               picture: tuple[int, int] | None = None) -> CellGrid:
     """
-    Sum up a disparity image.
+    Sum up a disparity image, or a cut-out of one.
 
     Parameters
     ----------
@@ -92,30 +96,28 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
     valid : (H, W) bool
     size : int
         Side of the cells in pixels, 0: as :func:`cell_size` has it.
-    sparse : bool
-        Most cells have no valid pixel: look only at the others.
+    corner_px : (int, int)
+        Row and column in the picture of the first pixel of a cut-out.
+    picture : (int, int), optional
+        Height and width of the picture; default: those of the disparity image.
 
     Returns
     -------
     CellGrid
 
     """
-    size = size or cell_size(disparity.shape)
-    images = blocks(disparity, size), blocks(valid, size)
-    chosen = images[1].any(axis=(1, 3)) if sparse else np.ones(images[1].shape[::2], bool)
-    chosen = np.nonzero(chosen)
+    picture = picture or disparity.shape
+    size, width = size or cell_size(picture), picture[1]
+    y, x = picture_coordinates(picture)[::-1]
+    origin = float(x[corner_px[1]]), float(y[corner_px[0]])
+    cut = [blocks(image, size) for image in (disparity, valid)]
+    shape = cut[0].shape[::2]
     local, middle = _local_moments(
-        *(_pick(image, chosen, sparse).reshape(-1, size**2) for image in images), size,
-        disparity.shape[1])
-    x, y = _cell_centres(disparity.shape, size)
-    shape = (len(y), len(x))
-    slope, inner_rms, usable = _own_planes(local, size, disparity.shape[1])
-    moments = _shifted(local, x[chosen[1]], y[chosen[0]], middle)
+        *(image.transpose(0, 2, 1, 3).reshape(-1, size**2) for image in cut), size, width)
+    slope, inner_rms, usable = _own_planes(local, size, width)
+    moments = _shifted(local, *_cell_centres(shape, size, width, origin), middle)
     mean = moments[:, [X, Y, D]] / np.maximum(moments[:, N:N + 1], 1)
-    columns = [moments, mean, slope, inner_rms, usable]
-    if sparse:
-        columns = [_scatter(values, chosen, shape) for values in columns]
-    return CellGrid(size, disparity.shape[1], shape, *columns)
+    return CellGrid(size, width, origin, shape, moments, mean, slope, inner_rms, usable)
 
 
 def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
@@ -126,24 +128,12 @@ def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
     return image.reshape(image.shape[0] // size, size, -1, size)
 
 
-def _pick(image: np.ndarray, chosen: tuple[np.ndarray, np.ndarray], sparse: bool) -> np.ndarray:
-    """Return the chosen cells (n, s, s); all of them need no index."""
-    return image[chosen[0], :, chosen[1], :] if sparse else image.transpose(0, 2, 1, 3)
-
-
-def _scatter(values: np.ndarray, chosen: tuple[np.ndarray, np.ndarray],
-             shape: tuple[int, int]) -> np.ndarray:
-    """Return the values (n, ...) of some cells as those of all, (R * C, ...), else 0."""
-    out = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
-    out[np.ravel_multi_index(chosen, shape)] = values
-    return out
-
-
-def _cell_centres(shape: tuple[int, int], size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return x of the middle of each column of cells (C,) and y of each row (R,)."""
-    x, y = (((np.arange(0, side, size) + (size - 1) / 2) - (side - 1) / 2) / shape[1]
-            for side in (shape[1], shape[0]))
-    return x, y
+def _cell_centres(shape: tuple[int, int], size: int, width: int,
+                  origin: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return x and y of the middle of each cell, (R * C,) each."""
+    y, x = (first + (size * np.arange(count) + (size - 1) / 2) / width
+            for first, count in zip(origin[::-1], shape, strict=True))
+    return np.tile(x, shape[0]), np.repeat(y, shape[1])
 
 
 def _local_moments(disparity: np.ndarray, valid: np.ndarray, size: int,

@@ -15,7 +15,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from plane_detector.cells import blocks, picture_coordinates
+from plane_detector.cells import CellGrid, blocks
 from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -91,7 +91,7 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
             grain: float, threshold: float, at_row: np.ndarray, at_column: np.ndarray):
     """Return the labels (n, s, s) of the pixels of some cells, by least residual."""
     size = model.grid.size_px
-    x, y = _block_coordinates(disparity.shape, size, at_row, at_column)
+    x, y = _block_coordinates(model.grid, at_row, at_column)
     d = blocks(disparity, size)[at_row, :, at_column, :]
     candidates = _candidates(patches.labels, at_row, at_column)
     best = np.full(d.shape, np.inf, np.float32)
@@ -131,14 +131,12 @@ def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patch
     return chosen
 
 
-def _block_coordinates(shape: tuple[int, int], size: int, at_row: np.ndarray,
+def _block_coordinates(grid: CellGrid, at_row: np.ndarray,
                        at_column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return x (n, 1, s) and y (n, s, 1) of the pixels of some cells, float32."""
-    x, y = picture_coordinates(shape)
-    step = 1 / shape[1]
-    offset = np.arange(size) * step
-    x = x[0] + at_column[:, None] * size * step + offset
-    y = y[0] + at_row[:, None] * size * step + offset
+    offset = np.arange(grid.size_px)
+    x, y = (first + (at[:, None] * grid.size_px + offset) / grid.width_px
+            for first, at in zip(grid.origin, (at_column, at_row), strict=True))
     return x[:, None, :].astype(np.float32), y[:, :, None].astype(np.float32)
 
 

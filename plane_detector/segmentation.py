@@ -10,32 +10,24 @@ changes nothing about which pixels form a plane.
 
 from __future__ import annotations
 
-from itertools import islice
-
-import cv2
 import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
 from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coordinates
-from plane_detector.components import flat_components
 from plane_detector.config import Config
 from plane_detector.creases import straighten
 from plane_detector.measurement import count_labels, measure_planes, renumber
 from plane_detector.merging import merge_patches
+from plane_detector.narrow import MIN_CELL_SHARE, add_narrow
 from plane_detector.noise import Noise, estimate_noise
 from plane_detector.occlusion import join_hidden
 from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
-from plane_detector.ransac import collect, make_model
 from plane_detector.relabelling import relabel
-from plane_detector.search import find_patches, search_planes
+from plane_detector.search import find_patches
 from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
-# Cells of fewer pixels say nothing of their slope.
-MIN_CELL_SIZE_PX = 3
-# Half of a plane's pixels may lie in cells that straddle its border.
-MIN_CELL_SHARE = 0.5
 DEFAULTS = Config()
 # The range of a disparity of unknown unit, and what its exact planes may stray by.
 RANGE_QUANTILES = (0.02, 0.98)
@@ -237,39 +229,6 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
     if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
         patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
-    return *_add_narrow(disparity, valid, labels, patches.planes, grid, noise, config, rng), noise
-
-
-def _add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, planes: np.ndarray,
-                grid: CellGrid, noise: Noise, config: Config,
-                rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Look for planes too narrow for whole cells, with smaller ones, in what is left."""
-    size, min_pixels = grid.size_px // 2, config.segmentation.min_plane_share * disparity.size
-    left = _large_pieces(valid & (labels < 0), min_pixels)
-    room = config.segmentation.max_planes - len(planes)
-    # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
-    if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1 or not left.any():
-        return labels, planes
-    narrow = make_cells(np.where(left, disparity, 0), left, size, sparse=True)
-    model = make_model(narrow, noise.for_smaller_cells(grid.size_px, size))
-    if narrow.moments[model.planar, 0].sum() < MIN_CELL_SHARE * min_pixels:
-        return labels, planes
-    least_pixels, threshold = MIN_CELL_SHARE * min_pixels, config.ransac.inlier_threshold
-    exact = noise.is_exact(float(np.median(grid.mean[:, 2])))
-    plain = flat_components(model, least_pixels, threshold) if exact else []
-    search = search_planes(model, plain, least_pixels, config, config.dbscan, rng)
-    patches = collect(model, list(islice(search, room)))
-    found = label_pixels(disparity, left, model, patches, noise, config.ransac.inlier_threshold)
-    return np.where(found >= 0, found + len(planes), labels), np.vstack([planes, patches.planes])
-
-
-def _large_pieces(mask: np.ndarray, min_pixels: float) -> np.ndarray:
-    """Return the connected pieces of a mask that are large enough, as seen at half the size."""
-    _, pieces, statistics, _ = cv2.connectedComponentsWithStats(
-        mask[::2, ::2].astype(np.uint8), connectivity=4, ltype=cv2.CV_16U)
-    large = (4 * statistics[:, cv2.CC_STAT_AREA] >= min_pixels).astype(np.uint8)
-    large[0] = 0
-    if not large.any():
-        return np.zeros_like(mask)
-    whole = large[pieces].repeat(2, axis=0).repeat(2, axis=1)
-    return mask & (whole[:mask.shape[0], :mask.shape[1]] > 0)
+    labels, narrow = add_narrow(disparity, valid, labels, model, noise,
+                                len(patches.planes), config, rng)
+    return labels, np.vstack([patches.planes, narrow]), noise

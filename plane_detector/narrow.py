@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes too narrow for whole cells, looked for with smaller ones in what is left."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import cv2
+import numpy as np
+
+from plane_detector.cells import N, make_cells
+from plane_detector.components import flat_components
+from plane_detector.config import Config
+from plane_detector.noise import Noise
+from plane_detector.pixels import label_pixels
+from plane_detector.ransac import CellModel, collect, make_model
+from plane_detector.search import search_planes
+
+# Cells of fewer pixels say nothing of their slope.
+MIN_CELL_SIZE_PX = 3
+# Half of a plane's pixels may lie in cells that straddle its border.
+MIN_CELL_SHARE = 0.5
+
+Cut = tuple[slice, slice]
+
+
+def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, model: CellModel,
+               noise: Noise, found: int, config: Config,
+               rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find more planes among the pixels without a label.
+
+    Parameters
+    ----------
+    disparity : (H, W) float32
+    valid : (H, W) bool
+    labels : (H, W) int32
+    model : CellModel
+        That the others were found with.
+    noise : Noise
+    found : int
+        How many there are; the new ones are counted on from here.
+    config : Config
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    labels : (H, W) int32
+    planes : (K, 3) float64
+        Of the new planes.
+
+    """
+    size, min_pixels = model.grid.size_px // 2, config.segmentation.min_plane_share * labels.size
+    none, room = np.zeros((0, 3)), config.segmentation.max_planes - found
+    # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
+    if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1:
+        return labels, none
+    left, cut = _large_pieces(valid & (labels < 0), min_pixels)
+    if cut is None:
+        return labels, none
+    left, disparity = left[cut], disparity[cut]
+    grid = make_cells(np.where(left, disparity, np.float32(0)), left, size,
+                      (cut[0].start, cut[1].start), labels.shape)
+    smaller = make_model(grid, noise.for_smaller_cells(model.grid.size_px, size))
+    min_cell_pixels, threshold = MIN_CELL_SHARE * min_pixels, config.ransac.inlier_threshold
+    if grid.moments[smaller.planar, N].sum() < min_cell_pixels:
+        return labels, none
+    exact = noise.is_exact(float(np.median(model.grid.mean[:, 2])))
+    plain = flat_components(smaller, min_cell_pixels, threshold) if exact else []
+    search = search_planes(smaller, plain, min_cell_pixels, config, config.dbscan, rng)
+    patches = collect(smaller, list(islice(search, room)))
+    new = label_pixels(disparity, left, smaller, patches, noise, threshold)
+    labels = labels.copy()
+    labels[cut] = np.where(new >= 0, new + found, labels[cut])
+    return labels, patches.planes
+
+
+def _large_pieces(mask: np.ndarray, min_pixels: float) -> tuple[np.ndarray, Cut | None]:
+    """
+    Return the connected pieces of a mask that are large enough, as seen at half the size.
+
+    With them the part of the picture that holds them all, None when there is none.
+    """
+    half = np.ascontiguousarray(mask[::2, ::2]).view(np.uint8)
+    if 4 * cv2.countNonZero(half) < min_pixels:
+        return mask, None
+    _, pieces, statistics, _ = cv2.connectedComponentsWithStats(half, connectivity=4,
+                                                                ltype=cv2.CV_16U)
+    large = 4 * statistics[:, cv2.CC_STAT_AREA] >= min_pixels
+    large[0] = False
+    if not large.any():
+        return mask, None
+    left, top, width, height = statistics[large, :4].T
+    cut = (slice(2 * int(top.min()), 2 * int((top + height).max())),
+           slice(2 * int(left.min()), 2 * int((left + width).max())))
+    whole = large[pieces].repeat(2, axis=0).repeat(2, axis=1)
+    return mask & whole[:mask.shape[0], :mask.shape[1]], cut
