@@ -206,6 +206,19 @@ def test_part_of_a_bag(bag, replay):
     assert stamps_of(planes_of(target)) == [0.1, 0.2]
 
 
+@pytest.mark.parametrize('asked', [
+    ('--start', 5), ('--start', 0.1, '--duration', 0), ('--start', 0.11, '--duration', 0.05),
+    ('--start', 1e300)])
+def test_a_part_without_pictures_is_told_and_nothing_is_written(bag, replay, tmp_path, asked):
+    code, target, text = replay(bag, *asked, '--figures', tmp_path / 'figures')
+    assert code == 1
+    asked_for = ' '.join(f'{word:g}' if isinstance(word, float) else str(word) for word in asked)
+    assert text.startswith(f'replay: {bag} spans 0 to 0.300 s, and in what is asked for, '
+                           f'{asked_for}')
+    assert text.count('\n') == 1
+    assert list(tmp_path.iterdir()) == [bag], target
+
+
 def test_every_nth_frame_and_chosen_outputs(bag, replay):
     _, target, _ = replay(bag, '--every', 2, '--outputs', 'planes', 'labels')
     assert stamps_of(planes_of(target)) == [0.0, 0.2]
@@ -301,6 +314,15 @@ def test_a_frame_that_cannot_be_used_is_told_and_left_out(tmp_path, scenes, repl
     assert code == 0
     assert stamps_of(planes_of(target)) == [0.0, 0.2, 0.3]
     assert "1 frames skipped: image encoding 'rainbow' is not known" in text
+
+
+def test_no_planes_are_claimed_where_no_frame_could_be_used(tmp_path, scenes, replay):
+    messages = camera_messages(scenes[:1])
+    messages[0][2].encoding = 'rainbow'
+    code, _, text = replay(write_bag(tmp_path / 'walk', messages))
+    assert code == 1
+    assert 'no frame could be processed' in text
+    assert 'The planes are in' not in text
 
 
 def test_pictures_without_depth_are_counted(tmp_path, scenes, replay):

@@ -39,7 +39,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, ValueError, ModuleNotFoundError) as error:
         print(f'replay: {error}', file=sys.stderr)
         return 1
-    print(f'{tally.describe()}\nThe planes are in {options.target}')
+    print(tally.describe())
+    if tally.processed:
+        print(f'The planes are in {options.target}')
     if tally.failure:
         print(f'replay: {tally.failure}', file=sys.stderr)
         return 1

@@ -137,7 +137,8 @@ def replay(options: ReplayOptions, should_stop: Callable[[], bool] = lambda: Fal
     FileNotFoundError, FileExistsError
         There is no bag to read, or there is already one where the new one shall be.
     BagError
-        The bag cannot be opened, or lacks a topic; with what is there.
+        The bag cannot be opened, or lacks a topic, with what is there; or no picture is in the
+        part of it that is asked for.
     ValueError
         The network cannot be run as the settings say.
 
@@ -145,6 +146,7 @@ def replay(options: ReplayOptions, should_stop: Callable[[], bool] = lambda: Fal
     with ExitStack() as opened:
         bag = opened.enter_context(BagReader(options.source))
         camera = find_camera(bag, options.topics)
+        part_ns = _part_asked_for(bag, camera.image, options)
         if options.target.exists():
             raise FileExistsError(f'{options.target} is there already: choose another name')
         detector = PlaneDetector(options.config, estimate_depth)
@@ -159,27 +161,23 @@ def replay(options: ReplayOptions, should_stop: Callable[[], bool] = lambda: Fal
         files = opened.enter_context(ReplayFiles(options.figures, options.ply, options.table))
         assembler = FrameAssembler(use, options.settings.stamp_slop,
                                    options.config.scale.imu_to_camera)
-        run = _Run(options, bag, topics, assembler, processor, writer, files)
+        run = _Run(options, bag, part_ns, topics, assembler, processor, writer, files)
         return run.to_end(should_stop)
 
 
 class _Run:
     """The open parts of a replay, and its loop."""
 
-    def __init__(self, options: ReplayOptions, bag: BagReader, topics: InputTopics,
-                 assembler: FrameAssembler, processor: FrameProcessor, writer: BagWriter,
-                 files: ReplayFiles):
+    def __init__(self, options: ReplayOptions, bag: BagReader, part_ns: tuple[int, int],
+                 topics: InputTopics, assembler: FrameAssembler, processor: FrameProcessor,
+                 writer: BagWriter, files: ReplayFiles):
         self._options, self._bag, self._topics = options, bag, topics
+        self._start_ns, self._stop_ns = part_ns
         self._assembler, self._processor = assembler, processor
         self._writer, self._files = writer, files
         copied = options.copied
         self._copied = () if copied is None else copied or topics.names
         writer.add_copies(bag, self._copied)
-        self._start_ns = bag.start_ns + round(options.start_s * 1e9)
-        self._stop_ns = bag.end_ns
-        if np.isfinite(options.duration_s):
-            self._stop_ns = min(self._stop_ns,
-                                self._start_ns + round(options.duration_s * 1e9))
         self._tally = Tally()
 
     def to_end(self, should_stop: Callable[[], bool]) -> Tally:
@@ -266,6 +264,19 @@ class _Run:
         length_ns = max(self._bag.end_ns - self._bag.start_ns, 1)
         share = np.clip((self._stop_ns - self._start_ns) / length_ns, 0, 1)
         return int(np.ceil(count * share / self._options.every))
+
+
+def _part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
+    """Return from when on and until when is replayed; an error where no picture is in between."""
+    length_ns = bag.end_ns - bag.start_ns
+    start_ns = bag.start_ns + round(min(options.start_s * 1e9, length_ns))
+    stop_ns = start_ns + round(min(options.duration_s * 1e9, bag.end_ns - start_ns))
+    if start_ns == stop_ns or not any(bag.read([image], start_ns, stop_ns)):
+        raise BagError(
+            f'{options.source} spans 0 to {length_ns * 1e-9:.3f} s, and in what is '
+            f'asked for, --start {options.start_s:g} --duration {options.duration_s:g}, there is '
+            f'no picture on {image}')
+    return start_ns, stop_ns
 
 
 def _output_topic(name: str) -> str:
