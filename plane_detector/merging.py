@@ -78,7 +78,7 @@ def _pairs(shape: tuple[int, int], reach: int) -> tuple[np.ndarray, np.ndarray]:
 
 def merge_patches(model: CellModel, patches: Patches) -> Patches:
     """
-    Merge patches, the pair that fits best first, until no pair fits.
+    Merge patches, the pairs that fit best first, until no pair fits.
 
     Parameters
     ----------
@@ -95,20 +95,38 @@ def merge_patches(model: CellModel, patches: Patches) -> Patches:
         borders = find_borders(np.where(model.planar.reshape(patches.labels.shape),
                                         patches.labels, -1))
         misfit = _misfit(model, patches, borders)
-        if not len(misfit) or misfit.min() > 1:
+        chosen = _best_pairs(borders, misfit)
+        if not len(chosen):
             return patches
-        best = int(np.argmin(misfit))
-        patches = merged(model, patches, borders.first[best], borders.second[best])
+        patches = merged(model, patches, borders.first[chosen], borders.second[chosen])
     return patches
 
 
-def merged(model: CellModel, patches: Patches, kept: int, gone: int) -> Patches:
-    """Return the patches with one of them part of another one."""
-    labels = np.where(patches.labels == gone, kept, patches.labels)
-    planes = patches.planes.copy()
-    members = (labels.ravel() == kept) & model.planar
-    planes[kept] = cells.fit_planes(model.grid.moments[members].sum(axis=0))
-    return Patches(labels - (labels > gone), np.delete(planes, gone, axis=0))
+def _best_pairs(borders: Borders, misfit: np.ndarray) -> np.ndarray:
+    """Return the pairs that fit, best first, no patch twice: a merged one is another one."""
+    chosen, used = [], set()
+    for k in np.argsort(misfit, kind='stable'):
+        if misfit[k] > 1:
+            break
+        pair = {borders.first[k], borders.second[k]}
+        if not pair & used:
+            chosen.append(k)
+        used |= pair
+    return np.array(chosen, int)
+
+
+def merged(model: CellModel, patches: Patches, kept: np.ndarray, gone: np.ndarray) -> Patches:
+    """Return the patches with some of them part of others, pair by pair."""
+    count = len(patches.planes)
+    target = np.arange(count)
+    target[gone] = kept
+    left, renumbered = np.unique(target, return_inverse=True)
+    labels = np.append(renumbered, -1)[patches.labels].astype(np.int32)
+    planes = patches.planes[left]
+    for k in renumbered[kept]:
+        members = (labels.ravel() == k) & model.planar
+        planes[k] = cells.fit_planes(members.astype(float) @ model.grid.moments)
+    return Patches(labels, planes)
 
 
 @dataclass(frozen=True)

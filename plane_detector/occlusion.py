@@ -48,7 +48,7 @@ def join_hidden(model: CellModel, patches: Patches) -> Patches:
             if misfit[k] > 1:
                 break
             if _is_hidden_between(model, patches, first[k], second[k]):
-                patches, joined = merged(model, patches, first[k], second[k]), True
+                patches, joined = merged(model, patches, first[k:k + 1], second[k:k + 1]), True
                 break
     return patches
 

@@ -33,8 +33,10 @@ WINDOW_MAX_VARIANCES = 2.5
 # One round finds, with the configured confidence, the planes with this share of the free cells.
 ROUND_PLANE_SHARE = 0.1
 REFINEMENTS = 4
+# A plane is settled when its cells change by no more than this share.
+SETTLED_SHARE = 0.03
 # A hypothesis that refines to nothing costs time; after this many in a row the round is over.
-MAX_FAILURES = 6
+MAX_FAILURES = 3
 
 
 @dataclass(frozen=True)
@@ -263,16 +265,12 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
     """
     members = np.zeros(len(free), bool)
     members[seed] = True
-    candidates = np.flatnonzero(free)
-    quadratic = model.quadratic[candidates]
     for _ in range(REFINEMENTS):
-        inliers = np.zeros(len(free), bool)
-        chi_square = quadratic @ monomials(plane[None])[:, 0]
-        inliers[candidates] = chi_square < ransac.inlier_threshold**2
+        inliers = (chi_squared(model, plane[None])[:, 0] < ransac.inlier_threshold**2) & free
         grown = _around(members, inliers.reshape(model.grid.shape), dbscan)
         if not grown.any():
             return plane, grown
-        if (grown == members).all():
+        if np.count_nonzero(grown != members) <= SETTLED_SHARE * np.count_nonzero(grown):
             break
         refitted = cells.fit_planes(grown.astype(float) @ model.grid.moments)
         if not np.isfinite(refitted).all():
