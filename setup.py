@@ -36,7 +36,7 @@ setup(
                 'equations from monocular depth.',
     license='Apache-2.0',
     entry_points={'console_scripts': [
-        f'node = {NAME}.ros.node:main',
+        f'node = {NAME}.ros.__main__:main',
         f'benchmark = {NAME}.tools.benchmark:main',
         f'demo = {NAME}.tools.demo:main',
         f'replay = {NAME}.tools.replay:main',

@@ -11,10 +11,17 @@ Planes from an ordinary colour camera.
 5. ros: the node does this for every image of a topic and publishes the result.
 """
 
-from plane_detector.config import Config
-from plane_detector.pipeline import PlaneDetector
-from plane_detector.segmentation import segment_planes
-from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneSegmentation
+from importlib import import_module
+from typing import Any
 
-__all__ = ['CameraIntrinsics', 'Config', 'Detection', 'Plane', 'PlaneDetector',
-           'PlaneSegmentation', 'segment_planes']
+_HOMES = {'CameraIntrinsics': 'types', 'Config': 'config', 'Detection': 'types', 'Plane': 'types',
+          'PlaneDetector': 'pipeline', 'PlaneSegmentation': 'types',
+          'segment_planes': 'segmentation'}
+__all__ = [*_HOMES]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is asked for: all of them take a second, see ros/__main__."""
+    if name not in _HOMES:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)

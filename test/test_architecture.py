@@ -129,6 +129,14 @@ def test_version_is_the_same_everywhere():
     assert f"version='{version}'" in (ROOT / 'setup.py').read_text(encoding='utf-8')
 
 
+def test_public_names_are_found():
+    import plane_detector
+    for name in plane_detector.__all__:
+        assert getattr(plane_detector, name).__module__.startswith('plane_detector.')
+    with pytest.raises(AttributeError, match='no attribute'):
+        plane_detector.nothing_of_this_name  # noqa: B018
+
+
 def test_entry_points_lead_to_a_main():
     lines = (ROOT / 'setup.py').read_text(encoding='utf-8').splitlines()
     entries = [line.split("'")[1].split(' = ')[1] for line in lines if ':main' in line]

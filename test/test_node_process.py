@@ -3,9 +3,11 @@
 """The node as a process of its own over DDS: started, fed, ended by signals."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +121,26 @@ def test_a_signal_ends_a_waiting_node_with_exit_code_0(start, robot, number):
     assert diagnosis(robot, node)[1]['state'] in ('unconfigured', 'active')
     assert node.end(number) == 0
     assert 'Traceback' not in node.log()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch, number):
+    monkeypatch.setenv('PYTHONPROFILEIMPORTTIME', '1')  # the log tells each import that is done
+    node = start('-p', 'depth.source:=topic')
+    end_s = time.monotonic() + STARTED_S
+    while not re.search(r'\| +numpy$', node.log(), re.MULTILINE):
+        assert time.monotonic() < end_s, node.log()
+        time.sleep(0.01)
+    assert node.end(number) == -number
+    assert 'plane_detector.ros.node' not in node.log(), 'it was still importing'
+    assert 'Traceback' not in node.log()
+
+
+def test_the_installed_program_takes_signals_before_the_long_imports():
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    module = re.search(r"'node = \{NAME\}(.*):main'", setup)[1]
+    program = f'import sys, plane_detector{module}; sys.exit("numpy" in sys.modules)'
+    subprocess.run([sys.executable, '-c', program], cwd=ROOT, check=True)
 
 
 def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):

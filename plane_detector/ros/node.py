@@ -10,6 +10,11 @@ see worker.py.
 from __future__ import annotations
 
 import sys
+
+if __name__ == '__main__':  # here, because the other imports take a second: see there
+    from plane_detector.ros import __main__ as program
+    sys.exit(program.main())
+
 import time
 import traceback
 from collections.abc import Callable
@@ -281,7 +286,3 @@ class PlaneDetectorNode(LifecycleNode):
 def main(args: list[str] | None = None) -> int:
     """Run the node until SIGINT or SIGTERM; return the exit code."""
     return run(PlaneDetectorNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

@@ -42,10 +42,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         The exit code: 1 when the node cannot be made with these arguments, else 0.
 
     """
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
-    keep_freed_memory()
     try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, _interrupt)
+        keep_freed_memory()
         _init(args)
         _spin(make_node())
     except (KeyboardInterrupt, ExternalShutdownException):
