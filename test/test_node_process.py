@@ -143,6 +143,19 @@ def test_the_installed_program_takes_signals_before_the_long_imports():
     subprocess.run([sys.executable, '-c', program], cwd=ROOT, check=True)
 
 
+def test_misspelt_parameters_of_command_line_and_file_are_told_once(start, robot, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    use_sim_time: true\n    ransac: {sede: 3}\n')
+    node = start('-p', 'depth.source:=topic', '-p', 'segmentaton.max_planes:=3',
+                 '--params-file', str(file),
+                 '-p', 'qos_overrides./image.subscription.reliability:=best_effort')
+    assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active', STARTED_S)
+    (line,) = (line for line in node.log().splitlines() if 'no parameter has this name' in line)
+    assert 'WARN' in line
+    assert line.endswith(': ransac.sede (meant: ransac.seed?), '
+                         'segmentaton.max_planes (meant: segmentation.max_planes?)')
+
+
 def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
     node = start('-p', f'depth.model:={tmp_path / "missing.onnx"}',
                  '-p', 'depth.output:=metric_depth')

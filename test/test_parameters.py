@@ -78,6 +78,27 @@ def test_impossible_overrides_are_refused(make_node, overrides, error):
         parameters.declare(make_node(**overrides), Outer())
 
 
+def warnings_of(node, monkeypatch):
+    told = []
+    monkeypatch.setattr(node.get_logger(), 'warning', told.append)
+    parameters.warn_of_unknown(node)
+    return told
+
+
+def test_names_that_are_not_known_are_told_with_the_nearest(make_node, monkeypatch):
+    node = make_node(inner__cuont=7, gain=2.5, count=1, zzz='?')
+    parameters.declare(node, Outer())
+    (told,) = warnings_of(node, monkeypatch)
+    assert told.endswith('count (meant: inner.count?), inner.cuont (meant: inner.count?), zzz')
+
+
+def test_what_rclpy_declares_itself_is_known(make_node, monkeypatch):
+    node = make_node(gain=2.5, use_sim_time=True, start_type_description_service=False,
+                     **{'qos_overrides./image.subscription.depth': 3})
+    parameters.declare(node, Outer())
+    assert warnings_of(node, monkeypatch) == []
+
+
 def test_descriptors_tell_unit_range_and_choices(make_node):
     node = make_node()
     parameters.declare(node, Outer())

@@ -72,6 +72,7 @@ class PlaneDetectorNode(LifecycleNode):
         self._estimate_depth = estimate_depth
         self._config = parameters.declare(self, Config())
         self._settings = parameters.declare(self, NodeConfig())
+        parameters.warn_of_unknown(self)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self._statistics = Statistics()

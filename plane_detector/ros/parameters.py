@@ -12,6 +12,7 @@ from __future__ import annotations
 import array
 from collections.abc import Iterable
 from dataclasses import Field, fields, replace
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -40,6 +41,23 @@ def declare(node: Node, defaults: Settings) -> Settings:
                                      descriptor(field, value))
               for name, field, value in parameters_of(defaults)]
     return updated(defaults, values)
+
+
+def warn_of_unknown(node: Node) -> None:
+    """
+    Log which initial values are of no declared parameter, each with the nearest one there is.
+
+    Values of quality of service are left out: they are declared with their topics, later.
+    """
+    declared = node.list_parameters([], 0).names
+    given = node._parameter_overrides  # for these rclpy has no public name
+    unknown = sorted(name for name in given
+                     if name not in declared and not name.startswith('qos_overrides.'))
+    told = [name + ''.join(f' (meant: {near}?)' for near in get_close_matches(name, declared, 1))
+            for name in unknown]
+    if told:
+        node.get_logger().warning(
+            f'ignored, because no parameter has this name: {", ".join(told)}')
 
 
 def updated(settings: Settings, parameters: Iterable[Parameter]) -> Settings:
