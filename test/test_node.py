@@ -28,6 +28,7 @@ from sensor_msgs.msg import CompressedImage, Imu
 from std_srvs.srv import Trigger
 
 from plane_detector.plane_classes import PlaneClass
+from plane_detector.ros import node as node_module
 from plane_detector.ros.node import PlaneDetectorNode
 from plane_detector.tools.scenes import random_room
 from plane_detector.types import CameraIntrinsics
@@ -189,6 +190,24 @@ def test_bad_frames_are_logged_and_skipped(robot, room):
     assert not robot.received['planes']
     send(robot, room, 3.0)
     assert robot.wait_for('planes')[0].header == header(3.0)
+
+
+def test_a_reason_to_skip_is_logged_once_also_between_others(robot, room, monkeypatch):
+    monkeypatch.setattr(node_module, '_WARN_PERIOD_S', 3.0)
+    node = start(robot, lambda rgb: room.depth_m)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
+
+    def skip(*encodings):
+        for encoding in encodings:
+            count = node._statistics._skipped
+            robot.publish('image', image_msg(room.rgb, encoding, 2.0))
+            assert robot.spin(lambda count=count: node._statistics._skipped > count)
+
+    skip('rgb32', 'rgb32', 'bgr32', 'rgb32', 'bgr32')
+    assert [robot.log().count(f"'{encoding}'") for encoding in ('rgb32', 'bgr32')] == [1, 1]
+    robot.spin(timeout_s=3.0)
+    skip('rgb32')
+    assert robot.spin(lambda: robot.log().count("'rgb32'") == 2), 'what stays is told again'
 
 
 def test_depth_that_cannot_belong_to_the_picture_is_skipped(robot, room):

@@ -81,7 +81,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Inputs | None = None
         self._outputs: dict[str, Any] = {}
         self._frame_requested = self._reset_requested = False
-        self._failure = self._last_reason = ''
+        self._failure = ''
+        self._warned_s: dict[str, float] = {}
         self._scale_facts: dict[str, str] = {}
         self.create_service(Trigger, '~/detect', self._on_detect)
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
@@ -176,12 +177,12 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _skip(self, reason: str) -> None:
         self._statistics.add_skipped(reason)
-        text = f'frame skipped: {reason}'
-        if reason != self._last_reason:
-            self.get_logger().warning(text)
-        else:
-            self.get_logger().warning(text, throttle_duration_sec=_WARN_PERIOD_S)
-        self._last_reason = reason
+        now_s = time.monotonic()
+        self._warned_s = {told: told_s for told, told_s in self._warned_s.items()
+                          if now_s - told_s < _WARN_PERIOD_S}
+        if reason not in self._warned_s:
+            self._warned_s[reason] = now_s
+            self.get_logger().warning(f'frame skipped: {reason}')
 
     def _apply_changes(self) -> None:
         """Take over, between two frames, what was asked for in the meantime."""
