@@ -229,6 +229,16 @@ def test_an_uncalibrated_camera_is_refused(robot, room):
     assert robot.is_logged('not calibrated')
 
 
+def test_a_calibration_that_is_not_finite_is_refused_in_plain_numbers(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    info = camera_info_msg(CAMERA, 1.0)
+    info.k[0] = float('nan')
+    robot.publish('camera_info', info)
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
+    assert robot.is_logged('must be finite, not CameraIntrinsics(fx=nan, fy=262.5, cx=159.5, '
+                           'cy=119.5, width=320, height=240)')
+
+
 def test_an_estimator_that_fails_does_not_end_the_node(robot, room):
     failures = [RuntimeError('out of memory')]
 

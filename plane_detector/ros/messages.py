@@ -47,16 +47,14 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
     Raises
     ------
     ValueError
-        K is all zeros (the camera is not calibrated) or the picture has no size.
+        K is all zeros (the camera is not calibrated) or not finite, or the picture has no size.
 
     """
     if not np.any(msg.k):
         raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
     matrix = projection_from_msg(msg) if rectified else np.reshape(msg.k, (3, 3))
-    matrix = crop_and_bin(matrix, msg)
-    width, height = picture_size(msg)
-    return CameraIntrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
-                            width, height)
+    fx, _, cx, _, fy, cy = crop_and_bin(matrix, msg)[:2].ravel().tolist()
+    return CameraIntrinsics(fx, fy, cx, cy, *picture_size(msg))
 
 
 def projection_from_msg(msg: CameraInfo) -> np.ndarray:
