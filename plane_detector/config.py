@@ -25,13 +25,16 @@ def _setting(default: Any, doc: str, unit: str = '', low: float | None = None,
 
 
 class Checked:
-    """Base of the settings: raises ValueError when a value is out of its range."""
+    """Base of the settings: raises ValueError, with the parameter's name, for a wrong value."""
+
+    def __init_subclass__(cls, section: str = '') -> None:
+        cls._prefix = f'{section}.' if section else ''
 
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
             if not isinstance(value, Checked):
-                check_value(f.name, value, f.default, f.metadata)
+                check_value(self._prefix + f.name, value, f.default, f.metadata)
 
 
 def check_value(name: str, value: Any, default: Any, metadata: Any) -> None:
@@ -74,7 +77,7 @@ def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Fi
 
 
 @dataclass(frozen=True)
-class DepthConfig(Checked):
+class DepthConfig(Checked, section='depth'):
     """Where depth comes from, and how the network is run."""
 
     source: str = _setting(
@@ -128,16 +131,16 @@ class DepthConfig(Checked):
         super().__post_init__()
         for name in ('mean', 'std'):
             if len(getattr(self, name)) != 3:
-                raise ValueError(f'{name} must be 3 numbers, not {getattr(self, name)!r}')
+                raise ValueError(f'depth.{name} must be 3 numbers, not {getattr(self, name)!r}')
         if (self.input_width == 0) != (self.input_height == 0):
-            raise ValueError('input_width and input_height must be given together, not '
-                             f'{self.input_width} and {self.input_height}')
+            raise ValueError('depth.input_width and depth.input_height must be given together, '
+                             f'not {self.input_width} and {self.input_height}')
         if not self.providers:
-            raise ValueError('providers must name at least one execution provider')
+            raise ValueError('depth.providers must name at least one execution provider')
 
 
 @dataclass(frozen=True)
-class ScaleConfig(Checked):
+class ScaleConfig(Checked, section='scale'):
     """From disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift."""
 
     method: str = _setting(
@@ -178,14 +181,14 @@ class ScaleConfig(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, length in (('gravity', 3), ('imu_to_camera', 4)):
-            if len(getattr(self, name)) != length:
-                raise ValueError(f'{name} must be {length} numbers, not {getattr(self, name)!r}')
+            if len(numbers := getattr(self, name)) != length:
+                raise ValueError(f'scale.{name} must be {length} numbers, not {numbers!r}')
         if not any(self.imu_to_camera):
-            raise ValueError('imu_to_camera must be a quaternion, not all zeros')
+            raise ValueError('scale.imu_to_camera must be a quaternion, not all zeros')
 
 
 @dataclass(frozen=True)
-class SegmentationConfig(Checked):
+class SegmentationConfig(Checked, section='segmentation'):
     """Which planes are looked for."""
 
     method: str = _setting(
@@ -200,7 +203,7 @@ class SegmentationConfig(Checked):
 
 
 @dataclass(frozen=True)
-class RansacConfig(Checked):
+class RansacConfig(Checked, section='ransac'):
     """The search for the best plane."""
 
     inlier_threshold: float = _setting(
@@ -215,7 +218,7 @@ class RansacConfig(Checked):
 
 
 @dataclass(frozen=True)
-class DbscanConfig(Checked):
+class DbscanConfig(Checked, section='dbscan'):
     """Density clustering of the cells of one plane, in the grid of the picture."""
 
     eps: float = _setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
@@ -223,7 +226,7 @@ class DbscanConfig(Checked):
 
 
 @dataclass(frozen=True)
-class TrackingConfig(Checked):
+class TrackingConfig(Checked, section='tracking'):
     """How planes keep their labels from picture to picture."""
 
     enabled: bool = _setting(
@@ -242,7 +245,7 @@ class TrackingConfig(Checked):
 
 
 @dataclass(frozen=True)
-class PaperConfig(Checked):
+class PaperConfig(Checked, section='paper'):
     """The metric thresholds of the paper's own method, the baseline."""
 
     distance_threshold: float = _setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)

@@ -123,6 +123,26 @@ def test_every_parameter_is_described(make_node):
             assert len(node.describe_parameter(name).description) > 10, name
 
 
+@pytest.mark.parametrize('name', [name for name, _, value in parameters_of(Config())
+                                  if not isinstance(value, bool)])
+def test_errors_name_the_whole_parameter(name):
+    section, _, field_name = name.rpartition('.')
+    settings = type(getattr(Config(), section))
+    with pytest.raises(ValueError, match=f'^{name} must be of type '):
+        settings(**{field_name: object()})
+
+
+@pytest.mark.parametrize('name, value', [
+    ('depth.mean', (0.5,)), ('depth.std', (1.0, 1.0)), ('depth.input_width', 64),
+    ('depth.providers', ()), ('scale.gravity', (0.0, 1.0)), ('scale.imu_to_camera', (0.0,) * 4),
+    ('scale.imu_to_camera', (1.0,)), ('segmentation.max_planes', 0), ('scale.method', 'guess'),
+    ('points_decimation', 0), ('mode', 'sometimes')])
+def test_errors_of_impossible_values_name_the_whole_parameter(name, value):
+    settings = Config() if '.' in name else NodeConfig()
+    with pytest.raises(ValueError, match=f'^{name} .*must '):
+        parameters.updated(settings, [Parameter(name, value=value)])
+
+
 def test_updating_leaves_others_and_the_old_settings_alone():
     old = Outer()
     changed = [Parameter('inner.count', value=4), Parameter('use_sim_time', value=True)]
