@@ -3,6 +3,7 @@
 """Which messages are put together."""
 
 import numpy as np
+import pytest
 from ros_helpers import camera_info_msg, header, image_msg
 from sensor_msgs.msg import Imu
 
@@ -51,6 +52,65 @@ def test_calibration_of_the_same_stamp_comes_before_the_latest():
     assembler.add_camera_info(latest)
     assert assembler.add_image(image(1.0))[0].camera_info is own
     assert assembler.add_image(image(1.5))[0].camera_info is latest
+
+
+LARGE = CameraIntrinsics(100.0, 100.0, 7.5, 5.5, 16, 12)
+
+
+def large_image(stamp_s):
+    return image_msg(np.zeros((12, 16, 3), np.uint8), 'rgb8', stamp_s)
+
+
+@pytest.mark.parametrize('depth_use', ['unused', 'optional'])
+@pytest.mark.parametrize('stamp_s', [1.1, 1.12])
+def test_a_picture_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
+    assembler = FrameAssembler(depth_use)
+    assembler.add_camera_info(info(1.0))
+    assert len(assembler.add_image(image(1.0))) == 1
+    picture, own = large_image(1.1), camera_info_msg(LARGE, stamp_s)
+    assert assembler.add_image(picture) == []
+    assert assembler.add_camera_info(info(1.05)) == [], 'a late one of the old size'
+    (frame,) = assembler.add_camera_info(own)
+    assert (frame.image, frame.camera_info) == (picture, own)
+    assert assembler.take_dropped() == 0
+
+
+def test_without_depth_only_the_newest_picture_of_another_size_waits():
+    assembler = FrameAssembler()
+    assembler.add_camera_info(info(1.0))
+    for stamp_s in (1.1, 1.2, 1.3):
+        assert assembler.add_image(large_image(stamp_s)) == []
+    assert assembler.take_dropped() == 2
+    (frame,) = assembler.add_camera_info(camera_info_msg(LARGE, 1.2))
+    assert frame.image.header == header(1.3)
+
+
+def test_with_depth_they_wait_together_and_are_refused_together():
+    assembler = FrameAssembler('optional')
+    assembler.add_camera_info(info(1.0))
+    for stamp_s in (1.1, 1.2):
+        assert assembler.add_image(large_image(stamp_s)) == []
+    stamps = [frame.image.header for frame in assembler.add_image(large_image(2.0))]
+    assert stamps == [header(1.1), header(1.2), header(2.0)]
+
+
+def test_a_picture_whose_calibration_does_not_come_is_handed_over_to_be_refused():
+    for later in ('info', 'image', 'end'):
+        assembler = FrameAssembler()
+        assembler.add_camera_info(info(1.0))
+        assert assembler.add_image(large_image(1.1)) == []
+        (frame,) = {'info': lambda a=assembler: a.add_camera_info(info(1.2)),
+                    'image': lambda a=assembler: a.add_image(large_image(2.1)),
+                    'end': assembler.finish}[later]()
+        assert (frame.image.width, frame.camera_info.width) == (16, 8), later
+
+
+@pytest.mark.parametrize('info_s, image_s', [(1.0, 1.0), (1.1, 1.0), (1.0, 3.0)])
+def test_a_picture_of_another_size_does_not_wait_for_what_will_not_come(info_s, image_s):
+    """It has its own, they are ahead in time, or they have come once, long ago."""
+    assembler = FrameAssembler()
+    assembler.add_camera_info(info(info_s))
+    assert len(assembler.add_image(large_image(image_s))) == 1
 
 
 def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():

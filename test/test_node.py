@@ -210,6 +210,17 @@ def test_a_reason_to_skip_is_logged_once_also_between_others(robot, room, monkey
     assert robot.spin(lambda: robot.log().count("'rgb32'") == 2), 'what stays is told again'
 
 
+def test_a_picture_that_overtakes_the_calibration_of_its_size_is_processed(robot, room):
+    start(robot, lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
+    send(robot, room, 1.0)
+    robot.wait_for('planes')
+    robot.publish('image', image_msg(room.rgb[:120, :160], 'rgb8', 1.1))
+    robot.spin(timeout_s=0.3)
+    robot.publish('camera_info', camera_info_msg(replace(CAMERA, width=160, height=120), 1.1))
+    assert robot.wait_for('planes', 2)[1].header == header(1.1)
+    assert robot.diagnosis()[1]['frames_skipped'] == '0'
+
+
 def test_depth_that_cannot_belong_to_the_picture_is_skipped(robot, room):
     start(robot, depth__source='topic')
     robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))

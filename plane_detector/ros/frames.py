@@ -19,6 +19,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config
 from plane_detector.ros.imu import GravityFilter
+from plane_detector.ros.messages import picture_size
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000
@@ -34,7 +35,8 @@ class Frame:
     image : sensor_msgs.msg.Image or CompressedImage
         The picture.
     camera_info : sensor_msgs.msg.CameraInfo
-        With the same stamp where there is one, else the latest.
+        With the same stamp where there is one, else the latest. A picture of another size waits
+        for the next one, while they keep coming.
     depth : sensor_msgs.msg.Image or None
         Measured depth, where it is used.
     down_camera : (3,) float64 or None
@@ -149,16 +151,24 @@ class FrameAssembler:
         frames = []
         for stamp_ns, image in self._images.items() if self._infos.latest else ():
             decided, depth = self._depth_for(stamp_ns, at_end)
-            if not decided:
+            info = self._infos.exact(stamp_ns) or self._infos.latest
+            if not decided or (not at_end and self._has_overtaken(image, info)):
                 continue
             self._images.keep(lambda _, other, done=image: other is not done)
             if depth is None and self._depth_use == 'required':
                 self._dropped += 1
                 continue
-            info = self._infos.exact(stamp_ns) or self._infos.latest
             gravity = self._gravity.down_camera(stamp_ns * 1e-9)
             frames.append(Frame(image, info, depth, gravity, self.epoch))
         return frames
+
+    def _has_overtaken(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
+        """Whether a picture does not fit its calibration, and a later one may still come."""
+        if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
+            return False
+        can_come = (self._infos.is_alive(_stamp_ns(self._images.latest))
+                    and not self._infos.is_past(_stamp_ns(image)))
+        return can_come and picture_size(info) != (image.width, image.height)
 
     def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
         """Return whether it is decided which depth image a picture gets, and which."""
