@@ -25,6 +25,7 @@ from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
 from plane_detector.relabelling import relabel
 from plane_detector.search import find_patches
+from plane_detector.steps import split_at_steps
 from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
@@ -227,6 +228,7 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
     patches = join_hidden(model, merge_patches(model, patches))
     if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
+        patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
         patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
     labels, narrow = add_narrow(disparity, valid, labels, model, noise,
