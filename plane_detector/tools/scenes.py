@@ -1,149 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Rendered scenes with exact depth, labels and plane coefficients.
-
-A scene is a list of rectangles in a world with z up; each pixel's ray is cut with all of them
-and the nearest hit wins. Every rectangle is a plane of its own, also where two are coplanar.
-"""
+"""Rendered scenes with exact depth, labels and plane coefficients, and noise for them."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from plane_detector.backprojection import pixel_rays
+from plane_detector.tools.rendering import (
+    VGA,
+    Rectangle,
+    Scene,
+    box,
+    camera_rotation,
+    colour,
+    render,
+)
 from plane_detector.types import CameraIntrinsics
-
-VGA = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
-# Columns: the axes x right, y down, z forward of a level camera that looks along world y.
-LEVEL_WORLD_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
-
-
-@dataclass(frozen=True)
-class Scene:
-    """
-    A rendered picture and the truth about it.
-
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-    depth_m : (H, W) float32
-        Exact depth; NaN where the ray hits nothing.
-    labels : (H, W) int32
-        Index into ``planes``, -1 for none.
-    planes : (N, 4) float64
-        Unit normal towards the camera and offset of every visible plane, camera frame.
-    intrinsics : CameraIntrinsics
-    down_camera : (3,) float64
-        Direction of gravity in the camera frame.
-    rectangles : (N,) int
-        Index of each plane's rectangle in the list that was rendered: the same surface in
-        pictures from several places.
-    height_m : float
-        Of the camera above the world's z = 0, where rooms have their floor.
-
-    """
-
-    rgb: np.ndarray
-    depth_m: np.ndarray
-    labels: np.ndarray
-    planes: np.ndarray
-    intrinsics: CameraIntrinsics
-    down_camera: np.ndarray
-    rectangles: np.ndarray
-    height_m: float = 0.0
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """A corner and the two edges that leave it, perpendicular to each other, metres."""
-
-    corner: np.ndarray
-    edge_u: np.ndarray
-    edge_v: np.ndarray
-
-
-def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
-    """Return world_from_camera (3, 3); yaw turns left about up, pitch up looks up."""
-    yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
-    about_up = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    about_x = np.array(
-        [[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
-    about_z = np.array(
-        [[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
-    return about_up @ LEVEL_WORLD_FROM_CAMERA @ about_x @ about_z
-
-
-def box(center: np.ndarray, size: np.ndarray, yaw_deg: float = 0.0) -> list[Rectangle]:
-    """Return the six faces of an upright box."""
-    yaw = np.radians(yaw_deg)
-    axes = np.array([[np.cos(yaw), np.sin(yaw), 0], [-np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
-    edges = axes * np.asarray(size, float)[:, None]
-    low = np.asarray(center, float) - edges.sum(axis=0) / 2
-    faces = []
-    for k in range(3):
-        u, v = edges[(k + 1) % 3], edges[(k + 2) % 3]
-        faces += [Rectangle(low, u, v), Rectangle(low + edges[k], u, v)]
-    return faces
-
-
-def render(rectangles: list[Rectangle], world_from_camera: np.ndarray, position: np.ndarray,
-           intrinsics: CameraIntrinsics, rng: np.random.Generator) -> Scene:
-    """Cut every pixel's ray with every rectangle; the generator only colours the picture."""
-    ray_x, ray_y = pixel_rays(intrinsics)
-    shape = (intrinsics.height, intrinsics.width)
-    depth_m = np.full(shape, np.inf, np.float64)
-    surface = np.full(shape, -1, np.int32)
-    planes = np.zeros((len(rectangles), 4))
-    for k, rectangle in enumerate(rectangles):
-        corner = world_from_camera.T @ (rectangle.corner - position)
-        edge_u, edge_v = (world_from_camera.T @ e for e in (rectangle.edge_u, rectangle.edge_v))
-        planes[k] = _plane_towards_camera(corner, edge_u, edge_v)
-        z_m = _depth_of_rectangle(ray_x, ray_y[:, None], corner, edge_u, edge_v, planes[k])
-        nearer = z_m < depth_m
-        depth_m[nearer] = z_m[nearer]
-        surface[nearer] = k
-    depth_m[surface < 0] = np.nan
-    visible, labels = np.unique(surface, return_inverse=True)
-    labels = labels.reshape(shape).astype(np.int32) - int(visible[0] < 0)
-    visible = visible[visible >= 0]
-    planes = planes[visible]
-    return Scene(_colour(labels, planes, rng), depth_m.astype(np.float32), labels, planes,
-                 intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]), visible,
-                 float(position[2]))
-
-
-def _plane_towards_camera(corner: np.ndarray, edge_u: np.ndarray, edge_v: np.ndarray):
-    normal = np.cross(edge_u, edge_v)
-    normal /= np.linalg.norm(normal)
-    offset_m = -normal @ corner
-    return np.append(normal, offset_m) * (1.0 if offset_m >= 0 else -1.0)
-
-
-def _depth_of_rectangle(ray_x, ray_y, corner, edge_u, edge_v, plane) -> np.ndarray:
-    """Return the depth at which each ray meets the rectangle, inf where it does not."""
-    with np.errstate(divide='ignore', invalid='ignore'):
-        z_m = -plane[3] / (plane[0] * ray_x + plane[1] * ray_y + plane[2])
-        along_u = _along(ray_x, ray_y, z_m, corner, edge_u)
-        along_v = _along(ray_x, ray_y, z_m, corner, edge_v)
-        hit = (z_m > 0.05) & (abs(along_u - 0.5) <= 0.5) & (abs(along_v - 0.5) <= 0.5)
-    return np.where(hit, z_m, np.inf)
-
-
-def _along(ray_x, ray_y, z_m, corner, edge) -> np.ndarray:
-    """Return the coordinate of the hit along an edge, 0 to 1 inside."""
-    along = edge / (edge @ edge)
-    return z_m * (along[0] * ray_x + along[1] * ray_y + along[2]) - along @ corner
-
-
-def _colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Give each plane a colour, with a little grain so that nothing is perfectly flat."""
-    colours = rng.uniform(60, 220, (len(planes) + 1, 3)).astype(np.float32)
-    grain = rng.normal(0, 6, labels.shape).astype(np.float32)
-    return np.clip(colours[labels] + grain[..., None], 0, 255).astype(np.uint8)
 
 
 def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
@@ -208,7 +81,7 @@ def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
     depth_m = 2.0 + 0.6 * np.sin(u / 9.0) * np.cos(v / 11.0) + 0.3 * np.sin(v / 4.0)
     labels = np.full(depth_m.shape, -1, np.int32)
     planes = np.zeros((0, 4))
-    return Scene(_colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
+    return Scene(colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
                  labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]), np.zeros(0, int))
 
 
