@@ -1,6 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Scenes that several tests look at, rendered once, and the real pictures where they are."""
+"""
+What several files of tests share: scenes, rendered once, real pictures, a robot, a bag.
+
+What needs ROS is imported where it is used: the core is tested without.
+"""
 
 import os
 from functools import lru_cache
@@ -9,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plane_detector.tools.scenes import random_room
+from plane_detector.tools.scenes import box, camera_rotation, random_room, render
 
+pytest.register_assert_rewrite('node_helpers', 'replay_helpers')
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -32,3 +37,48 @@ def data_folder():
     if not folder.is_dir():
         pytest.skip(f'no real pictures in {folder}; PLANE_DETECTOR_DATA may name their folder')
     return folder
+
+
+@pytest.fixture
+def robot(capfd):
+    """Return a camera and subscribers on a ROS domain of their own."""
+    from ros_helpers import Robot
+    robot = Robot(capfd=capfd)
+    yield robot
+    robot.shutdown()
+
+
+@pytest.fixture(scope='session')
+def scenes():
+    """Four steps through a room with a box in it."""
+    from replay_helpers import CAMERA
+    size = np.array([4.0, 5.0, 2.5])
+    rectangles = box(size / 2, size)
+    rectangles += box(np.array([2.8, 3.5, 0.5]), np.array([1.0, 0.8, 1.0]), 20)
+    return [render(rectangles, camera_rotation(5 * step, -15, 0),
+                   np.array([2.0, 0.5 + 0.05 * step, 1.4]), CAMERA, np.random.default_rng(0))
+            for step in range(4)]
+
+
+@pytest.fixture
+def bag(tmp_path, scenes):
+    """Return the walk through that room as a bag."""
+    from bags import write_bag
+    from replay_helpers import camera_messages
+    return write_bag(tmp_path / 'walk', camera_messages(scenes))
+
+
+@pytest.fixture
+def replay(tmp_path, capsys):
+    """Return a function: run the program; return exit code, new bag, what it printed."""
+    from replay_helpers import DEPTH
+
+    from plane_detector.tools.replay import main
+
+    def run(source, *options, depth=DEPTH):
+        target = tmp_path / 'planes'
+        depth_option = ['--depth', depth] if depth else []
+        code = main([str(source), str(target), *depth_option, *map(str, options)])
+        printed = capsys.readouterr()
+        return code, target, printed.out + printed.err
+    return run

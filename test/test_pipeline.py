@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
-from plane_detector.config import DepthConfig, ScaleConfig
+from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
 from plane_detector.pipeline import Stages
 from plane_detector.tools.peers import plane_array
 from plane_detector.tools.scenes import random_room, single_wall
@@ -143,3 +143,14 @@ def test_depth_beyond_the_largest_is_invalid_whatever_its_source(source):
     network = (lambda rgb: scene.depth_m) if source == 'model' else None
     found = PlaneDetector(config, network).detect(scene.rgb, scene.intrinsics, scene.depth_m)
     np.testing.assert_array_equal(np.isnan(found.depth_m), scene.depth_m > limit_m)
+
+
+def test_the_pipeline_tracks_unless_told_not_to(room):
+    scene = room(3)
+    source = DepthConfig(source='topic')
+    for enabled in (True, False):
+        detector = PlaneDetector(Config(depth=source, tracking=TrackingConfig(enabled=enabled)))
+        detection = detector.detect(scene.rgb, scene.intrinsics, scene.depth_m)
+        expected = tuple(range(1, len(detection.planes) + 1)) if enabled else ()
+        assert detection.track_labels == expected
+        assert 'tracking' in detection.stage_seconds

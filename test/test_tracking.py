@@ -8,8 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plane_detector.config import Config, DepthConfig, TrackingConfig
-from plane_detector.pipeline import PlaneDetector
+from plane_detector.config import TrackingConfig
 from plane_detector.plane_motion import NO_MOTION, PlaneMotion, estimate_motion
 from plane_detector.segmentation import segment_planes
 from plane_detector.tools.scenes import box, camera_rotation, render, with_disparity_noise
@@ -289,14 +288,3 @@ def overlapping(first, second):
     return [(i, j) for i in range(first.max() + 1) for j in np.unique(second[first == i])
             if j >= 0 and ((first == i) & (second == j)).sum()
             > 0.5 * ((first == i) | (second == j)).sum()]
-
-
-def test_the_pipeline_tracks_unless_told_not_to(room):
-    scene = room(3)
-    source = DepthConfig(source='topic')
-    for enabled in (True, False):
-        detector = PlaneDetector(Config(depth=source, tracking=TrackingConfig(enabled=enabled)))
-        detection = detector.detect(scene.rgb, scene.intrinsics, scene.depth_m)
-        expected = tuple(range(1, len(detection.planes) + 1)) if enabled else ()
-        assert detection.track_labels == expected
-        assert 'tracking' in detection.stage_seconds

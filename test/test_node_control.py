@@ -1,0 +1,166 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node under control: parameters, services, lifecycle, quality of service."""
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from lifecycle_msgs.msg import Transition
+from node_helpers import CAMERA, change_state, send, small_room, start
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from ros_helpers import camera_info_msg, cloud_array, header, image_msg
+from std_srvs.srv import Trigger
+
+
+@pytest.fixture
+def room():
+    return small_room()
+
+
+def test_an_estimator_that_fails_does_not_end_the_node(robot, room):
+    failures = [RuntimeError('out of memory')]
+
+    def estimate(rgb):
+        if failures:
+            raise failures.pop()
+        return room.depth_m
+
+    start(robot, estimate)
+    send(robot, room, 1.0)
+    assert robot.is_logged('out of memory')
+    send(robot, room, 2.0)
+    assert robot.wait_for('planes')[0].header == header(2.0)
+
+
+def test_on_demand_one_frame_per_call(robot, room):
+    start(robot, lambda rgb: room.depth_m, mode='on_demand')
+    send(robot, room, 1.0)
+    robot.spin(timeout_s=0.5)
+    assert not robot.received['planes']
+    assert robot.call(Trigger, 'plane_detector/detect').success
+    for stamp_s in (2.0, 3.0):
+        send(robot, room, stamp_s)
+        robot.spin(timeout_s=0.5)
+    assert [msg.header for msg in robot.received['planes']] == [header(2.0)]
+
+
+def labels_of(planes):
+    return cloud_array(planes)[0]['label'].tolist()
+
+
+def test_labels_stay_until_tracking_is_reset(robot, room):
+    """The largest plane goes out of view: the others keep their labels, until the reset."""
+    largest = np.bincount(room.labels[room.labels >= 0]).argmax()
+    without = np.where(room.labels == largest, np.nan, room.depth_m).astype(np.float32)
+    depths = [room.depth_m, without, without]
+    start(robot, lambda rgb: depths.pop(0))
+    send(robot, room, 1.0)
+    first = labels_of(robot.wait_for('planes')[0])
+    assert first == list(range(1, len(first) + 1))
+    send(robot, room, 1.1)
+    second = labels_of(robot.wait_for('planes', 2)[1])
+    assert 1 not in second
+    assert set(second) <= set(first)
+    assert robot.call(Trigger, 'plane_detector/reset_tracking').success
+    send(robot, room, 1.2)
+    third = labels_of(robot.wait_for('planes', 3)[2])
+    assert third == list(range(1, len(third) + 1))
+
+
+def test_parameters_change_between_frames(robot, room):
+    node = start(robot, lambda rgb: room.depth_m)
+    send(robot, room, 1.0)
+    assert robot.wait_for('planes')[0].width > 1
+    (result,) = node.set_parameters([Parameter('segmentation.max_planes', value=1)])
+    assert result.successful
+    send(robot, room, 2.0)
+    assert robot.wait_for('planes', 2)[1].width == 1
+
+
+@pytest.mark.parametrize('name, value, reason', [
+    ('segmentation.max_planes', 0, 'out of range'),
+    ('segmentation.max_planes', 2.0, 'type'),
+    ('mode', 'sometimes', 'must be one of'),
+    ('depth.model', 'other.onnx', 'read-only')])
+def test_impossible_changes_are_refused_and_change_nothing(robot, name, value, reason):
+    node = start(robot, lambda rgb: None)
+    before = node.get_parameter(name).value
+    (result,) = node.set_parameters([Parameter(name, value=value)])
+    assert not result.successful
+    assert reason in result.reason
+    assert node.get_parameter(name).value == before
+
+
+def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_path):
+    node = start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'),
+                 depth__output='metric_depth')
+    status, values = robot.diagnosis()
+    assert status.level == DiagnosticStatus.ERROR
+    assert 'missing.onnx' in values['last_error']
+    assert node.state == 'unconfigured'
+    assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
+
+
+def test_lifecycle_without_autostart(robot, room):
+    node = start(robot, lambda rgb: room.depth_m, wait=False, autostart=False)
+    robot.spin(timeout_s=0.3)
+    assert node.state == 'unconfigured'
+    assert not robot.call(Trigger, 'plane_detector/detect').success
+    assert not change_state(robot, Transition.TRANSITION_ACTIVATE), 'not from unconfigured'
+    for _ in range(2):
+        assert change_state(robot, Transition.TRANSITION_CONFIGURE)
+        assert node.state == 'inactive'
+        assert change_state(robot, Transition.TRANSITION_ACTIVATE)
+        count = len(robot.received['planes'])
+        send(robot, room)
+        robot.wait_for('planes', count + 1)
+        assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+        assert node.count_subscribers('image') == 0
+        assert change_state(robot, Transition.TRANSITION_CLEANUP)
+        assert node.state == 'unconfigured'
+        assert node.count_publishers('plane_detector/planes') == 0
+
+
+def test_reliability_follows_the_publishers(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
+
+    def offered():
+        infos = robot.node.get_subscriptions_info_by_topic('/image')
+        return [info.qos_profile.reliability for info in infos]
+
+    assert robot.spin(lambda: offered() == [ReliabilityPolicy.RELIABLE])
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0), best_effort)
+    assert robot.spin(lambda: offered() == [ReliabilityPolicy.BEST_EFFORT])
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 2.0))
+    robot.wait_for('planes')
+
+
+def test_an_override_of_the_reliability_stands(robot):
+    node = start(robot, lambda rgb: None, **{
+        'qos_overrides./image.subscription.reliability': 'best_effort',
+        'qos_overrides./plane_detector/points.publisher.depth': 7})
+    (info,) = node.get_subscriptions_info_by_topic('/image')
+    assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+    for topic in ('planes', 'labels', 'markers', 'overlay', 'depth', 'plane_poses'):
+        assert node.has_parameter(f'qos_overrides./plane_detector/{topic}.publisher.reliability')
+    assert node.has_parameter('qos_overrides./diagnostics.publisher.depth')
+    assert node.get_parameter('qos_overrides./plane_detector/points.publisher.depth').value == 7
+
+
+def test_a_wrong_override_fails_with_the_reason(robot):
+    node = start(robot, lambda rgb: None, wait=False,
+                 **{'qos_overrides./image.subscription.reliability': 'perfect'})
+    assert robot.is_logged('perfect')
+    robot.spin(timeout_s=0.3)
+    assert node.state == 'inactive'
+    assert robot.diagnosis()[0].level == DiagnosticStatus.ERROR
+
+
+def test_a_simulation_that_stands_still_does_not_stop_the_node(robot, room):
+    start(robot, lambda rgb: room.depth_m, use_sim_time=True)
+    send(robot, room, 3.0)
+    assert robot.wait_for('planes')[0].header == header(3.0)
+    assert robot.diagnosis()[0].level in (DiagnosticStatus.OK, DiagnosticStatus.WARN)
