@@ -102,6 +102,12 @@ def test_file_has_licence_docstring_and_bounded_length(path):
     assert len(text.splitlines()) <= MOST_FILE_LINES
 
 
+def test_files_of_tests_are_short_too():
+    lengths = {path.name: len(path.read_text(encoding='utf-8').splitlines())
+               for path in (ROOT / 'test').rglob('*.py')}
+    assert {name: count for name, count in lengths.items() if count > MOST_FILE_LINES} == {}
+
+
 def test_functions_are_short():
     too_long = []
     for path in SOURCES:
