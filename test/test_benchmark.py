@@ -13,8 +13,9 @@ import pytest
 from plane_detector import CameraIntrinsics
 from plane_detector.tools import benchmark_report, benchmark_times, peers
 from plane_detector.tools.benchmark_judging import best_plane, judge_coverage, judge_planes
+from plane_detector.tools.benchmark_living import furnished, report_living
 from plane_detector.tools.benchmark_real import compare, report_consistency, write_sheets
-from plane_detector.tools.benchmark_rooms import plane_depth, report_rooms
+from plane_detector.tools.benchmark_rooms import plane_depth, report_rooms, room, room_score
 from plane_detector.tools.metrics import score
 from plane_detector.tools.real_frames import frames, library_frames
 from plane_detector.tools.scenes import random_room, single_wall
@@ -145,6 +146,45 @@ def test_rooms_are_reported_with_the_absent_named(capsys):
     assert 'nowhere: absent, nothing of that name is installed.' in text
     assert text.count('| plane_detector | 0 | 1 |') == 2, 'tuning and held-out'
     assert 'share that match' in text
+
+
+def test_living_rooms_are_reported_and_drawn(capsys, tmp_path):
+    report_living([peers.Ours()], count=1, slow_count=1, output=tmp_path / 'sheets')
+    text = capsys.readouterr().out
+    assert '### Rendered living rooms, tuning seeds 0 to 0' in text
+    assert '### Rendered living rooms, held-out seeds 2000 to 2000' in text
+    assert text.count('| plane_detector | 0.004 | 1 |') == 2
+    sheet = cv2.imread(str(tmp_path / 'sheets' / 'living_rooms.png'))
+    assert sheet.shape[1] > 6 * 320
+    assert sheet.shape[0] < 2 * 320, 'one row for one room'
+
+
+class Truth(peers.Method):
+    """Knows the labels, and calls what is curved a plane if asked to."""
+
+    def __init__(self, scene, curved=False):
+        self.scene, self.curved = scene, curved
+
+    def __call__(self, depth_m, intrinsics):
+        labels = self.scene.labels.copy()
+        if self.curved:
+            labels[labels < 0] = len(self.scene.planes)
+        return labels, np.vstack([self.scene.planes, [0, 0, -1, 2]])[:labels.max() + 1]
+
+
+@pytest.mark.parametrize('scene_of', [room, furnished])
+def test_the_truth_scores_full_marks(scene_of):
+    scene = scene_of(0)
+    best = room_score(Truth(scene), 0, 0.0, scene_of)
+    assert best.segmentation_covering == best.rand_index == best.recall == best.precision == 1
+    assert best.normal_error_deg == pytest.approx(0, abs=1e-4)
+
+
+def test_curved_pixels_count_as_no_plane():
+    scene = furnished(0)
+    planes = len(scene.planes)
+    called_flat = room_score(Truth(scene, curved=True), 0, 0.0, furnished)
+    assert called_flat.precision == pytest.approx(planes / (planes + 1))
 
 
 def write_frame(folder, depth_mm):

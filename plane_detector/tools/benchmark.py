@@ -7,8 +7,10 @@ Measure the plane segmentation, beside its peers, and print the tables as Markdo
     python3 -m plane_detector.tools.benchmark --only rooms --seeds 5
     python3 -m plane_detector.tools.benchmark --only real --data folder --model fastdepth
 
-The contact sheets of the real pictures are written to benchmark_output/. Peers that are not
-installed are named as absent.
+The sections: `rooms` of boxes and `living` rooms are rendered, with exact truth; `living_room`
+is clean depth of a rendered room without labels, `real` pictures have a sensor's depth.
+Contact sheets of living rooms and real pictures are written to benchmark_output/. Peers that are
+not installed are named as absent.
 """
 
 from __future__ import annotations
@@ -17,13 +19,14 @@ import argparse
 import sys
 from pathlib import Path
 
+from plane_detector.tools.benchmark_living import report_living
 from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
 from plane_detector.tools.benchmark_report import emit, provenance
 from plane_detector.tools.benchmark_rooms import report_rooms
 from plane_detector.tools.benchmark_times import report_times
 from plane_detector.tools.peers import all_methods
 
-SECTIONS = ('rooms', 'living_room', 'real', 'time')
+SECTIONS = ('rooms', 'living', 'living_room', 'real', 'time')
 
 
 def parsed() -> argparse.Namespace:
@@ -61,6 +64,8 @@ def report(arguments: argparse.Namespace) -> None:
     methods = all_methods()
     if 'rooms' in arguments.only:
         report_rooms(methods, arguments.seeds, arguments.slow_seeds)
+    if 'living' in arguments.only:
+        report_living(methods, arguments.seeds, arguments.slow_seeds, arguments.output)
     if {'living_room', 'real'} & set(arguments.only):
         found = collect_frames(arguments.data)
         if 'living_room' in arguments.only:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -31,6 +31,7 @@ SIGMAS = (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
 HELD_OUT = 2000
 """Rooms from this seed on were not looked at while the method was made."""
+SceneOfSeed = Callable[[int], Scene]
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 _COLUMNS = ('method', 'noise (1/m)', 'rooms', 'SC', 'worst SC (seed)', 'VOI', 'RI', 'recall',
             'worst recall', 'precision', 'worst precision', 'normal error (deg)',
@@ -71,23 +72,29 @@ def noisy_depth(scene: Scene, sigma: float, seed: int) -> np.ndarray:
 
 def report_rooms(methods: Sequence[Method], count: int, slow_count: int) -> None:
     """Print the tables of all rooms."""
+    report_sets('Rendered rooms', room, methods, count, slow_count)
+    report_ours(count)
+
+
+def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], count: int,
+                slow_count: int) -> None:
+    """Print the tables of the scenes that some function makes of the seeds."""
     for rooms in room_sets(count, slow_count):
-        rows = [row(method, rooms.for_method(method), sigma)
-                for method in tqdm(methods, f'{rooms.name} rooms', leave=False)
+        rows = [row(method, rooms.for_method(method), sigma, scene_of)
+                for method in tqdm(methods, f'{title}, {rooms.name}', leave=False)
                 if not method.absent for sigma in SIGMAS]
-        emit(f'### Rendered rooms, {rooms.name} seeds {rooms.seeds[0]} to {rooms.seeds[-1]}',
+        emit(f'### {title}, {rooms.name} seeds {rooms.seeds[0]} to {rooms.seeds[-1]}',
              table(_COLUMNS, rows))
     emit(f'Seeds up to {HELD_OUT - 1} were used for tuning, the others were not. Means over the '
          'rooms; recall counts true planes of more than 1500 pixels, both it and precision '
          'matches of IoU > 0.5; errors are medians over the matched planes of a room. Slow '
          'methods are tried on the first rooms only.')
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
-    report_ours(count)
 
 
-def row(method: Method, seeds: Sequence[int], sigma: float) -> list[str]:
+def row(method: Method, seeds: Sequence[int], sigma: float, scene_of: SceneOfSeed) -> list[str]:
     """Return a line of the table: the means over some rooms."""
-    scores = [room_score(method, seed, sigma) for seed in seeds]
+    scores = [room_score(method, seed, sigma, scene_of) for seed in seeds]
 
     def column(name: str) -> np.ndarray:
         return np.array([getattr(one, name) for one in scores], float)
@@ -104,9 +111,9 @@ def row(method: Method, seeds: Sequence[int], sigma: float) -> list[str]:
             f'{100 * _mean(column("offset_error_m")):.1f}']
 
 
-def room_score(method: Method, seed: int, sigma: float) -> Score:
+def room_score(method: Method, seed: int, sigma: float, scene_of: SceneOfSeed) -> Score:
     """Return how good a method is on one room."""
-    scene = room(seed)
+    scene = scene_of(seed)
     labels, planes = method(noisy_depth(scene, sigma, seed), scene.intrinsics)
     return score(scene.labels, scene.planes, labels, planes, np.isfinite(scene.depth_m))
 
