@@ -26,8 +26,9 @@ from plane_detector.noise import CellVariances, Noise, cell_variances
 MAX_INNER_VARIANCES = 4.0
 # Cells without depth have no variance at all.
 MIN_VARIANCE = 1e-30
-# Small windows find small planes, large ones see through the noise.
-WINDOW_SIDES_CELLS = (3, 7, 13)
+# Rows and columns: small windows find small planes, long ones narrow planes, and large ones see
+# through the noise.
+WINDOWS_CELLS = ((3, 3), (2, 7), (7, 2), (9, 9))
 WINDOW_MIN_FREE = 0.7
 WINDOW_MAX_VARIANCES = 2.5
 # One round finds, with the configured confidence, the planes with this share of the free cells.
@@ -199,21 +200,20 @@ def _window_planes(model: CellModel, free: np.ndarray, wanted: int,
     shape = model.grid.shape
     integral = cv2.integral(free.reshape(shape).astype(np.uint8))
     planes, middles = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
-    for side in WINDOW_SIDES_CELLS:
-        if min(shape) < side:
-            break
-        count = (integral[side:, side:] - integral[:-side, side:] - integral[side:, :-side]
-                 + integral[:-side, :-side])
-        starts = np.flatnonzero(count >= WINDOW_MIN_FREE * side**2)
+    for height, width in WINDOWS_CELLS:
+        if height > shape[0] or width > shape[1]:
+            continue
+        count = (integral[height:, width:] - integral[:-height, width:]
+                 - integral[height:, :-width] + integral[:-height, :-width])
+        starts = np.flatnonzero(count >= WINDOW_MIN_FREE * height * width)
         if len(starts) > wanted:
             starts = rng.choice(starts, wanted, replace=False)
         rows, columns = np.unravel_index(starts, count.shape)
-        offset = np.arange(side)
-        window = ((rows[:, None, None] + offset[:, None]) * shape[1]
-                  + columns[:, None, None] + offset).reshape(len(starts), side**2)
+        window = ((rows[:, None, None] + np.arange(height)[:, None]) * shape[1]
+                  + columns[:, None, None] + np.arange(width)).reshape(len(starts), height * width)
         fitted, flat = _fit_windows(model, free, window)
         planes.append(fitted[flat])
-        middles.append(window[flat, side**2 // 2])
+        middles.append(window[flat, height * width // 2])
     return np.concatenate(planes), np.concatenate(middles)
 
 
@@ -253,14 +253,14 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
     """
     Refit a plane to its inliers until they settle.
 
-    Only the density cluster of inliers that the seed lies in counts, so that a plane does not
+    Only the density cluster of inliers around the seed counts, so that a plane does not
     gather streaks off the surfaces that it happens to cut.
 
     Returns
     -------
     plane : (3,) float64
     members : (R * C,) bool
-        All False when the plane holds nothing around its seed.
+        All False when the plane holds nothing.
 
     """
     members = np.zeros(len(free), bool)
@@ -280,9 +280,15 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
 
 
 def _around(members: np.ndarray, inliers: np.ndarray, dbscan: DbscanConfig | None) -> np.ndarray:
-    """Return the density cluster of inliers (R, C) that holds most members, (R * C,) bool."""
+    """
+    Return the density cluster of inliers (R, C) that holds most members, (R * C,) bool.
+
+    A seed may be an outlier of its own plane: then the largest cluster.
+    """
     if dbscan is None:
         return inliers.ravel()
     clusters = grid_clusters(inliers, dbscan.eps, dbscan.min_samples).ravel()
     touched = np.bincount(clusters[members] + 1, minlength=2)[1:]
+    if not touched.any():
+        touched = np.bincount(clusters + 1, minlength=2)[1:]
     return clusters == np.argmax(touched) if touched.any() else np.zeros_like(members)

@@ -24,7 +24,7 @@ MISFIT_CAP = 3.0
 # A cell that may belong to a plane by its neighbours is let go only beyond this many.
 RELEASE = 1.6
 # What one neighbour's agreement is worth, in units of chi-squared.
-AGREEMENT = 2.0
+AGREEMENT = 1.5
 # A plane competes for cells up to this many cells away from its own.
 REACH_CELLS = 2
 

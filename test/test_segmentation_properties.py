@@ -43,7 +43,8 @@ def assert_follows(before, after, labels, planes, sigma, covering=0.9):
     assert same[large].any(axis=1).mean() >= (1.0 if sigma == 0 else 0.75)
     for i, j in zip(*np.nonzero(same & large[:, None]), strict=True):
         cosine = np.clip(planes[i, :3] @ found[j, :3], -1, 1)
-        assert np.degrees(np.arccos(cosine)) < (0.1 if sigma == 0 else 5)
+        deviation_deg = np.degrees(np.sqrt(np.trace(before.planes[i].covariance[:3, :3])))
+        assert np.degrees(np.arccos(cosine)) < (0.1 if sigma == 0 else max(5, deviation_deg))
         assert abs(planes[i, 3] - found[j, 3]) < (1e-3 if sigma == 0 else 0.08) * max(
             1, planes[i, 3])
 
