@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plane_detector.backprojection import depth_to_points
-from plane_detector.tools import furniture, wall_fittings
+from plane_detector.tools import furniture, rendering, wall_fittings
 from plane_detector.tools.living_rooms import furnished_living_room, living_room
 from plane_detector.tools.rendering import Rectangle, camera_rotation, render
 from plane_detector.tools.surfaces import (
@@ -40,7 +40,7 @@ def room(seed):
 def seen(thing, position=(0, -3, 0), intrinsics=SMALL, yaw_deg=0.0):
     """Return the picture of a thing from a level camera that looks along y."""
     return render(thing.flat, camera_rotation(yaw_deg, 0, 0), np.array(position, float),
-                  intrinsics, np.random.default_rng(0), thing.curved)
+                  intrinsics, np.random.default_rng(0), thing.curved_pieces())
 
 
 def world_points(scene, position=(0, -3, 0)):
@@ -201,9 +201,11 @@ def test_turning_and_shifting_keep_shapes():
 def test_a_sheet_follows_its_line():
     line = bezier([(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 1, 0)], 10)
     np.testing.assert_allclose(line[[0, 5, 10]], [[0, 0, 0], [1, 0.5, 0], [2, 1, 0]])
-    strips = sheet(line, np.array([0, 0, 2.0])).curved
+    thing = sheet(line, np.array([0, 0, 2.0])).at(0, 0, 1)
+    strips = thing.curved_pieces()
     assert len(strips) == 10
-    np.testing.assert_allclose([strip.corner for strip in strips], line[:-1])
+    np.testing.assert_allclose([strip.corner for strip in strips], line[:-1] + [0, 0, 1])
+    np.testing.assert_allclose(thing.bounds(), [[0, 0, 1], [2, 1, 3]], atol=1e-12)
 
 
 def test_curved_things_hide_planes_and_are_hidden():
@@ -222,6 +224,21 @@ def test_what_is_behind_the_camera_is_not_seen():
     around = Thing((Rectangle(np.array([-9.0, -9, -1]), np.array([18.0, 0, 0]),
                               np.array([0, 18.0, 0])),))
     assert np.isfinite(seen(around).depth_m[-1]).all(), 'it begins behind and goes on before'
+    beside = Thing((Rectangle(np.array([0.2, -9, -0.1]), np.array([0, 18.0, 0]),
+                              np.array([0, 0, 0.2])),))
+    depth_m = seen(beside).depth_m
+    near_m = 0.2 * 131 / 79.5
+    assert depth_m[60, -1] == pytest.approx(near_m)
+    assert np.isfinite(depth_m[:, -1]).sum() == pytest.approx(0.2 * 131 / near_m, abs=1)
+
+
+@pytest.mark.parametrize('seed', SEEDS)
+def test_looking_only_where_a_surface_can_be_misses_nothing(seed, monkeypatch):
+    scene = living_room(np.random.default_rng(seed), SMALL)
+    monkeypatch.setattr(rendering, '_window', lambda hull, intrinsics: (slice(None), slice(None)))
+    everywhere = living_room(np.random.default_rng(seed), SMALL)
+    np.testing.assert_array_equal(scene.depth_m, everywhere.depth_m)
+    np.testing.assert_array_equal(scene.labels, everywhere.labels)
 
 
 def test_television_and_door_frame_are_a_little_off_the_wall():

@@ -74,13 +74,13 @@ def lounge_chair(rng: np.random.Generator) -> Thing:
     """Return a chair of a bent sheet between two bent arms, that looks along y."""
     half, high = rng.uniform([0.25, 0.85], [0.34, 1.05])
     seat = bezier([(-half, 0.40, 0.42), (-half, -0.05, 0.25), (-half, -0.25, 0.28),
-                   (-half, -0.45, high)])
+                   (-half, -0.45, high)], 800)
     parts = [sheet(seat, np.array([2 * half, 0, 0]))]
     for left in (-half - 0.06, half + 0.01):
         arm = bezier([(left, 0.35, 0.0), (left, 0.75, 0.75), (left, 0.1, 0.7),
-                      (left, -0.38, 0.62)])
+                      (left, -0.38, 0.62)], 200)
         foot = bezier([(left, 0.35, 0.0), (left, 0.1, 0.01), (left, -0.1, 0.01),
-                       (left, -0.45, 0.03)], 8)
+                       (left, -0.45, 0.03)], 100)
         parts += [sheet(curve, np.array([0.05, 0, 0])) for curve in (arm, foot)]
     return joined(*parts)
 

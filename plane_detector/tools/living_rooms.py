@@ -27,7 +27,8 @@ def living_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) ->
     """Return a living room seen from a random place in it, 0.9 to 1.8 m above the floor."""
     things, rotation, position = furnished_living_room(rng)
     everything = joined(*(thing for _, thing in things))
-    return render(everything.flat, rotation, position, intrinsics, rng, everything.curved)
+    return render(everything.flat, rotation, position, intrinsics, rng,
+                  everything.curved_pieces())
 
 
 def furnished_living_room(

@@ -167,10 +167,14 @@ def render(rectangles: Sequence[Rectangle], world_from_camera: np.ndarray, posit
 
 def _window(hull_camera_m: np.ndarray, intrinsics: CameraIntrinsics) -> tuple[slice, slice]:
     """Return the rows and columns outside of which no ray can meet what is in the hull."""
-    x, y, z = hull_camera_m.T
-    if (z <= NEAREST_M).any():
-        every = slice(0) if (z <= NEAREST_M).all() else slice(None)
-        return every, every
+    before, behind = (hull_camera_m[side] for side in (hull_camera_m[:, 2] > NEAREST_M,
+                                                       hull_camera_m[:, 2] <= NEAREST_M))
+    if not len(before):
+        return slice(0), slice(0)
+    # Where the lines from what is before to what is behind pass the nearest depth.
+    lines = before[:, None] - behind
+    passing = behind + lines * ((NEAREST_M - behind[:, 2]) / lines[..., 2])[..., None]
+    x, y, z = np.vstack([before, passing.reshape(-1, 3)]).T
     columns = intrinsics.fx * x / z + intrinsics.cx
     rows = intrinsics.fy * y / z + intrinsics.cy
     return tuple(slice(*np.clip([np.floor(k.min()), np.ceil(k.max()) + 1], 0, size).astype(int))

@@ -76,11 +76,28 @@ class Revolution:
 
 
 @dataclass(frozen=True)
+class Sheet:
+    """The curved sheet that a polyline (K, 3) sweeps along a vector (3,) square to it, metres."""
+
+    profile: np.ndarray
+    extrusion: np.ndarray
+
+    def hull(self) -> np.ndarray:
+        """Return the points of both ends."""
+        return np.vstack([self.profile, self.profile + self.extrusion])
+
+    def strips(self) -> list[Rectangle]:
+        """Return the flat pieces that it is rendered as."""
+        return [Rectangle(start, end - start, self.extrusion)
+                for start, end in zip(self.profile[:-1], self.profile[1:], strict=True)]
+
+
+@dataclass(frozen=True)
 class Thing:
-    """Flat faces, each a plane of its own, and curved surfaces; rectangles may stand for them."""
+    """Flat faces, each a plane of its own, and curved surfaces."""
 
     flat: tuple[Rectangle, ...] = ()
-    curved: tuple[Rectangle | Revolution, ...] = ()
+    curved: tuple[Revolution | Sheet, ...] = ()
 
     def __add__(self, other: Thing) -> Thing:
         return Thing(self.flat + other.flat, self.curved + other.curved)
@@ -94,6 +111,11 @@ class Thing:
         """Turn about the z axis, then shift."""
         return self.turned((0, 0, 1), yaw_deg)._moved(np.eye(3), np.array([x, y, z]))
 
+    def curved_pieces(self) -> list[Revolution | Rectangle]:
+        """Return the curved surfaces as they are rendered."""
+        return [piece for surface in self.curved for piece in (
+            surface.strips() if isinstance(surface, Sheet) else [surface])]
+
     def bounds(self) -> np.ndarray:
         """Return the lowest and the highest coordinates, (2, 3)."""
         points = np.vstack([surface.hull() for surface in (*self.flat, *self.curved)])
@@ -104,10 +126,12 @@ class Thing:
                        for surfaces in (self.flat, self.curved)))
 
 
-def _moved(surface: Rectangle | Revolution, rotation: np.ndarray, shift: np.ndarray):
+def _moved(surface: Rectangle | Revolution | Sheet, rotation: np.ndarray, shift: np.ndarray):
     if isinstance(surface, Rectangle):
         return replace(surface, corner=rotation @ surface.corner + shift,
                        edge_u=rotation @ surface.edge_u, edge_v=rotation @ surface.edge_v)
+    if isinstance(surface, Sheet):
+        return Sheet(surface.profile @ rotation.T + shift, rotation @ surface.extrusion)
     return replace(surface, origin=rotation @ surface.origin + shift, axis=rotation @ surface.axis)
 
 
@@ -170,12 +194,11 @@ def bar(start: Sequence[float], end: Sequence[float], radius: float) -> Thing:
 
 
 def sheet(profile: np.ndarray, extrusion: np.ndarray) -> Thing:
-    """Return the curved sheet that a polyline (K, 3) sweeps along a vector square to it."""
-    return Thing(curved=tuple(Rectangle(start, end - start, extrusion)
-                              for start, end in zip(profile[:-1], profile[1:], strict=True)))
+    """Return a sheet; its strips should be no wider than a pixel, else they are planes."""
+    return Thing(curved=(Sheet(profile, extrusion),))
 
 
-def bezier(controls: Sequence[Sequence[float]], pieces: int = 40) -> np.ndarray:
+def bezier(controls: Sequence[Sequence[float]], pieces: int) -> np.ndarray:
     """Return points (pieces + 1, 3) of the cubic curve through the first and last of 4 points."""
     t = np.linspace(0, 1, pieces + 1)[:, None]
     weights = np.hstack([(1 - t)**3, 3 * t * (1 - t)**2, 3 * t**2 * (1 - t), t**3])

@@ -128,7 +128,7 @@ def curtains(rng: np.random.Generator, hole: Opening) -> Thing:
     parts = [bar([-end, y, top], [end, y, top], 0.012)]
     for side in (-1, 1):
         parts.append(ellipsoid(0.025, 0.025).at(side * end, y, top))
-        x = np.arange(0, rng.uniform(0.3, 0.6), wave / 16)
+        x = np.arange(0, rng.uniform(0.3, 0.6), 0.0015)
         phase = 2 * np.pi * x / wave + rng.uniform(0, 6)
         # Uneven folds: no two of them are parallel.
         swing = amplitude * np.sin(phase + 0.8 * np.sin(0.37 * phase))
