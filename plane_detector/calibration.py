@@ -58,8 +58,6 @@ def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
 
 def is_settled(model: CellModel, before: Noise, after: Noise) -> bool:
     """Say whether a search with the noise ``after`` would find the same as with ``before``."""
-    middle = float(np.median(model.grid.mean[model.grid.usable, 2])) if (
-        model.grid.usable.any()) else 0.0
-    floor = np.sqrt(before.floor(middle))
+    floor = np.sqrt(before.floor(model.grid.typical_disparity))
     ratio = max(after.mean, floor) / max(before.mean, floor, np.finfo(float).tiny)
     return TOLERANCE[0] <= ratio <= TOLERANCE[1]

@@ -65,6 +65,11 @@ class CellGrid:
     usable: np.ndarray
 
     @cached_property
+    def typical_disparity(self) -> float:
+        """The median disparity of the usable cells; 0 when there is none."""
+        return float(np.median(self.mean[self.usable, 2])) if self.usable.any() else 0.0
+
+    @cached_property
     def mean_moments(self) -> np.ndarray:
         """The moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
         x, y, d = self.mean.T

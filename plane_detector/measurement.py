@@ -55,7 +55,7 @@ def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise
     counts = count_labels(grid, labels, len(planes))
     total = counts.sum(axis=0)
     kept = total >= max(min_pixels, 1)
-    if noise.mean > max(noise.known, MAX_NOISE_SHARE * _typical_disparity(grid)):
+    if noise.mean > max(noise.known, MAX_NOISE_SHARE * grid.typical_disparity):
         kept[:] = False
     order = np.argsort(-total, kind='stable')
     order = order[kept[order]]
@@ -90,10 +90,6 @@ def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     found = np.bincount(key.ravel(), minlength=len(mixed) * (count + 1))
     counts[at_row * columns + at_column] = found.reshape(-1, count + 1)
     return counts[:, 1:]
-
-
-def _typical_disparity(grid: CellGrid) -> float:
-    return float(np.median(grid.mean[grid.usable, 2])) if grid.usable.any() else 0.0
 
 
 def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Noise,

@@ -12,6 +12,7 @@ import numpy as np
 from plane_detector.cells import N, make_cells
 from plane_detector.components import flat_components
 from plane_detector.config import Config
+from plane_detector.curvature import drop_curved
 from plane_detector.noise import Noise
 from plane_detector.pixels import label_pixels
 from plane_detector.ransac import CellModel, collect, make_model
@@ -66,10 +67,10 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     min_cell_pixels, threshold = MIN_CELL_SHARE * min_pixels, config.ransac.inlier_threshold
     if grid.moments[smaller.planar, N].sum() < min_cell_pixels:
         return labels, none
-    exact = noise.is_exact(float(np.median(model.grid.mean[:, 2])))
+    exact = noise.is_exact(model.grid.typical_disparity)
     plain = flat_components(smaller, min_cell_pixels, threshold) if exact else []
     search = search_planes(smaller, plain, min_cell_pixels, config, config.dbscan, rng)
-    patches = collect(smaller, list(islice(search, room)))
+    patches = drop_curved(smaller, collect(smaller, list(islice(search, room))), noise)
     new = label_pixels(disparity, left, smaller, patches, noise, threshold)
     labels = labels.copy()
     labels[cut] = np.where(new >= 0, new + found, labels[cut])

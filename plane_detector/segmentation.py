@@ -16,6 +16,7 @@ from plane_detector.backprojection import check_depth, valid_depth
 from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coordinates
 from plane_detector.config import Config
 from plane_detector.creases import straighten
+from plane_detector.curvature import drop_curved
 from plane_detector.measurement import count_labels, measure_planes, renumber
 from plane_detector.merging import merge_patches
 from plane_detector.narrow import MIN_CELL_SHARE, add_narrow
@@ -227,7 +228,9 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
     model, patches, noise = find_patches(grid, least, min_cell_pixels, config, config.dbscan, rng)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
     patches = join_hidden(model, merge_patches(model, patches))
-    if not noise.is_exact(float(np.median(grid.mean[:, 2]))):
+    if noise.is_exact(grid.typical_disparity):
+        patches = drop_curved(model, patches, noise)
+    else:
         patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
         patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)

@@ -1,0 +1,116 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What is curved is no plane, however thin the slabs that one can cut it into.
+
+Within the tolerance of any method a curtain or a cushion is a row of narrow planes. On exact depth
+the cells of such a slab show the curve that a real plane does not have: a quadratic surface fits
+them far better than a plane (F-test), and their normal turns from one end to the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector import cells
+from plane_detector.noise import Noise
+from plane_detector.ransac import CellModel, Patches
+
+# Of the F-statistic: how much better the quadratic fits, as a multiple of the noise.
+MIN_GAIN = 8.0
+MIN_TURN_DEG = 2.0
+# Fewer cells fit a quadratic by chance.
+MIN_CELLS = 9
+# A common lens: focal length over the width of the picture. Only the angle of the turn needs it.
+TYPICAL_FOCAL_SHARE = 0.8
+# Rounding in float32, relative to the disparity.
+ROUNDING = 1e-6
+# A uniform spread is this many standard deviations wide.
+WIDTH_PER_DEVIATION = 12**0.5
+
+
+def drop_curved(model: CellModel, patches: Patches, noise: Noise) -> Patches:
+    """
+    Give up the patches that are curved, where depth is exact enough to tell.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+    noise : Noise
+
+    Returns
+    -------
+    Patches
+
+    """
+    count = len(patches.planes)
+    if not count or not noise.is_exact(model.grid.typical_disparity):
+        return patches
+    labels = np.where(model.planar, patches.labels.ravel(), -1)
+    suspects = _not_exact(model, labels, patches.planes, noise)
+    if not len(suspects):
+        return patches
+    curved = suspects[_is_curved(model, labels, suspects, noise)]
+    kept = np.delete(np.arange(count), curved)
+    renumbered = np.full(count + 1, -1, np.int32)
+    renumbered[kept] = np.arange(len(kept))
+    return Patches(renumbered[patches.labels], patches.planes[kept])
+
+
+def _not_exact(model: CellModel, labels: np.ndarray, planes: np.ndarray,
+               noise: Noise) -> np.ndarray:
+    """Return the patches that a plane fits so ill that a quadratic could gain enough."""
+    members = (labels == np.arange(len(planes))[:, None]).astype(float)
+    moments = members @ model.grid.mean_moments
+    square = cells.squared_error(planes, moments)
+    disparity = moments[:, cells.D] / np.maximum(moments[:, cells.N], 1)
+    return np.flatnonzero((moments[:, cells.N] >= MIN_CELLS)
+                          & (square > 3 * MIN_GAIN * _least_variance(noise, disparity)))
+
+
+def _least_variance(noise: Noise, disparity: np.ndarray) -> np.ndarray:
+    return np.maximum(noise.mean**2, (ROUNDING * disparity) ** 2)
+
+
+def _is_curved(model: CellModel, labels: np.ndarray, suspects: np.ndarray,
+               noise: Noise) -> np.ndarray:
+    """Say of each suspect (S,) whether it is curved."""
+    members = labels == suspects[:, None]
+    used = members.any(axis=0)
+    members, values = members[:, used].astype(float), model.grid.mean[used]
+    count = members.sum(axis=1)
+    mean = members @ values / count[:, None]
+    x, y, d = (values - mean[members.argmax(axis=0)]).T
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    # All products of two of the basis, and with d, added up over each patch.
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(x), -1)
+    normal_matrix = (members @ products).reshape(-1, 6, 6)
+    projection, square = members @ (basis * d[:, None]), members @ (d * d)
+    flat, _ = _least_squares(normal_matrix[:, :3, :3], projection[:, :3], square)
+    curved, quadratic = _least_squares(normal_matrix, projection, square)
+    variance = np.maximum(curved / (count - 6), _least_variance(noise, mean[:, 2]))
+    gain = (flat - curved) / 3 / variance
+    spread = normal_matrix[:, 1:3, 1:3] / count[:, None, None]
+    turn_deg = _turn_deg(quadratic, spread, mean[:, 2])
+    return (gain > MIN_GAIN) & (turn_deg > MIN_TURN_DEG)
+
+
+def _least_squares(normal_matrix: np.ndarray, projection: np.ndarray,
+                   square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the squared error (K,) and the coefficients (K, n) of fits."""
+    scale = np.sqrt(np.maximum(np.einsum('kii->ki', normal_matrix), np.finfo(float).tiny))
+    unit = normal_matrix / (scale[:, :, None] * scale[:, None, :])
+    coefficients = (np.linalg.pinv(unit, rcond=1e-10, hermitian=True)
+                    @ (projection / scale)[..., None])[..., 0] / scale
+    return np.maximum(square - (coefficients * projection).sum(axis=1), 0), coefficients
+
+
+def _turn_deg(quadratic: np.ndarray, spread: np.ndarray, disparity: np.ndarray) -> np.ndarray:
+    """Return the angle by which the normal turns from end to end of each patch, about (K,)."""
+    xx, xy, yy = 2 * quadratic[:, 3], quadratic[:, 4], 2 * quadratic[:, 5]
+    bend = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
+    # The bend over the width of the patch along each direction: its squares have this trace.
+    change = np.sqrt(np.maximum(np.einsum('kij,kjl,kil->k', bend, spread, bend), 0))
+    slope = WIDTH_PER_DEVIATION * change * TYPICAL_FOCAL_SHARE
+    return np.degrees(np.arctan2(slope, np.maximum(disparity, np.finfo(float).tiny)))
