@@ -19,6 +19,8 @@ from plane_detector.ransac import CellModel, Patches
 # A small plane fits itself to the noise and says too little of it.
 MIN_CELLS = 100
 SIGMA_PER_MEDIAN = 1.4826
+# More cells than these only cost time.
+MAX_SAMPLES = 1500
 # The noise is as good as known when it would change by less than this factor, down and up.
 TOLERANCE = (0.75, 1.1)
 
@@ -47,6 +49,7 @@ def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
     members = np.flatnonzero(size[labels + 1] > MIN_CELLS)
     if not len(members):
         return noise
+    members = members[::len(members) // MAX_SAMPLES + 1]
     plane, mean = patches.planes[labels[members]], model.grid.mean[members]
     residual = mean[:, 2] - (plane[:, :2] * mean[:, :2]).sum(axis=1) - plane[:, 2]
     tilt = model.grid.slope[members] - plane[:, :2]

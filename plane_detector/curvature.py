@@ -23,6 +23,8 @@ MIN_TURN_DEG = 2.0
 MIN_CELLS = 9
 # A common lens: focal length over the width of the picture. Only the angle of the turn needs it.
 TYPICAL_FOCAL_SHARE = 0.8
+# A slab that turns by so little as above, and is but a few cells wide, strays by more than this.
+MIN_RELATIVE_RMS = 1e-5
 # Rounding in float32, relative to the disparity.
 ROUNDING = 1e-6
 # A uniform spread is this many standard deviations wide.
@@ -48,7 +50,7 @@ def drop_curved(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     if not count or not noise.is_exact(model.grid.typical_disparity):
         return patches
     labels = np.where(model.planar, patches.labels.ravel(), -1)
-    suspects = _not_exact(model, labels, patches.planes, noise)
+    suspects = _not_exact(model, labels, patches.planes)
     if not len(suspects):
         return patches
     curved = suspects[_is_curved(model, labels, suspects, noise)]
@@ -58,15 +60,13 @@ def drop_curved(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     return Patches(renumbered[patches.labels], patches.planes[kept])
 
 
-def _not_exact(model: CellModel, labels: np.ndarray, planes: np.ndarray,
-               noise: Noise) -> np.ndarray:
-    """Return the patches that a plane fits so ill that a quadratic could gain enough."""
+def _not_exact(model: CellModel, labels: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """Return the patches whose cells stray from their plane by more than rounding."""
     members = (labels == np.arange(len(planes))[:, None]).astype(float)
     moments = members @ model.grid.mean_moments
-    square = cells.squared_error(planes, moments)
-    disparity = moments[:, cells.D] / np.maximum(moments[:, cells.N], 1)
-    return np.flatnonzero((moments[:, cells.N] >= MIN_CELLS)
-                          & (square > 3 * MIN_GAIN * _least_variance(noise, disparity)))
+    count = np.maximum(moments[:, cells.N], 1)
+    relative = cells.squared_error(planes, moments) * count / moments[:, cells.D] ** 2
+    return np.flatnonzero((count >= MIN_CELLS) & (relative > MIN_RELATIVE_RMS**2))
 
 
 def _least_variance(noise: Noise, disparity: np.ndarray) -> np.ndarray:

@@ -22,20 +22,24 @@ TINY_DISPARITY = 1e-9
 # Structure that is everywhere looks like noise; above this share of the typical disparity it is
 # none, and what fits so loosely is no plane.
 MAX_NOISE_SHARE = 0.125
+# The cells that a plane has to itself speak for it when they hold this share of its pixels.
+MIN_WHOLE_SHARE = 0.5
 # Below this the normal is as good as exact.
 LEAST_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (3.22, 0.77, -0.66)
 
 
-def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise: Noise,
-                   intrinsics: CameraIntrinsics,
+def measure_planes(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
+                   planes: np.ndarray, noise: Noise, intrinsics: CameraIntrinsics,
                    min_pixels: float = 1.0) -> tuple[tuple[Plane, ...], np.ndarray]:
     """
     Measure planes, largest first.
 
     Parameters
     ----------
+    disparity : (H, W) float32
     grid : CellGrid
+        Of this disparity.
     labels : (H, W) int32
         Index into ``planes``, -1 none.
     planes : (K, 3) float64
@@ -59,8 +63,9 @@ def measure_planes(grid: CellGrid, labels: np.ndarray, planes: np.ndarray, noise
         kept[:] = False
     order = np.argsort(-total, kind='stable')
     order = order[kept[order]]
-    measured = _measure(grid, counts[:, order], planes[order], noise, intrinsics)
-    return measured, renumber(labels, order, len(planes))
+    labels = renumber(labels, order, len(planes))
+    rms = _relative_rms(disparity, grid, labels, counts[:, order], planes[order])
+    return _measure(grid, counts[:, order], planes[order], rms, noise, intrinsics), labels
 
 
 def renumber(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
@@ -92,8 +97,8 @@ def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     return counts[:, 1:]
 
 
-def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Noise,
-             intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
+def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, relative_rms: np.ndarray,
+             noise: Noise, intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
     """Measure planes (K, 3) from the number of their pixels in each cell, (R * C, K)."""
     jacobian = _ray_plane_jacobian(intrinsics)
     ray_planes = planes @ jacobian.T
@@ -110,7 +115,7 @@ def _measure(grid: CellGrid, counts: np.ndarray, planes: np.ndarray, noise: Nois
     centroids_m = np.stack([total(depth_m * ray) for ray in rays.T], axis=1) / pixels[:, None]
     centroids_m -= ((normals * centroids_m).sum(axis=1) + offsets_m)[:, None] * normals
     areas_m2 = total(depth_m**3) / (intrinsics.fx * intrinsics.fy * offsets_m)
-    rms_m = offsets_m * _relative_rms(grid, cell, plane, found, planes)
+    rms_m = offsets_m * relative_rms
     covariances = _covariances(grid, counts, noise, ray_planes, jacobian)
     sure = confidence(pixels / (intrinsics.width * intrinsics.height), covariances)
     return tuple(
@@ -163,22 +168,33 @@ def _cell_rays(grid: CellGrid, intrinsics: CameraIntrinsics) -> np.ndarray:
                      (v_px - intrinsics.cy) / intrinsics.fy, np.ones(len(u_px))], axis=1)
 
 
-def _relative_rms(grid: CellGrid, cell: np.ndarray, plane: np.ndarray, found: np.ndarray,
-                  planes: np.ndarray) -> np.ndarray:
+def _relative_rms(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
+                  counts: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """
     Return the rms (K,) of (1/z - plane) / (1/z); times the offset it is the distance in metres.
 
-    Cells that a plane has to itself say it; when there is none, all its cells do.
+    The cells that a plane has to itself say it; where these are too few, its pixels do.
     """
-    count, disparity = grid.moments[cell, cells.N], grid.mean[cell, 2]
-    whole = found == count
-    has_whole = np.bincount(plane, whole, len(planes)) > 0
-    taken = whole | ~has_whole[plane]
+    count, most = grid.moments[:, cells.N], counts.max(axis=1, initial=0)
+    cell = np.flatnonzero((most == count) & (most > 0))
+    plane = counts[cell].argmax(axis=1) if len(planes) else cell
     square = (grid.moments @ cells.error_weights(planes).T)[cell, plane]
-    middle = np.maximum(disparity, TINY_DISPARITY)
-    total, pixels = (np.bincount(plane[taken], values[taken], len(planes))
-                     for values in (np.maximum(square, 0) / middle**2, count))
-    return np.sqrt(total / np.maximum(pixels, 1))
+    middle = np.maximum(grid.mean[cell, 2], TINY_DISPARITY)
+    total, pixels = (np.bincount(plane, values, len(planes))
+                     for values in (np.maximum(square, 0) / middle**2, count[cell]))
+    rms = np.sqrt(total / np.maximum(pixels, 1))
+    for k in np.flatnonzero(pixels < MIN_WHOLE_SHARE * counts.sum(axis=0)):
+        rms[k] = _rms_of_pixels(disparity, np.nonzero(labels == k), planes[k])
+    return rms
+
+
+def _rms_of_pixels(disparity: np.ndarray, at: tuple[np.ndarray, np.ndarray],
+                   plane: np.ndarray) -> float:
+    """Return the same of the pixels at some rows and columns."""
+    x, y = cells.picture_coordinates(disparity.shape)
+    d = np.maximum(disparity[at].astype(float), TINY_DISPARITY)
+    return float(np.sqrt(np.mean((1 - (plane[0] * x[at[1]] + plane[1] * y[at[0]] + plane[2]) / d)
+                                 ** 2)))
 
 
 def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,

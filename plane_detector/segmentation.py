@@ -82,7 +82,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     least = Noise(config.ransac.noise_floor, known=known)
     labels, planes, noise = _label(disparity, valid, grid, least, config, rng)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
-    planes, labels = measure_planes(grid, labels, planes, noise, intrinsics, min_pixels)
+    planes, labels = measure_planes(disparity, grid, labels, planes, noise, intrinsics, min_pixels)
     return PlaneSegmentation(planes, labels, noise.mean)
 
 
@@ -153,7 +153,8 @@ def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIn
     noise = estimate_noise(grid, Noise(config.ransac.noise_floor, known=disparity_noise))
     planes, labels = _fit_labels(grid, labels)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
-    measured, labels = measure_planes(grid, labels, planes, noise, intrinsics, min_pixels)
+    measured, labels = measure_planes(disparity, grid, labels, planes, noise, intrinsics,
+                                      min_pixels)
     return PlaneSegmentation(measured, labels, noise.mean)
 
 
