@@ -226,6 +226,20 @@ def fit_planes(moments: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.array([a, b, d - a * x - b * y]), 0, -1)
 
 
+def fit_plane(moments: np.ndarray) -> np.ndarray:
+    """Fit one plane to moments (10,), as :func:`fit_planes` does, without its overhead; (3,)."""
+    n, x, y, xx, xy, yy, d, xd, yd, _ = moments.tolist()
+    n = max(n, 1.0)
+    x, y, d = x / n, y / n, d / n
+    xx, xy, yy, xd, yd = (xx / n - x * x, xy / n - x * y, yy / n - y * y, xd / n - x * d,
+                          yd / n - y * d)
+    determinant = xx * yy - xy * xy
+    if not determinant > 1e-6 * (xx + yy) ** 2:
+        return np.full(3, np.nan)
+    a, b = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
+    return np.array([a, b, d - a * x - b * y])
+
+
 def error_weights(planes: np.ndarray) -> np.ndarray:
     """Return the weights (..., 10) of the moments in the squared error of planes (..., 3)."""
     a, b, c = np.moveaxis(planes, -1, 0)

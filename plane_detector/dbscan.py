@@ -15,6 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from sklearn.cluster import DBSCAN
 
+_SQUARE = np.ones((3, 3), np.uint8)
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
 # Slices of the cells of a grid and of their neighbours: right, down, and along the diagonals.
 NEIGHBOURS = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :]))
 DIAGONALS = ((np.s_[:-1, :-1], np.s_[1:, 1:]), (np.s_[:-1, 1:], np.s_[1:, :-1]))
@@ -40,17 +42,17 @@ def grid_clusters(mask: np.ndarray, eps: float, min_samples: int) -> np.ndarray:
     """
     if eps >= 2:
         return _by_distance(mask, eps, min_samples)
-    set_cells = mask.astype(np.uint8)
+    set_cells = np.ascontiguousarray(mask).view(np.uint8)
     diagonal = eps >= np.sqrt(2)
-    shape = cv2.MORPH_RECT if diagonal else cv2.MORPH_CROSS
-    neighbourhood = cv2.getStructuringElement(shape, (3, 3))
-    density = cv2.filter2D(set_cells, cv2.CV_16S, neighbourhood, borderType=cv2.BORDER_CONSTANT)
-    core = (set_cells > 0) & (density >= min_samples)
-    _, clusters = cv2.connectedComponents(core.astype(np.uint8), connectivity=8 if diagonal else 4,
+    neighbourhood = _SQUARE if diagonal else _CROSS
+    density = cv2.filter2D(set_cells, cv2.CV_8U, neighbourhood, borderType=cv2.BORDER_CONSTANT)
+    core = set_cells * (density >= min_samples)
+    _, clusters = cv2.connectedComponents(core, connectivity=8 if diagonal else 4,
                                           ltype=cv2.CV_16U)
     # A border cell joins the last of the clusters that it touches.
-    joined = cv2.dilate(clusters, neighbourhood)
-    return np.where(core, clusters, joined * set_cells).astype(np.int32) - 1
+    joined = cv2.dilate(clusters, neighbourhood) * set_cells
+    np.copyto(joined, clusters, where=core.view(bool))
+    return joined.astype(np.int32) - 1
 
 
 def label_clusters(labels: np.ndarray, eps: float, min_samples: int) -> np.ndarray:

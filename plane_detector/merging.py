@@ -125,7 +125,7 @@ def merged(model: CellModel, patches: Patches, kept: np.ndarray, gone: np.ndarra
     planes = patches.planes[left]
     for k in renumbered[kept]:
         members = (labels.ravel() == k) & model.planar
-        planes[k] = cells.fit_planes(members.astype(float) @ model.grid.moments)
+        planes[k] = cells.fit_plane(members.astype(float) @ model.grid.moments)
     return Patches(labels, planes)
 
 

@@ -272,7 +272,7 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
             return plane, grown
         if np.count_nonzero(grown != members) <= SETTLED_SHARE * np.count_nonzero(grown):
             break
-        refitted = cells.fit_planes(grown.astype(float) @ model.grid.moments)
+        refitted = cells.fit_plane(grown.astype(float) @ model.grid.moments)
         if not np.isfinite(refitted).all():
             return plane, np.zeros_like(members)
         plane, members = refitted, grown
