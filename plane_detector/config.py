@@ -10,120 +10,59 @@ range and choices, and every instance is checked against them when it is made.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import Field, dataclass, field, fields
-from typing import Any
+from dataclasses import dataclass, field
 
-
-def _setting(default: Any, doc: str, unit: str = '', low: float | None = None,
-             high: float | None = None, choices: tuple[str, ...] = (),
-             read_only: bool = False) -> Any:
-    """Declare a field with what a user must know of it."""
-    return field(default=default, metadata={
-        'doc': doc, 'unit': unit, 'low': low, 'high': high,
-        'choices': choices, 'read_only': read_only})
-
-
-class Checked:
-    """Base of the settings: raises ValueError, with the parameter's name, for a wrong value."""
-
-    def __init_subclass__(cls, section: str = '') -> None:
-        cls._prefix = f'{section}.' if section else ''
-
-    def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
-            if not isinstance(value, Checked):
-                check_value(self._prefix + f.name, value, f.default, f.metadata)
-
-
-def check_value(name: str, value: Any, default: Any, metadata: Any) -> None:
-    """
-    Check one value against the type of its default and its metadata.
-
-    Raises
-    ------
-    ValueError
-        The type is another one, or the value is out of range or not one of the choices.
-
-    """
-    if not _same_type(value, default):
-        raise ValueError(f'{name} must be of type {type(default).__name__}, not {value!r}')
-    if metadata['choices'] and value not in metadata['choices']:
-        raise ValueError(f'{name} must be one of {", ".join(metadata["choices"])}, not {value!r}')
-    low, high = metadata['low'], metadata['high']
-    numbers = value if isinstance(value, tuple) else (value,)
-    for number in numbers:
-        if (low is not None and not number >= low) or (high is not None and not number <= high):
-            raise ValueError(f'{name} must be in [{low}, {high}], not {value!r}')
-
-
-def _same_type(value: Any, default: Any) -> bool:
-    if isinstance(default, tuple):
-        return isinstance(value, tuple) and all(_same_type(v, default[0]) for v in value)
-    if isinstance(default, float):
-        return isinstance(value, (int, float)) and not isinstance(value, bool)
-    return type(value) is type(default)
-
-
-def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
-    """Yield name, field and value of every setting; a nested one is named ``depth.model``."""
-    for f in fields(settings):
-        value = getattr(settings, f.name)
-        if isinstance(value, Checked):
-            yield from parameters_of(value, f'{prefix}{f.name}.')
-        else:
-            yield prefix + f.name, f, value
+from plane_detector.checked import Checked, setting
 
 
 @dataclass(frozen=True)
 class DepthConfig(Checked, section='depth'):
     """Where depth comes from, and how the network is run."""
 
-    source: str = _setting(
+    source: str = setting(
         'model', 'depth from the network (model) or from the depth topic (topic)',
         choices=('model', 'topic'), read_only=True)
-    model: str = _setting(
+    model: str = setting(
         'auto', 'name of a network of the zoo, path of an .onnx file, or auto: the best one that '
         'is cached or can be fetched now', read_only=True)
-    output: str = _setting(
+    output: str = setting(
         'auto', 'what the network gives: metric_depth (metres), disparity (1/metres), '
         'relative_disparity (unknown scale and shift), auto: what the zoo says; must be given '
         'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'),
         read_only=True)
-    input_width: int = _setting(
+    input_width: int = setting(
         0, 'width of the network input, which the picture is stretched to; 0: fixed by the '
         'network or by short_side', 'px', 0, 8192, read_only=True)
-    input_height: int = _setting(
+    input_height: int = setting(
         0, 'height of the network input, which the picture is stretched to; 0: fixed by the '
         'network or by short_side', 'px', 0, 8192, read_only=True)
-    short_side: int = _setting(
+    short_side: int = setting(
         0, 'short side of a network input of free size, the other keeps the aspect of the '
         'picture; 0: the network\'s own', 'px', 0, 8192, read_only=True)
-    side_multiple: int = _setting(
+    side_multiple: int = setting(
         14, 'the sides of a network input of free size are multiples of this; a network of the '
         'zoo brings its own', 'px', 1, 1024, read_only=True)
-    mean: tuple[float, ...] = _setting(
+    mean: tuple[float, ...] = setting(
         (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; a network of the zoo brings its '
         'own', read_only=True)
-    std: tuple[float, ...] = _setting(
+    std: tuple[float, ...] = setting(
         (0.229, 0.224, 0.225), 'the scaled RGB less the mean is divided by this; a network of '
         'the zoo brings its own', low=1e-6, read_only=True)
-    input_scale: float = _setting(
+    input_scale: float = setting(
         1.0 / 255.0, 'pixel values are multiplied with this first; a network of the zoo brings '
         'its own', low=1e-9, read_only=True)
-    max_depth: float = _setting(
+    max_depth: float = setting(
         80.0, 'depth beyond this is taken as invalid', 'm', 0.01, 1e4)
-    damping: float = _setting(
+    damping: float = setting(
         0.8, 'share of the disparity kept from the pictures before, while the camera stands still '
         'and nothing moves, against flicker of the network; 0: none', '', 0.0, 0.99)
-    providers: tuple[str, ...] = _setting(
+    providers: tuple[str, ...] = setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers, the first that runs is '
         'taken', read_only=True)
-    threads: int = _setting(
+    threads: int = setting(
         0, 'threads within one operator of the network, 0: ONNX Runtime\'s choice', '', 0, 256,
         read_only=True)
-    cache_dir: str = _setting(
+    cache_dir: str = setting(
         '', 'folder of the downloaded networks, empty: $XDG_CACHE_HOME/plane_detector',
         read_only=True)
 
@@ -143,38 +82,38 @@ class DepthConfig(Checked, section='depth'):
 class ScaleConfig(Checked, section='scale'):
     """From disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift."""
 
-    method: str = _setting(
+    method: str = setting(
         'auto', 'what fixes the unit of depth; auto: the first of metric, depth_topic, '
         'camera_height, manhattan, fixed that the network, the inputs and the scene allow',
         choices=('auto', 'metric', 'depth_topic', 'camera_height', 'manhattan', 'fixed', 'none'))
-    disparity_scale: float = _setting(
+    disparity_scale: float = setting(
         0.0, 'factor on the network\'s relative disparity, 0: unknown', '1/m', 0.0, 1e6)
-    disparity_shift: float = _setting(
+    disparity_shift: float = setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
-    reference_focal_px: float = _setting(
+    reference_focal_px: float = setting(
         0.0, 'focal length, at the width of this picture, of the camera that a metric network '
         'assumes: depth is multiplied by fx / this; 0: no correction; -1: the one that a network '
         'of the zoo is known to be trained with', 'px', -1.0, 1e5)
-    camera_height: float = _setting(
+    camera_height: float = setting(
         0.0, 'height of the camera above the floor, 0: unknown', 'm', 0.0, 1000.0)
-    gravity: tuple[float, ...] = _setting(
+    gravity: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), 'direction down in the optical frame, of any length; 0 0 0: unknown',
         '', -1e6, 1e6)
-    gravity_tolerance: float = _setting(
+    gravity_tolerance: float = setting(
         2.0, 'how far the direction of gravity may be off; above 5 it is coarse: it only tells '
         'the floor from the walls', 'deg', 0.0, 45.0)
-    imu_to_camera: tuple[float, ...] = _setting(
+    imu_to_camera: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 1.0), 'quaternion x y z w that turns vectors of the IMU\'s frame into '
         'the optical frame', '', -1.0, 1.0)
-    smoothing: float = _setting(
+    smoothing: float = setting(
         0.8, 'share of the previous scale and shift kept at every frame, 0: none', '', 0.0, 0.999)
-    max_jump: float = _setting(
+    max_jump: float = setting(
         0.15, 'a frame whose scale and shift would change depth by a larger share is an outlier',
         '', 0.001, 10.0)
-    reset_after: int = _setting(
+    reset_after: int = setting(
         3, 'outlier frames in a row that agree with each other are a new scene', 'frames', 1,
         1000)
-    hold_frames: int = _setting(
+    hold_frames: int = setting(
         90, 'how long the last scale and shift are held while nothing fixes them', 'frames', 0,
         1000000)
 
@@ -191,55 +130,58 @@ class ScaleConfig(Checked, section='scale'):
 class SegmentationConfig(Checked, section='segmentation'):
     """Which planes are looked for."""
 
-    method: str = _setting(
+    method: str = setting(
         'disparity', 'disparity: ours; paper: pyRANSAC-3D peeled plane by plane, then DBSCAN, '
         'with metric thresholds', choices=('disparity', 'paper'))
-    max_planes: int = _setting(32, 'most planes to find', '', 1, 255)
-    min_plane_share: float = _setting(
+    max_planes: int = setting(32, 'most planes to find', '', 1, 255)
+    min_plane_share: float = setting(
         0.004, 'smallest plane as a share of the pixels', '', 0.0, 1.0)
-    disparity_noise: float = _setting(
+    disparity_noise: float = setting(
         0.0, 'standard deviation of 1/depth, 0: estimated from the picture, at least what the '
         'network is known for', '1/m', 0.0, 10.0)
+    snap_to_picture: bool = setting(
+        True, 'with the depth of a network, borders of planes move to the edges of the picture '
+        'within some 3 pixels of the network input')
 
 
 @dataclass(frozen=True)
 class RansacConfig(Checked, section='ransac'):
     """The search for the best plane."""
 
-    inlier_threshold: float = _setting(
+    inlier_threshold: float = setting(
         3.0, 'a pixel within this many standard deviations of the noise is an inlier', '', 0.1,
         100.0)
-    noise_floor: float = _setting(
+    noise_floor: float = setting(
         0.0005, 'depth noise is taken to be at least this', 'm', 1e-6, 1.0)
-    confidence: float = _setting(
+    confidence: float = setting(
         0.99, 'probability with which the search may stop early', '', 0.0, 0.999999)
-    max_iterations: int = _setting(1000, 'most hypotheses per search', '', 1, 1000000)
-    seed: int = _setting(0, 'seed of the random generator', '', 0, 2**31 - 1)
+    max_iterations: int = setting(1000, 'most hypotheses per search', '', 1, 1000000)
+    seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1)
 
 
 @dataclass(frozen=True)
 class DbscanConfig(Checked, section='dbscan'):
     """Density clustering of the cells of one plane, in the grid of the picture."""
 
-    eps: float = _setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
-    min_samples: int = _setting(3, 'neighbours, itself included, of a core cell', '', 1, 1000)
+    eps: float = setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
+    min_samples: int = setting(3, 'neighbours, itself included, of a core cell', '', 1, 1000)
 
 
 @dataclass(frozen=True)
 class TrackingConfig(Checked, section='tracking'):
     """How planes keep their labels from picture to picture."""
 
-    enabled: bool = _setting(
+    enabled: bool = setting(
         True, 'the same plane keeps its label; off: labels by size, anew in every picture')
-    keep_frames: int = _setting(
+    keep_frames: int = setting(
         30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250)
-    angle_tolerance: float = _setting(
+    angle_tolerance: float = setting(
         10.0, 'normals of the same plane differ by about this under noise, once the motion of '
         'the camera is taken out', 'deg', 0.01, 45.0)
-    offset_tolerance: float = _setting(
+    offset_tolerance: float = setting(
         0.03, 'the same for the distance from the plane, as a share of the distance from the '
         'camera', '', 1e-4, 1.0)
-    smoothing: float = _setting(
+    smoothing: float = setting(
         0.0, 'share of the previous coefficients kept while they change by no more than their '
         'noise, 0: none', '', 0.0, 0.999)
 
@@ -248,11 +190,11 @@ class TrackingConfig(Checked, section='tracking'):
 class PaperConfig(Checked, section='paper'):
     """The metric thresholds of the paper's own method, the baseline."""
 
-    distance_threshold: float = _setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
-    max_iterations: int = _setting(1000, 'RANSAC iterations per plane', '', 1, 1000000)
-    dbscan_eps: float = _setting(0.1, 'DBSCAN radius', 'm', 1e-4, 10.0)
-    dbscan_min_samples: int = _setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
-    max_points: int = _setting(
+    distance_threshold: float = setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
+    max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 1000000)
+    dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 10.0)
+    dbscan_min_samples: int = setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
+    max_points: int = setting(
         20000, 'points are thinned to this many before the search', '', 100, 10000000)
 
 
@@ -273,27 +215,27 @@ class Config(Checked):
 class NodeConfig(Checked):
     """What only the ROS node needs."""
 
-    autostart: bool = _setting(
+    autostart: bool = setting(
         True, 'configure and activate at start, without a lifecycle manager', read_only=True)
-    input_reliability: str = _setting(
+    input_reliability: str = setting(
         'auto', 'reliability of the inputs; auto: what their publishers offer',
         choices=('auto', 'reliable', 'best_effort'), read_only=True)
-    image_transport: str = _setting(
+    image_transport: str = setting(
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
         'image/compressed', choices=('raw', 'compressed'), read_only=True)
-    rectify: str = _setting(
+    rectify: str = setting(
         'auto', 'undo the lens distortion that CameraInfo tells of; auto: where there is any and '
         'the topic is not named as rectified', choices=('auto', 'true', 'false'))
-    stamp_slop: float = _setting(
+    stamp_slop: float = setting(
         0.02, 'a depth image this far in time from its picture still belongs to it, if none has '
         'the very same stamp', 's', 0.0, 10.0)
-    use_imu: bool = _setting(
+    use_imu: bool = setting(
         False, 'take the direction of gravity from sensor_msgs/Imu on imu, whose mounting is '
         'scale.imu_to_camera', read_only=True)
-    mode: str = _setting(
+    mode: str = setting(
         'continuous', 'continuous: every frame, as far as there is time; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))
-    points_decimation: int = _setting(
+    points_decimation: int = setting(
         1, 'the clouds hold every n-th row and column, 1: all', '', 1, 64)
-    marker_lifetime: float = _setting(
+    marker_lifetime: float = setting(
         0.0, 'markers vanish after this time without new ones, 0: never', 's', 0.0, 1e6)

@@ -8,9 +8,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
+from plane_detector.boundaries import snap_to_picture
 from plane_detector.config import Config
 from plane_detector.damping import DampedDisparity, damp_flicker
 from plane_detector.depth import DepthEstimator
@@ -30,6 +32,8 @@ from plane_detector.tracking import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
 EstimateDepth = Callable[[np.ndarray], np.ndarray]
+# Edges of a network's depth are off by up to about this many pixels of its input.
+BLUR_INPUT_PX = 3.5
 
 
 class PlaneDetector:
@@ -42,7 +46,9 @@ class PlaneDetector:
     estimate_depth : callable, optional
         Takes rgb (H, W, 3) uint8 and returns depth or disparity (H, W) float32, NaN invalid. What
         it returns says its attribute ``output``, if it has one, else ``config.depth.output``,
-        where ``auto`` means metres. Default: the network that ``config.depth`` names.
+        where ``auto`` means metres. An attribute ``input_size``, a function of width and height
+        that returns those of the network's input, says how blurred its depth is. Default: the
+        network that ``config.depth`` names.
 
     """
 
@@ -99,7 +105,7 @@ class PlaneDetector:
             if covered is not None:
                 prediction = np.where(covered, prediction, np.float32(np.nan))
         with stages('segmentation'):
-            labels, found = self._segment(prediction, output, intrinsics)
+            labels, found = self._segment(prediction, output, intrinsics, self._snap_to(rgb))
         with stages('scale'):
             scale = self._update_scale(prediction, output, labels, intrinsics, depth_m,
                                        down_camera)
@@ -113,16 +119,28 @@ class PlaneDetector:
                          scale_note=str(scale.estimate), scale_event=scale.event, classes=classes,
                          track_labels=track_labels, stage_seconds=stages.seconds)
 
-    def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics
+    def _snap_to(self, rgb: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Return what moves borders to the edges of the picture, where a network blurred them."""
+        input_size = getattr(self.estimate_depth, 'input_size', None)
+        if not self.config.segmentation.snap_to_picture or input_size is None:
+            return None
+        height, width = rgb.shape[:2]
+        reach_px = BLUR_INPUT_PX * width / input_size(width, height)[0]
+        return partial(snap_to_picture, rgb=rgb, reach_px=reach_px)
+
+    def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics,
+                 refine: Callable[[np.ndarray], np.ndarray] | None
                  ) -> tuple[np.ndarray, tuple[PlaneSegmentation, np.ndarray] | None]:
         """Return the labels, and the planes too where the prediction is in metres as it is."""
         known = getattr(self.estimate_depth, 'disparity_noise', 0.0)
         if output == 'metric_depth' and self._metres_are_right():
-            found = segment_planes(prediction, intrinsics, self.config, disparity_noise=known)
+            found = segment_planes(prediction, intrinsics, self.config, disparity_noise=known,
+                                   refine=refine)
             return found.labels, (found, prediction)
         disparity = to_disparity(prediction, output)
         known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
-        return segment_disparity(disparity, self.config, disparity_noise=known), None
+        return segment_disparity(disparity, self.config, disparity_noise=known,
+                                 refine=refine), None
 
     def _metres_are_right(self) -> bool:
         return self._is_measured() or self.config.scale.method in ('auto', 'metric')

@@ -10,6 +10,8 @@ changes nothing about which pixels form a plane.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from plane_detector.backprojection import check_depth, valid_depth
@@ -31,6 +33,7 @@ from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 DEFAULTS = Config()
+Refine = Callable[[np.ndarray], np.ndarray]
 # The range of a disparity of unknown unit, and what its exact planes may stray by.
 RANGE_QUANTILES = (0.02, 0.98)
 RELATIVE_FLOOR = 1e-4
@@ -40,8 +43,8 @@ LEAST_DEPTH_M = 1e-3
 
 @one_blas_thread
 def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config | None = None,
-                   *, disparity_noise: float = 0.0,
-                   rng: np.random.Generator | None = None) -> PlaneSegmentation:
+                   *, disparity_noise: float = 0.0, rng: np.random.Generator | None = None,
+                   refine: Refine | None = None) -> PlaneSegmentation:
     """
     Find the planes of a depth image and label its pixels.
 
@@ -58,6 +61,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
         is estimated from the picture and taken to be at least this.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
+    refine : callable, optional
+        Takes the labels (H, W) int32 and returns better ones, before the planes are measured.
 
     Returns
     -------
@@ -81,6 +86,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     known = config.segmentation.disparity_noise or disparity_noise
     least = Noise(config.ransac.noise_floor, known=known)
     labels, planes, noise = _label(disparity, valid, grid, least, config, rng)
+    labels = _refined(labels, valid, refine)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
     planes, labels = measure_planes(disparity, grid, labels, planes, noise, intrinsics, min_pixels)
     return PlaneSegmentation(planes, labels, noise.mean)
@@ -88,7 +94,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
 
 @one_blas_thread
 def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise: float = 0.0,
-                      rng: np.random.Generator | None = None) -> np.ndarray:
+                      rng: np.random.Generator | None = None,
+                      refine: Refine | None = None) -> np.ndarray:
     """
     Find which pixels of a disparity image of unknown scale and shift form planes.
 
@@ -101,6 +108,8 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
         What the network is known for, in the same unit.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
+    refine : callable, optional
+        As in :func:`segment_planes`.
 
     Returns
     -------
@@ -114,7 +123,11 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
     grid = make_cells(disparity, valid)
     floor = RELATIVE_FLOOR * disparity_range(np.where(valid, disparity, np.nan))
     least = Noise(0.0, floor, disparity_noise)
-    return _label(disparity, valid, grid, least, config, rng)[0]
+    return _refined(_label(disparity, valid, grid, least, config, rng)[0], valid, refine)
+
+
+def _refined(labels: np.ndarray, valid: np.ndarray, refine: Refine | None) -> np.ndarray:
+    return np.where(valid, refine(labels), -1) if refine else labels
 
 
 def disparity_range(disparity: np.ndarray) -> float:

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from plane_detector.config import Config, NodeConfig, parameters_of
+from plane_detector.checked import parameters_of
+from plane_detector.config import Config, NodeConfig
 from plane_detector.tools import parameters
 
 ROOT = Path(__file__).resolve().parents[1]

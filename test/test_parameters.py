@@ -11,22 +11,23 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.config import Checked, Config, NodeConfig, _setting, parameters_of
+from plane_detector.checked import Checked, parameters_of, setting
+from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
 
 
 @dataclass(frozen=True)
 class Inner(Checked):
-    count: int = _setting(3, 'how many', 'px', 0, 10, read_only=True)
-    names: tuple[str, ...] = _setting(('a', 'b'), 'which')
+    count: int = setting(3, 'how many', 'px', 0, 10, read_only=True)
+    names: tuple[str, ...] = setting(('a', 'b'), 'which')
 
 
 @dataclass(frozen=True)
 class Outer(Checked):
     inner: Inner = field(default_factory=Inner)
-    gain: float = _setting(0.5, 'how much', 'm', 0.0, None)
-    weights: tuple[float, ...] = _setting((1.0, 2.0), 'weights', low=0.5)
-    switch: str = _setting('auto', 'whether', choices=('auto', 'true', 'false'))
+    gain: float = setting(0.5, 'how much', 'm', 0.0, None)
+    weights: tuple[float, ...] = setting((1.0, 2.0), 'weights', low=0.5)
+    switch: str = setting('auto', 'whether', choices=('auto', 'true', 'false'))
 
 
 @pytest.fixture

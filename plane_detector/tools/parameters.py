@@ -16,7 +16,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from plane_detector.config import Config, NodeConfig, parameters_of
+from plane_detector.checked import parameters_of
+from plane_detector.config import Config, NodeConfig
 
 _HEADER = """\
 # SPDX-FileCopyrightText: 2026 The plane_detector authors

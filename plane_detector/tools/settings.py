@@ -11,7 +11,8 @@ import yaml
 from rclpy.parameter import Parameter, get_parameter_value, parameter_dict_from_yaml_file
 from rclpy.parameter import parameter_value_to_python as value_to_python
 
-from plane_detector.config import Config, NodeConfig, parameters_of
+from plane_detector.checked import parameters_of
+from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.parameters import updated
 
 _NODE_NAME = 'plane_detector'

@@ -1,0 +1,70 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings that say what they mean and check themselves, for :mod:`plane_detector.config`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import Field, field, fields
+from typing import Any
+
+
+def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
+            high: float | None = None, choices: tuple[str, ...] = (),
+            read_only: bool = False) -> Any:
+    """Declare a field with what a user must know of it."""
+    return field(default=default, metadata={
+        'doc': doc, 'unit': unit, 'low': low, 'high': high,
+        'choices': choices, 'read_only': read_only})
+
+
+class Checked:
+    """Base of the settings: raises ValueError, with the parameter's name, for a wrong value."""
+
+    def __init_subclass__(cls, section: str = '') -> None:
+        cls._prefix = f'{section}.' if section else ''
+
+    def __post_init__(self) -> None:
+        for f in fields(self):
+            value = getattr(self, f.name)
+            if not isinstance(value, Checked):
+                check_value(self._prefix + f.name, value, f.default, f.metadata)
+
+
+def check_value(name: str, value: Any, default: Any, metadata: Any) -> None:
+    """
+    Check one value against the type of its default and its metadata.
+
+    Raises
+    ------
+    ValueError
+        The type is another one, or the value is out of range or not one of the choices.
+
+    """
+    if not _same_type(value, default):
+        raise ValueError(f'{name} must be of type {type(default).__name__}, not {value!r}')
+    if metadata['choices'] and value not in metadata['choices']:
+        raise ValueError(f'{name} must be one of {", ".join(metadata["choices"])}, not {value!r}')
+    low, high = metadata['low'], metadata['high']
+    numbers = value if isinstance(value, tuple) else (value,)
+    for number in numbers:
+        if (low is not None and not number >= low) or (high is not None and not number <= high):
+            raise ValueError(f'{name} must be in [{low}, {high}], not {value!r}')
+
+
+def _same_type(value: Any, default: Any) -> bool:
+    if isinstance(default, tuple):
+        return isinstance(value, tuple) and all(_same_type(v, default[0]) for v in value)
+    if isinstance(default, float):
+        return isinstance(value, (int, float)) and not isinstance(value, bool)
+    return type(value) is type(default)
+
+
+def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
+    """Yield name, field and value of every setting; a nested one is named ``depth.model``."""
+    for f in fields(settings):
+        value = getattr(settings, f.name)
+        if isinstance(value, Checked):
+            yield from parameters_of(value, f'{prefix}{f.name}.')
+        else:
+            yield prefix + f.name, f, value
