@@ -23,6 +23,7 @@ from plane_detector.scale import COARSE_GRAVITY_DEG, estimate_scale
 from plane_detector.scale_estimate import ScaleEstimate, apply_scale, to_disparity
 from plane_detector.scale_smoothing import ScaleState, update_scale
 from plane_detector.segmentation import (
+    Refine,
     disparity_range,
     measure_labels,
     segment_disparity,
@@ -105,13 +106,14 @@ class PlaneDetector:
             if covered is not None:
                 prediction = np.where(covered, prediction, np.float32(np.nan))
         with stages('segmentation'):
-            labels, found = self._segment(prediction, output, intrinsics, self._snap_to(rgb))
+            refine = self._snap_to(rgb)
+            labels, found = self._segment(prediction, output, intrinsics, refine)
         with stages('scale'):
             scale = self._update_scale(prediction, output, labels, intrinsics, depth_m,
                                        down_camera)
         with stages('measurement'):
             found, scaled_m = found or self._measure(prediction, output, labels, intrinsics,
-                                                     scale.estimate)
+                                                     scale.estimate, refine)
             classes = self._classify(found, scale.estimate, down_camera)
         with stages('tracking'):
             found, track_labels = self._track(found)
@@ -119,7 +121,7 @@ class PlaneDetector:
                          scale_note=str(scale.estimate), scale_event=scale.event, classes=classes,
                          track_labels=track_labels, stage_seconds=stages.seconds)
 
-    def _snap_to(self, rgb: np.ndarray) -> Callable[[np.ndarray], np.ndarray] | None:
+    def _snap_to(self, rgb: np.ndarray) -> Refine | None:
         """Return what moves borders to the edges of the picture, where a network blurred them."""
         input_size = getattr(self.estimate_depth, 'input_size', None)
         if not self.config.segmentation.snap_to_picture or input_size is None:
@@ -129,7 +131,7 @@ class PlaneDetector:
         return partial(snap_to_picture, rgb=rgb, reach_px=reach_px)
 
     def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics,
-                 refine: Callable[[np.ndarray], np.ndarray] | None
+                 refine: Refine | None
                  ) -> tuple[np.ndarray, tuple[PlaneSegmentation, np.ndarray] | None]:
         """Return the labels, and the planes too where the prediction is in metres as it is."""
         known = getattr(self.estimate_depth, 'disparity_noise', 0.0)
@@ -139,8 +141,7 @@ class PlaneDetector:
             return found.labels, (found, prediction)
         disparity = to_disparity(prediction, output)
         known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
-        return segment_disparity(disparity, self.config, disparity_noise=known,
-                                 refine=refine), None
+        return segment_disparity(disparity, self.config, disparity_noise=known), None
 
     def _metres_are_right(self) -> bool:
         return self._is_measured() or self.config.scale.method in ('auto', 'metric')
@@ -162,14 +163,14 @@ class PlaneDetector:
         return self._scale
 
     def _measure(self, prediction: np.ndarray, output: str, labels: np.ndarray,
-                 intrinsics: CameraIntrinsics,
-                 scale: ScaleEstimate) -> tuple[PlaneSegmentation, np.ndarray]:
+                 intrinsics: CameraIntrinsics, scale: ScaleEstimate,
+                 refine: Refine | None) -> tuple[PlaneSegmentation, np.ndarray]:
         """Return the planes of known pixels, and the depth, in the unit of the scale."""
         disparity = to_disparity(prediction, output)
         scaled_m = apply_scale(disparity, scale, self.config.depth.max_depth)
         known = getattr(self.estimate_depth, 'disparity_noise', 0.0) * scale.scale
         known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
-        return measure_labels(scaled_m, labels, intrinsics, self.config, known), scaled_m
+        return measure_labels(scaled_m, labels, intrinsics, self.config, known, refine), scaled_m
 
     def _classify(self, found: PlaneSegmentation, scale: ScaleEstimate,
                   down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:

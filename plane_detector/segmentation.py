@@ -94,8 +94,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
 
 @one_blas_thread
 def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise: float = 0.0,
-                      rng: np.random.Generator | None = None,
-                      refine: Refine | None = None) -> np.ndarray:
+                      rng: np.random.Generator | None = None) -> np.ndarray:
     """
     Find which pixels of a disparity image of unknown scale and shift form planes.
 
@@ -108,8 +107,6 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
         What the network is known for, in the same unit.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
-    refine : callable, optional
-        As in :func:`segment_planes`.
 
     Returns
     -------
@@ -123,11 +120,7 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
     grid = make_cells(disparity, valid)
     floor = RELATIVE_FLOOR * disparity_range(np.where(valid, disparity, np.nan))
     least = Noise(0.0, floor, disparity_noise)
-    return _refined(_label(disparity, valid, grid, least, config, rng)[0], valid, refine)
-
-
-def _refined(labels: np.ndarray, valid: np.ndarray, refine: Refine | None) -> np.ndarray:
-    return np.where(valid, refine(labels), -1) if refine else labels
+    return _label(disparity, valid, grid, least, config, rng)[0]
 
 
 def disparity_range(disparity: np.ndarray) -> float:
@@ -140,7 +133,8 @@ def disparity_range(disparity: np.ndarray) -> float:
 
 @one_blas_thread
 def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
-                   config: Config, disparity_noise: float = 0.0) -> PlaneSegmentation:
+                   config: Config, disparity_noise: float = 0.0,
+                   refine: Refine | None = None) -> PlaneSegmentation:
     """
     Measure planes whose pixels are known, in the unit of the depth.
 
@@ -154,6 +148,8 @@ def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIn
     config : Config
     disparity_noise : float
         As in :func:`segment_planes`.
+    refine : callable, optional
+        As in :func:`segment_planes`: the planes are fitted to the labels as they were before.
 
     Returns
     -------
@@ -165,10 +161,15 @@ def measure_labels(depth_m: np.ndarray, labels: np.ndarray, intrinsics: CameraIn
     grid = make_cells(disparity, valid)
     noise = estimate_noise(grid, Noise(config.ransac.noise_floor, known=disparity_noise))
     planes, labels = _fit_labels(grid, labels)
+    labels = _refined(labels, valid, refine)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
     measured, labels = measure_planes(disparity, grid, labels, planes, noise, intrinsics,
                                       min_pixels)
     return PlaneSegmentation(measured, labels, noise.mean)
+
+
+def _refined(labels: np.ndarray, valid: np.ndarray, refine: Refine | None) -> np.ndarray:
+    return np.where(valid, refine(labels), -1) if refine else labels
 
 
 def _fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -98,13 +98,15 @@ def test_input_is_not_modified():
 class BlurredNetwork:
     """Two walls in depth, with the step 6 pixels beside the edge of the picture."""
 
-    output = 'metric_depth'
     disparity_noise = 0.008
+
+    def __init__(self, output='metric_depth'):
+        self.output = output
 
     def __call__(self, rgb):
         depth_m = np.full(rgb.shape[:2], 2.0, np.float32)
         depth_m[:, rgb.shape[1] // 2 + 6:] = 4.0
-        return depth_m
+        return depth_m if self.output == 'metric_depth' else 1 / depth_m
 
     def input_size(self, width, height):
         return width // 3, height // 3
@@ -119,9 +121,11 @@ def border_column(detector, **given):
 
 
 @pytest.mark.parametrize(('snap', 'column'), [(True, 80), (False, 86)])
-def test_the_pipeline_snaps_what_a_network_says(snap, column):
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
+def test_the_pipeline_snaps_what_a_network_says(output, snap, column):
     config = Config(segmentation=SegmentationConfig(snap_to_picture=snap))
-    assert border_column(PlaneDetector(config, BlurredNetwork())) == pytest.approx(column, abs=1)
+    detector = PlaneDetector(config, BlurredNetwork(output))
+    assert border_column(detector) == pytest.approx(column, abs=1)
 
 
 def test_the_pipeline_leaves_measured_depth_alone():
