@@ -26,7 +26,7 @@ MAX_NOISE_SHARE = 0.125
 MIN_WHOLE_SHARE = 0.5
 # Below this the normal is as good as exact.
 LEAST_TILT_RAD = 1e-4
-CONFIDENCE_WEIGHTS = (3.22, 0.77, -0.66)
+CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
 
 
 def measure_planes(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
@@ -129,7 +129,7 @@ def confidence(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     Return the probability (K,) that each plane is one of the scene.
 
     Logistic in the logarithms of its share of the picture and of the standard deviation of its
-    normal, fitted to whether planes of rendered rooms match a true one with IoU > 0.5:
+    normal, fitted to whether planes of rendered rooms, of boxes and lived in, match a true one:
     ``python3 -m plane_detector.tools.calibrate_confidence`` fits and checks it.
 
     Parameters

@@ -19,6 +19,8 @@ from plane_detector.dbscan import label_clusters
 from plane_detector.ransac import CellModel, Patches, chi_squared
 
 SWEEPS = 4
+# The labels are settled when no more than this share of the cells changes.
+SETTLED_SHARE = 0.004
 # Beyond this many squared thresholds every misfit is as bad.
 MISFIT_CAP = 3.0
 # A cell that may belong to a plane by its neighbours is let go only beyond this many.
@@ -66,9 +68,9 @@ def _compete(model: CellModel, patches: Patches, threshold: float) -> np.ndarray
         votes = (labels[..., None] == classes).astype(np.float32)
         votes = cv2.blur(votes, (3, 3), borderType=cv2.BORDER_REPLICATE).reshape(*shape, -1)
         updated = (cost - 9 * AGREEMENT * votes).argmin(axis=2)
-        if (updated == labels).all():
+        changed, labels = np.count_nonzero(updated != labels), updated
+        if changed <= SETTLED_SHARE * labels.size:
             break
-        labels = updated
     return np.where(labels == count, -1, labels).astype(np.int32)
 
 

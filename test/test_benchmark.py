@@ -15,7 +15,13 @@ from plane_detector.tools import benchmark_report, benchmark_times, peers
 from plane_detector.tools.benchmark_judging import best_plane, judge_coverage, judge_planes
 from plane_detector.tools.benchmark_living import furnished, report_living
 from plane_detector.tools.benchmark_real import compare, report_consistency, write_sheets
-from plane_detector.tools.benchmark_rooms import plane_depth, report_rooms, room, room_score
+from plane_detector.tools.benchmark_rooms import (
+    HELD_OUT,
+    plane_depth,
+    report_rooms,
+    room,
+    room_score,
+)
 from plane_detector.tools.metrics import score
 from plane_detector.tools.real_frames import frames, library_frames
 from plane_detector.tools.scenes import random_room, single_wall
@@ -152,7 +158,7 @@ def test_living_rooms_are_reported_and_drawn(capsys, tmp_path):
     report_living([peers.Ours()], count=1, slow_count=1, output=tmp_path / 'sheets')
     text = capsys.readouterr().out
     assert '### Rendered living rooms, tuning seeds 0 to 0' in text
-    assert '### Rendered living rooms, held-out seeds 2000 to 2000' in text
+    assert f'### Rendered living rooms, held-out seeds {HELD_OUT} to {HELD_OUT}' in text
     assert text.count('| plane_detector | 0.004 | 1 |') == 2
     sheet = cv2.imread(str(tmp_path / 'sheets' / 'living_rooms.png'))
     assert sheet.shape[1] > 6 * 320

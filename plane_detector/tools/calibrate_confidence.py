@@ -1,32 +1,38 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Fit the confidence of planes on rendered rooms and check it on others.
+Fit the confidence of planes on rendered rooms, of boxes and lived in, and check it on others.
 
     python3 -m plane_detector.tools.calibrate_confidence
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from sklearn.linear_model import LogisticRegression
+from tqdm import tqdm
 
 from plane_detector.measurement import CONFIDENCE_WEIGHTS, confidence_features
 from plane_detector.segmentation import segment_planes
+from plane_detector.tools.living_rooms import living_room
 from plane_detector.tools.metrics import overlap
-from plane_detector.tools.scenes import random_room, with_disparity_noise
+from plane_detector.tools.scenes import Scene, random_room, with_disparity_noise
 
+SCENES = (random_room, living_room)
 FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(1200, 1250)
 NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
 
-def samples(seeds: range) -> tuple[np.ndarray, np.ndarray]:
-    """Return features (n, 3) of the planes found in rooms, and whether each is true (n,)."""
+def samples(make_scene: Callable[[np.random.Generator], Scene],
+            seeds: range) -> tuple[np.ndarray, np.ndarray]:
+    """Return features (n, 3) of the planes found in scenes, and whether each is true (n,)."""
     features, matched = [], []
-    for seed in seeds:
+    for seed in tqdm(seeds, make_scene.__name__, leave=False):
         rng = np.random.default_rng(seed)
-        scene = random_room(rng)
+        scene = make_scene(rng)
         for noise in NOISES:
             depth_m = with_disparity_noise(scene.depth_m, noise, rng, rng.uniform(0.2, 0.8),
                                            rng.uniform(6, 20)) if noise else scene.depth_m
@@ -51,13 +57,16 @@ def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
 
 
 def main() -> None:
-    """Print the fitted weights and how reliable the ones in use are on unseen rooms."""
-    features, matched = samples(FIT_SEEDS)
+    """Print the fitted weights and how reliable the ones in use are on unseen scenes."""
+    features, matched = (np.concatenate(part) for part in zip(
+        *(samples(make_scene, FIT_SEEDS) for make_scene in SCENES), strict=True))
     fit = LogisticRegression(C=10.0, fit_intercept=False).fit(features, matched)
     print('fitted weights', np.round(fit.coef_[0], 2), 'in use', CONFIDENCE_WEIGHTS)
-    features, matched = samples(CHECK_SEEDS)
-    confidence = 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
-    print(reliability(confidence, matched))
+    for make_scene in SCENES:
+        features, matched = samples(make_scene, CHECK_SEEDS)
+        confidence = 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
+        print(f'\n{make_scene.__name__}, seeds {CHECK_SEEDS[0]} to {CHECK_SEEDS[-1]}\n')
+        print(reliability(confidence, matched))
 
 
 if __name__ == '__main__':
