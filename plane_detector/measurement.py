@@ -184,8 +184,17 @@ def _relative_rms(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
                      for values in (np.maximum(square, 0) / middle**2, count[cell]))
     rms = np.sqrt(total / np.maximum(pixels, 1))
     for k in np.flatnonzero(pixels < MIN_WHOLE_SHARE * counts.sum(axis=0)):
-        rms[k] = _rms_of_pixels(disparity, np.nonzero(labels == k), planes[k])
+        cut = _bounds(counts[:, k].reshape(grid.shape) > 0, grid.size_px)
+        row, column = np.nonzero(labels[cut] == k)
+        at = row + cut[0].start, column + cut[1].start
+        rms[k] = _rms_of_pixels(disparity, at, planes[k])
     return rms
+
+
+def _bounds(filled: np.ndarray, size_px: int) -> tuple[slice, slice]:
+    """Return the part of the picture that the set ones of its cells (R, C) lie in."""
+    return tuple(slice(int(at.min()) * size_px, (int(at.max()) + 1) * size_px)
+                 for at in np.nonzero(filled))
 
 
 def _rms_of_pixels(disparity: np.ndarray, at: tuple[np.ndarray, np.ndarray],
