@@ -133,6 +133,15 @@ def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
     return image.reshape(image.shape[0] // size, size, -1, size)
 
 
+def block_coordinates(grid: CellGrid, at_row: np.ndarray,
+                      at_column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (n, 1, s) and y (n, s, 1) of the pixels of some cells (n,), float64."""
+    offset = np.arange(grid.size_px)
+    x, y = (first + (at[:, None] * grid.size_px + offset) / grid.width_px
+            for first, at in zip(grid.origin, (at_column, at_row), strict=True))
+    return x[:, None, :], y[:, :, None]
+
+
 def _cell_centres(shape: tuple[int, int], size: int, width: int,
                   origin: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y of the middle of each cell, (R * C,) each."""

@@ -116,26 +116,6 @@ def linked_components(mask: np.ndarray, right: np.ndarray, down: np.ndarray) -> 
     return components[::2, ::2] - 1
 
 
-def _alike(labels: np.ndarray, directions: tuple) -> dict[tuple, np.ndarray]:
-    """Say for the slices of each direction which neighbours have the same label."""
-    labelled = labels >= 0
-    return {(near, far): (labels[near] == labels[far]) & labelled[near]
-            for near, far in directions}
-
-
-def _united(clusters: np.ndarray, near: tuple, far: tuple, linked: np.ndarray) -> np.ndarray:
-    """Unite clusters (R, C) that further links join."""
-    first, second = clusters[near][linked], clusters[far][linked]
-    apart = first != second
-    if not apart.any():
-        return clusters
-    count = int(clusters.max()) + 1
-    links = coo_array((np.ones(apart.sum(), bool), (first[apart], second[apart])),
-                      shape=(count, count))
-    _, united = connected_components(links, directed=False)
-    return np.where(clusters >= 0, united[clusters], -1).astype(np.int32)
-
-
 def _alike(labels: np.ndarray, directions: tuple) -> list[tuple]:
     """Return each direction's slices and which neighbours along it have the same label."""
     labelled = labels >= 0

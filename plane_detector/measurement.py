@@ -22,8 +22,6 @@ TINY_DISPARITY = 1e-9
 # Structure that is everywhere looks like noise; above this share of the typical disparity it is
 # none, and what fits so loosely is no plane.
 MAX_NOISE_SHARE = 0.125
-# The cells that a plane has to itself speak for it when they hold this share of its pixels.
-MIN_WHOLE_SHARE = 0.5
 # Below this the normal is as good as exact.
 LEAST_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
@@ -173,37 +171,32 @@ def _relative_rms(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
     """
     Return the rms (K,) of (1/z - plane) / (1/z); times the offset it is the distance in metres.
 
-    The cells that a plane has to itself say it; where these are too few, its pixels do.
+    By the moments of the cells that have one plane only, by the pixels of all others.
     """
     count, most = grid.moments[:, cells.N], counts.max(axis=1, initial=0)
     cell = np.flatnonzero((most == count) & (most > 0))
     plane = counts[cell].argmax(axis=1) if len(planes) else cell
     square = (grid.moments @ cells.error_weights(planes).T)[cell, plane]
-    middle = np.maximum(grid.mean[cell, 2], TINY_DISPARITY)
-    total, pixels = (np.bincount(plane, values, len(planes))
-                     for values in (np.maximum(square, 0) / middle**2, count[cell]))
-    rms = np.sqrt(total / np.maximum(pixels, 1))
-    for k in np.flatnonzero(pixels < MIN_WHOLE_SHARE * counts.sum(axis=0)):
-        cut = _bounds(counts[:, k].reshape(grid.shape) > 0, grid.size_px)
-        row, column = np.nonzero(labels[cut] == k)
-        at = row + cut[0].start, column + cut[1].start
-        rms[k] = _rms_of_pixels(disparity, at, planes[k])
-    return rms
+    square = np.maximum(square, 0) / np.maximum(grid.mean[cell, 2], TINY_DISPARITY) ** 2
+    mixed = np.flatnonzero((most != count) & (most > 0))
+    label, residual = _residuals(disparity, grid, labels, mixed, planes)
+    total = (np.bincount(plane, square, len(planes))
+             + np.bincount(label, residual * residual, len(planes)))
+    return np.sqrt(total / np.maximum(counts.sum(axis=0), 1))
 
 
-def _bounds(filled: np.ndarray, size_px: int) -> tuple[slice, slice]:
-    """Return the part of the picture that the set ones of its cells (R, C) lie in."""
-    return tuple(slice(int(at.min()) * size_px, (int(at.max()) + 1) * size_px)
-                 for at in np.nonzero(filled))
-
-
-def _rms_of_pixels(disparity: np.ndarray, at: tuple[np.ndarray, np.ndarray],
-                   plane: np.ndarray) -> float:
-    """Return the same of the pixels at some rows and columns."""
-    x, y = cells.picture_coordinates(disparity.shape)
-    d = np.maximum(disparity[at].astype(float), TINY_DISPARITY)
-    return float(np.sqrt(np.mean((1 - (plane[0] * x[at[1]] + plane[1] * y[at[0]] + plane[2]) / d)
-                                 ** 2)))
+def _residuals(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray, cell: np.ndarray,
+               planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return label and relative residual of each labelled pixel of some cells, (n,) each."""
+    at_row, at_column = np.divmod(cell, grid.shape[1])
+    label, d = (cells.blocks(image, grid.size_px, fill)[at_row, :, at_column, :]
+                for image, fill in ((labels, -1), (disparity, 0)))
+    x, y = cells.block_coordinates(grid, at_row, at_column)
+    used = label >= 0
+    x, y = (np.broadcast_to(values, label.shape)[used] for values in (x, y))
+    a, b, c = planes[label[used]].T
+    d = np.maximum(d[used].astype(float), TINY_DISPARITY)
+    return label[used], 1 - (a * x + b * y + c) / d
 
 
 def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,

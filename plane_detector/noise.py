@@ -20,6 +20,8 @@ from plane_detector.cells import CellGrid
 
 WINDOW_CELLS = 9
 WINDOW_QUANTILE = 0.15
+# Cells without depth may be as many.
+WINDOW_MIN_SHARE = 0.4
 # Known noise of a network tilts cells by about this much per unit of picture width.
 SLOPE_PER_NOISE = 8.0
 # ... and bends them within by this share of it.
@@ -124,7 +126,7 @@ def _window_statistics(grid: CellGrid) -> np.ndarray:
     tiles = values.reshape(*grid.shape, -1)[:rows * side, :columns * side]
     sums = tiles.reshape(rows, side, columns * side, -1).sum(axis=1)
     sums = sums.reshape(rows, columns, side, -1).sum(axis=2).reshape(rows * columns, -1)
-    sums = sums[sums[:, cells.N] > max(0.75 * side**2, 3)]
+    sums = sums[sums[:, cells.N] > max(WINDOW_MIN_SHARE * side**2, 3)]
     planes, count = cells.fit_planes(sums), sums[:, cells.N]
     mean = cells.squared_error(planes, sums) / (count - 3)
     slope = (sums[:, 12] - 2 * (planes[:, :2] * sums[:, 10:12]).sum(axis=1)

@@ -15,7 +15,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from plane_detector.cells import CellGrid, blocks
+from plane_detector.cells import block_coordinates, blocks
 from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -91,7 +91,8 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
             grain: float, threshold: float, at_row: np.ndarray, at_column: np.ndarray):
     """Return the labels (n, s, s) of the pixels of some cells, by least residual."""
     size = model.grid.size_px
-    x, y = _block_coordinates(model.grid, at_row, at_column)
+    x, y = (values.astype(np.float32) for values in
+            block_coordinates(model.grid, at_row, at_column))
     d = blocks(disparity, size)[at_row, :, at_column, :]
     candidates = _candidates(patches.labels, at_row, at_column)
     best = np.full(d.shape, np.inf, np.float32)
@@ -129,15 +130,6 @@ def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patch
         close = ((own == first) | (own == second)) & (difference**2 < unclear[active])
         chosen[active] = np.where(close, side, own)
     return chosen
-
-
-def _block_coordinates(grid: CellGrid, at_row: np.ndarray,
-                       at_column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (n, 1, s) and y (n, s, 1) of the pixels of some cells, float32."""
-    offset = np.arange(grid.size_px)
-    x, y = (first + (at[:, None] * grid.size_px + offset) / grid.width_px
-            for first, at in zip(grid.origin, (at_column, at_row), strict=True))
-    return x[:, None, :].astype(np.float32), y[:, :, None].astype(np.float32)
 
 
 def _candidates(labels: np.ndarray, at_row: np.ndarray, at_column: np.ndarray) -> np.ndarray:

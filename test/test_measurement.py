@@ -10,7 +10,7 @@ import pytest
 from plane_detector import segment_planes
 from plane_detector.backprojection import depth_to_points
 from plane_detector.cells import make_cells
-from plane_detector.measurement import MIN_WHOLE_SHARE, count_labels, renumber
+from plane_detector.measurement import count_labels, renumber
 from plane_detector.segmentation import to_disparity
 from plane_detector.tools.living_rooms import living_room
 from plane_detector.tools.scenes import with_disparity_noise
@@ -36,32 +36,14 @@ def rms_of_points_m(points_m, plane):
     return np.sqrt(np.mean((points_m @ plane.normal + plane.offset_m) ** 2))
 
 
-def whole_share(grid, labels, count):
-    """Return the share of each plane's pixels in cells that have no other pixels."""
-    counts = count_labels(grid, labels, count)
-    whole = np.where(counts == grid.moments[:, :1], counts, 0)
-    return whole.sum(axis=0) / counts.sum(axis=0)
-
-
+@pytest.mark.parametrize('sigma', [0.0, 0.002, 0.01])
 @pytest.mark.parametrize('seed', SEEDS)
-def test_rms_on_exact_depth_is_that_of_the_points(seed):
-    points_m, _, found = segmented(seed, 0.0)
+def test_rms_is_that_of_the_points(seed, sigma):
+    points_m, _, found = segmented(seed, sigma)
     assert len(found.planes) >= 10
     for k, plane in enumerate(found.planes):
         expected_m = rms_of_points_m(points_m[found.labels == k], plane)
-        assert plane.rms_m == pytest.approx(expected_m, rel=0.05, abs=2e-4)
-
-
-@pytest.mark.parametrize('sigma', [0.0, 0.002, 0.01])
-@pytest.mark.parametrize('seed', SEEDS)
-def test_rms_of_planes_without_cells_of_their_own_is_that_of_their_points(seed, sigma):
-    points_m, grid, found = segmented(seed, sigma)
-    share = whole_share(grid, found.labels, len(found.planes))
-    narrow = np.flatnonzero(share < MIN_WHOLE_SHARE - 0.01)
-    assert len(narrow)
-    for k in narrow:
-        expected_m = rms_of_points_m(points_m[found.labels == k], found.planes[k])
-        assert found.planes[k].rms_m == pytest.approx(expected_m, rel=0.03, abs=1e-6)
+        assert plane.rms_m == pytest.approx(expected_m, rel=0.05, abs=1e-5)
 
 
 @pytest.mark.parametrize('sigma', [0.0, 0.002])
