@@ -193,10 +193,10 @@ def _residuals(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray, cell: 
                 for image, fill in ((labels, -1), (disparity, 0)))
     x, y = cells.block_coordinates(grid, at_row, at_column)
     used = label >= 0
-    x, y = (np.broadcast_to(values, label.shape)[used] for values in (x, y))
-    a, b, c = planes[label[used]].T
-    d = np.maximum(d[used].astype(float), TINY_DISPARITY)
-    return label[used], 1 - (a * x + b * y + c) / d
+    x, y = (np.broadcast_to(values.astype(np.float32), label.shape)[used] for values in (x, y))
+    label, d = label[used], np.maximum(d[used], np.float32(TINY_DISPARITY))
+    a, b, c = planes.T.astype(np.float32).take(label, axis=1)
+    return label, 1 - (a * x + b * y + c) / d
 
 
 def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,

@@ -95,21 +95,21 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
             block_coordinates(model.grid, at_row, at_column))
     d = blocks(disparity, size)[at_row, :, at_column, :]
     candidates = _candidates(patches.labels, at_row, at_column)
-    best = np.full(d.shape, np.inf, np.float32)
-    chosen = np.full(d.shape, -1, np.int32)
     planes = patches.planes.astype(np.float32)
-    for rank in candidates.T:
+    # Every cell here has a first candidate, few have more.
+    a, b, c = planes[candidates[:, 0]].T[..., None, None]
+    best = (d - c - a * x - b * y) ** 2
+    chosen = np.repeat(candidates[:, :1], size**2, axis=1).reshape(d.shape)
+    for rank in candidates.T[1:]:
         active = np.flatnonzero(rank >= 0)
-        if not len(active):
-            break
-        a, b, c = (planes[rank[active], k, None, None] for k in range(3))
+        a, b, c = planes[rank[active]].T[..., None, None]
         error = (d[active] - c - a * x[active] - b * y[active]) ** 2
         better = error < best[active]
         best[active] = np.where(better, error, best[active])
         chosen[active] = np.where(better, rank[active, None, None], chosen[active])
     variance = noise.mean**2 + grain**2 + noise.floor(d)
     chosen[best > (RELEASE * threshold) ** 2 * variance] = -1
-    if noise.is_exact(float(np.median(d))):
+    if noise.is_exact(model.grid.typical_disparity):
         return chosen  # residuals as exact as that draw the creases themselves
     return _by_side(chosen, candidates, model, patches, x, y, threshold**2 * variance)
 
