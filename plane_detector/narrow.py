@@ -9,25 +9,28 @@ from itertools import islice
 import cv2
 import numpy as np
 
-from plane_detector.cells import N, make_cells
+from plane_detector.cells import N, error_weights, make_cells
 from plane_detector.components import flat_components
 from plane_detector.config import Config
 from plane_detector.curvature import drop_curved
+from plane_detector.merging import MAX_JOINT_VARIANCES
 from plane_detector.noise import Noise
 from plane_detector.pixels import label_pixels
-from plane_detector.ransac import CellModel, collect, make_model
+from plane_detector.ransac import CellModel, Patches, collect, make_model
 from plane_detector.search import search_planes
 
 # Cells of fewer pixels say nothing of their slope.
 MIN_CELL_SIZE_PX = 3
 # Half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
+# Pieces of one plane are no farther apart than this many of the smaller cells.
+REACH_CELLS = 2
 
 Cut = tuple[slice, slice]
 
 
 def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, model: CellModel,
-               noise: Noise, found: int, config: Config,
+               noise: Noise, planes: np.ndarray, config: Config,
                rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """
     Find more planes among the pixels without a label.
@@ -40,41 +43,64 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     model : CellModel
         That the others were found with.
     noise : Noise
-    found : int
-        How many there are; the new ones are counted on from here.
+    planes : (K, 3) float64
+        The others.
     config : Config
     rng : numpy.random.Generator
 
     Returns
     -------
     labels : (H, W) int32
-    planes : (K, 3) float64
-        Of the new planes.
+        A new plane that only goes on where another one was found too wide has that one's label.
+    planes : (K + L, 3) float64
+        With the new planes behind the others; some may have no pixels.
 
     """
     size, min_pixels = model.grid.size_px // 2, config.segmentation.min_plane_share * labels.size
-    none, room = np.zeros((0, 3)), config.segmentation.max_planes - found
+    room = config.segmentation.max_planes - len(planes)
     # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
     if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1:
-        return labels, none
+        return labels, planes
     left, cut = _large_pieces(valid & (labels < 0), min_pixels)
     if cut is None:
-        return labels, none
+        return labels, planes
     left, disparity = left[cut], disparity[cut]
     grid = make_cells(np.where(left, disparity, np.float32(0)), left, size,
                       (cut[0].start, cut[1].start), labels.shape)
     smaller = make_model(grid, noise.for_smaller_cells(model.grid.size_px, size))
     min_cell_pixels, threshold = MIN_CELL_SHARE * min_pixels, config.ransac.inlier_threshold
     if grid.moments[smaller.planar, N].sum() < min_cell_pixels:
-        return labels, none
+        return labels, planes
     exact = noise.is_exact(model.grid.typical_disparity)
     plain = flat_components(smaller, min_cell_pixels, threshold) if exact else []
     search = search_planes(smaller, plain, min_cell_pixels, config, config.dbscan, rng)
     patches = drop_curved(smaller, collect(smaller, list(islice(search, room))), noise)
     new = label_pixels(disparity, left, smaller, patches, noise, threshold)
-    labels = labels.copy()
-    labels[cut] = np.where(new >= 0, new + found, labels[cut])
-    return labels, patches.planes
+    labels, whole = labels.copy(), labels[cut]
+    labels[cut] = np.where(new >= 0, new + len(planes), whole)
+    planes = np.vstack([planes, patches.planes])
+    return _with_continuations(labels, cut, smaller, patches, planes), planes
+
+
+def _with_continuations(labels: np.ndarray, cut: Cut, model: CellModel, patches: Patches,
+                        planes: np.ndarray) -> np.ndarray:
+    """Give new planes and what they continue, touching and coplanar, the first label of these."""
+    first = len(planes) - len(patches.planes)
+    members = ((patches.labels.ravel() == np.arange(len(patches.planes))[:, None])
+               & model.planar).astype(float)
+    square = members @ model.grid.mean_moments @ error_weights(planes).T
+    fits = square <= MAX_JOINT_VARIANCES * (members @ model.variances.mean)[:, None]
+    target = np.arange(len(planes) + 1)
+    reach = REACH_CELLS * model.grid.size_px
+    around = labels[tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in cut)]
+    square_px = np.ones((2 * reach + 1,) * 2, np.uint8)
+    for k in np.flatnonzero(fits.sum(axis=1) > 1):
+        near = cv2.dilate((around == first + k).astype(np.uint8), square_px) > 0
+        same = [j for j in np.unique(around[near]) if j >= 0 and fits[k, j]]
+        if same:
+            target[np.isin(target, target[same])] = target[same].min()
+    target[-1] = -1
+    return target[labels].astype(np.int32)
 
 
 def _large_pieces(mask: np.ndarray, min_pixels: float) -> tuple[np.ndarray, Cut | None]:

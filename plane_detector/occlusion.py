@@ -65,6 +65,10 @@ def _is_hidden_between(model: CellModel, patches: Patches, first: int, second: i
     cell = cell[(label != first) & (label != second) & (model.grid.moments[cell, cells.N] > 0)]
     if not len(cell):
         return False
+    # A cell that straddles an edge is neither nearer nor farther.
+    cell = cell[model.planar[cell]]
+    if not len(cell):
+        return True
     x, y, d = model.grid.mean[cell].T
     members = np.isin(patches.labels.ravel(), (first, second)) & model.planar
     a, b, c = cells.fit_planes(model.grid.moments[members].sum(axis=0))

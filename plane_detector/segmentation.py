@@ -249,6 +249,4 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
         patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
         patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
-    labels, narrow = add_narrow(disparity, valid, labels, model, noise,
-                                len(patches.planes), config, rng)
-    return labels, np.vstack([patches.planes, narrow]), noise
+    return *add_narrow(disparity, valid, labels, model, noise, patches.planes, config, rng), noise
