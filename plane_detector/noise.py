@@ -22,6 +22,9 @@ WINDOW_CELLS = 9
 WINDOW_QUANTILE = 0.15
 # Cells without depth may be as many.
 WINDOW_MIN_SHARE = 0.4
+# Rounded are disparities of few values, evenly spaced, that neighbours share.
+ROUNDING_LINES = 4
+MIN_VALUES, MAX_VALUES_SHARE, MIN_EVEN_SHARE, MIN_EQUAL_SHARE = 8, 0.3, 0.5, 0.2
 # Known noise of a network tilts cells by about this much per unit of picture width.
 SLOPE_PER_NOISE = 8.0
 # ... and bends them within by this share of it.
@@ -113,6 +116,41 @@ def estimate_noise(grid: CellGrid, least: Noise) -> Noise:
         np.quantile(windows, WINDOW_QUANTILE, axis=0) if len(windows) else np.zeros(3))
     grain = max(float(grain), GRAIN_PER_NOISE * least.known)
     return replace(least, grain=grain).with_smooth_part(mean, slope)
+
+
+def with_rounding(least: Noise, disparity: np.ndarray, valid: np.ndarray) -> Noise:
+    """
+    Return the noise with what rounded disparities leave, as matching by whole pixels gives them.
+
+    A slanted wall is then a staircase, each step of it an exact plane. Depth in millimetres is
+    rounded too, but its disparities are not evenly spaced, and the floor covers it.
+
+    Parameters
+    ----------
+    least : Noise
+    disparity : (H, W) float32
+    valid : (H, W) bool
+
+    """
+    if min(disparity.shape) < 2:
+        return least
+    # Along whole lines no step of a slope is left out.
+    rows, columns = (np.linspace(0, side - 1, ROUNDING_LINES + 2).astype(int)[1:-1]
+                     for side in disparity.shape)
+    lines = disparity[rows], disparity[:, columns].T
+    # An upright wall is even along its columns too, but not along its rows.
+    if min(np.mean(line[:, 1:] == line[:, :-1]) for line in lines) < MIN_EQUAL_SHARE:
+        return least
+    sample = np.concatenate([lines[0][valid[rows]], lines[1][valid[:, columns].T]])
+    values = np.unique(sample)
+    if not MIN_VALUES <= len(values) < MAX_VALUES_SHARE * len(sample):
+        return least
+    gaps = np.diff(values.astype(float))
+    step = float(np.median(gaps))
+    floor = np.sqrt(least.floor(float(np.median(values))))
+    if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE or step / 2 < 2 * floor:
+        return least
+    return replace(least, known=max(least.known, step / 2))
 
 
 def _window_statistics(grid: CellGrid) -> np.ndarray:

@@ -22,7 +22,7 @@ from plane_detector.curvature import drop_curved
 from plane_detector.measurement import count_labels, measure_planes, renumber
 from plane_detector.merging import merge_patches
 from plane_detector.narrow import MIN_CELL_SHARE, add_narrow
-from plane_detector.noise import Noise, estimate_noise
+from plane_detector.noise import Noise, estimate_noise, with_rounding
 from plane_detector.occlusion import join_hidden
 from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
@@ -84,7 +84,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     disparity, valid = to_disparity(depth_m)
     grid = make_cells(disparity, valid)
     known = config.segmentation.disparity_noise or disparity_noise
-    least = Noise(config.ransac.noise_floor, known=known)
+    least = with_rounding(Noise(config.ransac.noise_floor, known=known), disparity, valid)
     labels, planes, noise = _label(disparity, valid, grid, least, config, rng)
     labels = _refined(labels, valid, refine)
     min_pixels = config.segmentation.min_plane_share * depth_m.size
@@ -119,7 +119,7 @@ def segment_disparity(disparity: np.ndarray, config: Config, *, disparity_noise:
     disparity = np.where(valid, disparity, 0).astype(np.float32)
     grid = make_cells(disparity, valid)
     floor = RELATIVE_FLOOR * disparity_range(np.where(valid, disparity, np.nan))
-    least = Noise(0.0, floor, disparity_noise)
+    least = with_rounding(Noise(0.0, floor, disparity_noise), disparity, valid)
     return _label(disparity, valid, grid, least, config, rng)[0]
 
 
