@@ -251,12 +251,15 @@ def fit_plane(moments: np.ndarray) -> np.ndarray:
 
 def error_weights(planes: np.ndarray) -> np.ndarray:
     """Return the weights (..., 10) of the moments in the squared error of planes (..., 3)."""
-    a, b, c = np.moveaxis(planes, -1, 0)
-    weights = np.array([c * c, 2 * a * c, 2 * b * c, a * a, 2 * a * b, b * b, -2 * c, -2 * a,
-                        -2 * b, np.ones_like(a)])
-    return np.moveaxis(weights, 0, -1)
+    a, b, c = planes[..., 0], planes[..., 1], planes[..., 2]
+    weights = np.empty((*planes.shape[:-1], 10))
+    weights[..., N], weights[..., X], weights[..., Y] = c * c, 2 * a * c, 2 * b * c
+    weights[..., XX], weights[..., XY], weights[..., YY] = a * a, 2 * a * b, b * b
+    weights[..., D:DD] = -2 * planes[..., [2, 0, 1]]
+    weights[..., DD] = 1
+    return weights
 
 
 def squared_error(planes: np.ndarray, moments: np.ndarray) -> np.ndarray:
     """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10+)."""
-    return np.einsum('...k,...k', error_weights(planes), moments[..., :10])
+    return (error_weights(planes) * moments[..., :10]).sum(axis=-1)

@@ -140,10 +140,10 @@ class _Summary:
 
 def _summarise(model: CellModel, patches: Patches) -> _Summary:
     labels = np.where(model.planar, patches.labels.ravel(), -1)
-    one_hot = (labels[:, None] == np.arange(len(patches.planes))).astype(float)
-    count = np.maximum(one_hot.sum(axis=0), 1)
-    return _Summary(one_hot.T @ model.grid.mean_moments, count,
-                    (model.variances.mean @ one_hot) / count)
+    members = (labels == np.arange(len(patches.planes))[:, None]).astype(float)
+    count = np.maximum(members.sum(axis=1), 1)
+    return _Summary(members @ model.grid.mean_moments, count,
+                    (members @ model.variances.mean) / count)
 
 
 def joint_misfit(model: CellModel, patches: Patches, first: np.ndarray,

@@ -99,8 +99,10 @@ def _with_continuations(labels: np.ndarray, cut: Cut, model: CellModel, patches:
         same = [j for j in np.unique(around[near]) if j >= 0 and fits[k, j]]
         if same:
             target[np.isin(target, target[same])] = target[same].min()
+    if (target[:-1] == np.arange(len(planes))).all():
+        return labels
     target[-1] = -1
-    return target[labels].astype(np.int32)
+    return target.astype(np.int32).take(labels, mode='wrap')
 
 
 def _large_pieces(mask: np.ndarray, min_pixels: float) -> tuple[np.ndarray, Cut | None]:

@@ -147,8 +147,8 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
 
     """
     free, drawn, found = model.planar & np.logical_not(taken), 0, True
-    count = model.grid.moments[:, cells.N]
-    while found and drawn < ransac.max_iterations and count @ free >= min_pixels:
+    while (found and drawn < ransac.max_iterations
+           and _largest_piece(model, free, dbscan) >= min_pixels):
         found = False
         batch = _draw(model, free, min_pixels, ransac, rng)
         drawn += len(batch.planes)
@@ -156,6 +156,16 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
             found = True
             free &= ~members
             yield plane, members
+
+
+def _largest_piece(model: CellModel, free: np.ndarray, dbscan: DbscanConfig | None) -> float:
+    """Return how many pixels a plane on free cells can have at most."""
+    count = model.grid.moments[:, cells.N] * free
+    if dbscan is None or dbscan.eps >= 2:
+        return float(count.sum())
+    picture = free.reshape(model.grid.shape).astype(np.uint8)
+    _, pieces = cv2.connectedComponents(picture, connectivity=8, ltype=cv2.CV_32S)
+    return float(np.bincount(pieces.ravel(), count).max())
 
 
 @dataclass
