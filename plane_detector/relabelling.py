@@ -72,7 +72,7 @@ def _compete(model: CellModel, patches: Patches, threshold: float) -> np.ndarray
         changed, labels = np.count_nonzero(updated != labels), updated
         if changed <= SETTLED_SHARE * labels.size:
             break
-    return np.where(labels == count, -1, labels).astype(np.int32)
+    return np.where(labels == count, -1, labels.astype(np.int32))
 
 
 def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
