@@ -179,24 +179,23 @@ def _relative_rms(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
     square = (grid.moments @ cells.error_weights(planes).T)[cell, plane]
     square = np.maximum(square, 0) / np.maximum(grid.mean[cell, 2], TINY_DISPARITY) ** 2
     mixed = np.flatnonzero((most != count) & (most > 0))
-    label, residual = _residuals(disparity, grid, labels, mixed, planes)
     total = (np.bincount(plane, square, len(planes))
-             + np.bincount(label, residual * residual, len(planes)))
+             + _squares_of_pixels(disparity, grid, labels, mixed, planes))
     return np.sqrt(total / np.maximum(counts.sum(axis=0), 1))
 
 
-def _residuals(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray, cell: np.ndarray,
-               planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return label and relative residual of each labelled pixel of some cells, (n,) each."""
+def _squares_of_pixels(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
+                       cell: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """Return the sum of squared relative residuals of each plane's pixels in some cells, (K,)."""
     at_row, at_column = np.divmod(cell, grid.shape[1])
     label, d = (cells.blocks(image, grid.size_px, fill)[at_row, :, at_column, :]
                 for image, fill in ((labels, -1), (disparity, 0)))
-    x, y = cells.block_coordinates(grid, at_row, at_column)
-    used = label >= 0
-    x, y = (np.broadcast_to(values.astype(np.float32), label.shape)[used] for values in (x, y))
-    label, d = label[used], np.maximum(d[used], np.float32(TINY_DISPARITY))
-    a, b, c = planes.T.astype(np.float32).take(label, axis=1)
-    return label, 1 - (a * x + b * y + c) / d
+    x, y = (values.astype(np.float32)
+            for values in cells.block_coordinates(grid, at_row, at_column))
+    # Pixels of no plane are counted too, as the first of one plane more.
+    a, b, c = np.insert(planes, 0, 0, axis=0).T.astype(np.float32).take(label + 1, axis=1)
+    residual = 1 - (a * x + b * y + c) / np.maximum(d, np.float32(TINY_DISPARITY))
+    return np.bincount((label + 1).ravel(), (residual * residual).ravel(), len(planes) + 1)[1:]
 
 
 def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,
