@@ -55,6 +55,27 @@ def grid_clusters(mask: np.ndarray, eps: float, min_samples: int) -> np.ndarray:
     return joined.astype(np.int32) - 1
 
 
+def largest_piece(mask: np.ndarray, weight: np.ndarray, eps: float) -> float:
+    """
+    Return a bound on the weight of any cluster, much cheaper than the clusters.
+
+    Parameters
+    ----------
+    mask : (R, C) bool
+    weight : (R, C) float64
+        Of each cell; cells that are not set have none.
+    eps : float
+        As in :func:`grid_clusters`.
+
+    """
+    weight = weight * mask
+    if eps >= 2:  # clusters leap over gaps
+        return float(weight.sum())
+    _, pieces = cv2.connectedComponents(np.ascontiguousarray(mask).view(np.uint8), connectivity=8,
+                                        ltype=cv2.CV_32S)
+    return float(np.bincount(pieces.ravel(), weight.ravel()).max())
+
+
 def label_clusters(labels: np.ndarray, eps: float, min_samples: int) -> np.ndarray:
     """
     Cluster the cells of every label by itself, all at once.

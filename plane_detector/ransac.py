@@ -19,7 +19,7 @@ import numpy as np
 from plane_detector import cells
 from plane_detector.cells import CellGrid
 from plane_detector.config import DbscanConfig, RansacConfig
-from plane_detector.dbscan import grid_clusters
+from plane_detector.dbscan import grid_clusters, largest_piece
 from plane_detector.noise import CellVariances, Noise, cell_variances
 
 # A cell whose pixels stray from its own plane more than this many variances straddles an edge.
@@ -147,8 +147,10 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
 
     """
     free, drawn, found = model.planar & np.logical_not(taken), 0, True
+    shape, eps = model.grid.shape, dbscan.eps if dbscan else np.inf
+    count = model.grid.moments[:, cells.N].reshape(shape)
     while (found and drawn < ransac.max_iterations
-           and _largest_piece(model, free, dbscan) >= min_pixels):
+           and largest_piece(free.reshape(shape), count, eps) >= min_pixels):
         found = False
         batch = _draw(model, free, min_pixels, ransac, rng)
         drawn += len(batch.planes)
@@ -156,16 +158,6 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
             found = True
             free &= ~members
             yield plane, members
-
-
-def _largest_piece(model: CellModel, free: np.ndarray, dbscan: DbscanConfig | None) -> float:
-    """Return how many pixels a plane on free cells can have at most."""
-    count = model.grid.moments[:, cells.N] * free
-    if dbscan is None or dbscan.eps >= 2:
-        return float(count.sum())
-    picture = free.reshape(model.grid.shape).astype(np.uint8)
-    _, pieces = cv2.connectedComponents(picture, connectivity=8, ltype=cv2.CV_32S)
-    return float(np.bincount(pieces.ravel(), count).max())
 
 
 @dataclass

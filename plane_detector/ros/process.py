@@ -50,9 +50,13 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         _spin(make_node())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except (ValueError, ParameterException) as error:
-        print(f'the node cannot start: {error}', file=sys.stderr)
-        return 1
+    except Exception as error:
+        # Within a call of rclpy to C the interrupt comes out as another error.
+        if not _is_interrupted():
+            if not isinstance(error, (ValueError, ParameterException)):
+                raise
+            print(f'the node cannot start: {error}', file=sys.stderr)
+            return 1
     finally:
         rclpy.try_shutdown()
     return 0
@@ -88,6 +92,11 @@ def _interrupt(_number: int, _stack: Any) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     raise KeyboardInterrupt
+
+
+def _is_interrupted() -> bool:
+    """Say whether a signal was taken: from then on they are ignored."""
+    return signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
 
 
 def _spin(node: Node) -> None:
