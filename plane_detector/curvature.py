@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector import cells
+from plane_detector.measurement import renumber
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
 
@@ -55,9 +56,7 @@ def drop_curved(model: CellModel, patches: Patches, noise: Noise) -> Patches:
         return patches
     curved = suspects[_is_curved(model, labels, suspects, noise)]
     kept = np.delete(np.arange(count), curved)
-    renumbered = np.full(count + 1, -1, np.int32)
-    renumbered[kept] = np.arange(len(kept))
-    return Patches(renumbered[patches.labels], patches.planes[kept])
+    return Patches(renumber(patches.labels, kept, count), patches.planes[kept])
 
 
 def _not_exact(model: CellModel, labels: np.ndarray, planes: np.ndarray) -> np.ndarray:
