@@ -14,6 +14,7 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.measurement import renumber
+from plane_detector.merging import memberships
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
 
@@ -50,18 +51,17 @@ def drop_curved(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     count = len(patches.planes)
     if not count or not noise.is_exact(model.grid.typical_disparity):
         return patches
-    labels = np.where(model.planar, patches.labels.ravel(), -1)
-    suspects = _not_exact(model, labels, patches.planes)
+    members = memberships(model, patches)
+    suspects = _not_exact(model, members, patches.planes)
     if not len(suspects):
         return patches
-    curved = suspects[_is_curved(model, labels, suspects, noise)]
+    curved = suspects[_is_curved(model, members[suspects], noise)]
     kept = np.delete(np.arange(count), curved)
     return Patches(renumber(patches.labels, kept, count), patches.planes[kept])
 
 
-def _not_exact(model: CellModel, labels: np.ndarray, planes: np.ndarray) -> np.ndarray:
+def _not_exact(model: CellModel, members: np.ndarray, planes: np.ndarray) -> np.ndarray:
     """Return the patches whose cells stray from their plane by more than rounding."""
-    members = (labels == np.arange(len(planes))[:, None]).astype(float)
     moments = members @ model.grid.mean_moments
     count = np.maximum(moments[:, cells.N], 1)
     relative = cells.squared_error(planes, moments) * count / moments[:, cells.D] ** 2
@@ -72,12 +72,10 @@ def _least_variance(noise: Noise, disparity: np.ndarray) -> np.ndarray:
     return np.maximum(noise.mean**2, (ROUNDING * disparity) ** 2)
 
 
-def _is_curved(model: CellModel, labels: np.ndarray, suspects: np.ndarray,
-               noise: Noise) -> np.ndarray:
-    """Say of each suspect (S,) whether it is curved."""
-    members = labels == suspects[:, None]
+def _is_curved(model: CellModel, members: np.ndarray, noise: Noise) -> np.ndarray:
+    """Say of each patch (S,), whose cells (S, R * C) are given, whether it is curved."""
     used = members.any(axis=0)
-    members, values = members[:, used].astype(float), model.grid.mean[used]
+    members, values = members[:, used], model.grid.mean[used]
     count = members.sum(axis=1)
     mean = members @ values / count[:, None]
     x, y, d = (values - mean[members.argmax(axis=0)]).T

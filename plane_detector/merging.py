@@ -138,9 +138,14 @@ class _Summary:
     variance: np.ndarray
 
 
-def _summarise(model: CellModel, patches: Patches) -> _Summary:
+def memberships(model: CellModel, patches: Patches) -> np.ndarray:
+    """Return which flat cells each patch has, 1 or 0, (K, R * C) float64."""
     labels = np.where(model.planar, patches.labels.ravel(), -1)
-    members = (labels == np.arange(len(patches.planes))[:, None]).astype(float)
+    return (labels == np.arange(len(patches.planes))[:, None]).astype(float)
+
+
+def _summarise(model: CellModel, patches: Patches) -> _Summary:
+    members = memberships(model, patches)
     count = np.maximum(members.sum(axis=1), 1)
     return _Summary(members @ model.grid.mean_moments, count,
                     (members @ model.variances.mean) / count)

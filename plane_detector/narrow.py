@@ -13,7 +13,7 @@ from plane_detector.cells import N, error_weights, make_cells
 from plane_detector.components import flat_components
 from plane_detector.config import Config
 from plane_detector.curvature import drop_curved
-from plane_detector.merging import MAX_JOINT_VARIANCES
+from plane_detector.merging import MAX_JOINT_VARIANCES, memberships
 from plane_detector.noise import Noise
 from plane_detector.pixels import label_pixels
 from plane_detector.ransac import CellModel, Patches, collect, make_model
@@ -86,8 +86,7 @@ def _with_continuations(labels: np.ndarray, cut: Cut, model: CellModel, patches:
                         planes: np.ndarray) -> np.ndarray:
     """Give new planes and what they continue, touching and coplanar, the first label of these."""
     first = len(planes) - len(patches.planes)
-    members = ((patches.labels.ravel() == np.arange(len(patches.planes))[:, None])
-               & model.planar).astype(float)
+    members = memberships(model, patches)
     square = members @ model.grid.mean_moments @ error_weights(planes).T
     fits = square <= MAX_JOINT_VARIANCES * (members @ model.variances.mean)[:, None]
     target = np.arange(len(planes) + 1)

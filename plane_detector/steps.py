@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from plane_detector import cells
+from plane_detector.calibration import SIGMA_PER_MEDIAN
 from plane_detector.dbscan import NEIGHBOURS, linked_components
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -32,7 +33,6 @@ MIN_BORDER_SHARE = 0.6
 MIN_OFFSET = 0.5
 # Residuals are cut off at this many deviations, lest an outlier be the only step.
 MAX_RESIDUAL = 6.0
-SIGMA_PER_MEDIAN = 1.4826
 
 
 def split_at_steps(disparity: np.ndarray, valid: np.ndarray, model: CellModel, patches: Patches,

@@ -111,6 +111,14 @@ def test_points_on_a_line_have_no_plane(points):
     assert np.isnan(cells.fit_planes(moments)).all()
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_one_plane_is_fitted_as_many_are(seed):
+    disparity, valid = disparity_image(np.random.default_rng(seed))
+    moments = cells.make_cells(disparity, valid).moments
+    for one, together in zip(moments, cells.fit_planes(moments), strict=True):
+        np.testing.assert_allclose(cells.fit_plane(one), together, rtol=1e-9)
+
+
 def test_a_cut_out_has_the_cells_of_the_picture():
     disparity, valid = disparity_image(np.random.default_rng(5))
     whole = cells.make_cells(disparity, valid, 4)
