@@ -8,8 +8,9 @@ Measure the plane segmentation, beside its peers, and print the tables as Markdo
     python3 -m plane_detector.tools.benchmark --only real --data folder --model fastdepth
 
 The sections: `rooms` of boxes and `living` rooms are rendered, with exact truth; `living_room`
-is clean depth of a rendered room without labels, `real` pictures have a sensor's depth.
-Contact sheets of living rooms and real pictures are written to benchmark_output/. Peers that are
+is clean depth of a room that others rendered, with labels that tools/exact_labels.py grows from
+it, and how little noise changes what is found; `real` pictures have a sensor's depth.
+Contact sheets of all but the boxes are written to benchmark_output/. Peers that are
 not installed are named as absent.
 """
 
@@ -19,6 +20,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from plane_detector.tools.benchmark_exact import report_exact
 from plane_detector.tools.benchmark_living import report_living
 from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
 from plane_detector.tools.benchmark_report import emit, provenance
@@ -69,6 +71,7 @@ def report(arguments: argparse.Namespace) -> None:
     if {'living_room', 'real'} & set(arguments.only):
         found = collect_frames(arguments.data)
         if 'living_room' in arguments.only:
+            report_exact(methods, found, arguments.output)
             report_consistency(found)
         if 'real' in arguments.only:
             report_real(found, arguments.model, arguments.output)

@@ -193,8 +193,8 @@ def report_consistency(found: Sequence[Frame]) -> None:
                      *(f'{np.nanmean(values):.2f}' for values in columns[1:])])
     emit(table(('noise (1/m)', 'frames', 'SC', 'worst SC', 'recall', 'precision',
                 'normal change (deg)'), rows),
-         'These frames have no true labels: the planes found in noisy depth are compared with '
-         'those that the same method finds in the clean depth. This says how stable the result '
+         'Here the planes found in noisy depth are compared with those that the same method finds '
+         'in the clean depth of the same frames. This says how stable the result '
          'is, not how right.')
 
 

@@ -24,6 +24,7 @@ from plane_detector.tools.metrics import (
     score,
 )
 from plane_detector.tools.peers import Method, Ours
+from plane_detector.tools.real_frames import Frame
 from plane_detector.tools.scenes import Scene, random_room, with_disparity_noise
 from plane_detector.types import CameraIntrinsics
 
@@ -33,9 +34,6 @@ HELD_OUT = 3000
 """Rooms from this seed on were not looked at while the method was made."""
 SceneOfSeed = Callable[[int], Scene]
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
-_COLUMNS = ('method', 'noise (1/m)', 'rooms', 'SC', 'worst SC (seed)', 'VOI', 'RI', 'recall',
-            'worst recall', 'precision', 'worst precision', 'normal error (deg)',
-            'offset error (cm)')
 
 
 @dataclass(frozen=True)
@@ -63,7 +61,7 @@ def room(seed: int) -> Scene:
     return random_room(np.random.default_rng(seed))
 
 
-def noisy_depth(scene: Scene, sigma: float, seed: int) -> np.ndarray:
+def noisy_depth(scene: Scene | Frame, sigma: float, seed: int) -> np.ndarray:
     """Return a scene's depth with disparity noise that depends on the seed only."""
     if sigma == 0:
         return scene.depth_m
@@ -84,7 +82,7 @@ def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], co
                 for method in tqdm(methods, f'{title}, {rooms.name}', leave=False)
                 if not method.absent for sigma in SIGMAS]
         emit(f'### {title}, {rooms.name} seeds {rooms.seeds[0]} to {rooms.seeds[-1]}',
-             table(_COLUMNS, rows))
+             table(columns('rooms', 'seed'), rows))
     emit(f'Seeds up to {HELD_OUT - 1} were used for tuning, the others were not. Means over the '
          'rooms; recall counts true planes of more than 1500 pixels, both it and precision '
          'matches of IoU > 0.5; errors are medians over the matched planes of a room. Slow '
@@ -92,19 +90,30 @@ def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], co
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
 
 
+def columns(counted: str, named: str) -> tuple[str, ...]:
+    """Return the header of a table of methods: what is counted, and what names the worst."""
+    return ('method', 'noise (1/m)', counted, 'SC', f'worst SC ({named})', 'VOI', 'RI', 'recall',
+            'worst recall', 'precision', 'worst precision', 'normal error (deg)',
+            'offset error (cm)')
+
+
 def row(method: Method, seeds: Sequence[int], sigma: float, scene_of: SceneOfSeed) -> list[str]:
     """Return a line of the table: the means over some rooms."""
     scores = [room_score(method, seed, sigma, scene_of) for seed in seeds]
+    return [method.name, f'{sigma:g}', *score_cells(scores, seeds)]
 
+
+def score_cells(scores: Sequence[Score], names: Sequence[object]) -> list[str]:
+    """Return what the columns after the second say of some pictures' scores."""
     def column(name: str) -> np.ndarray:
         return np.array([getattr(one, name) for one in scores], float)
 
-    cells = [method.name, f'{sigma:g}', str(len(scores))]
     covering, recall, precision = (
         column(name) for name in ('segmentation_covering', 'recall', 'precision'))
-    cells += [f'{covering.mean():.3f}', f'{covering.min():.2f} ({seeds[covering.argmin()]})',
-              f'{column("variation_of_information").mean():.2f}',
-              f'{column("rand_index").mean():.3f}']
+    cells = [str(len(scores)), f'{covering.mean():.3f}',
+             f'{covering.min():.2f} ({names[covering.argmin()]})',
+             f'{column("variation_of_information").mean():.2f}',
+             f'{column("rand_index").mean():.3f}']
     for values in (recall, precision):
         cells += [f'{_mean(values):.3f}', f'{np.nanmin(values, initial=1):.2f}']
     return [*cells, f'{_mean(column("normal_error_deg")):.2f}',
