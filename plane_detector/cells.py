@@ -11,7 +11,7 @@ this one touches a pixel until the labels are brought back to full resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -67,13 +67,21 @@ class CellGrid:
     @cached_property
     def typical_disparity(self) -> float:
         """The median disparity of the usable cells; 0 when there is none."""
-        return float(np.median(self.mean[self.usable, 2])) if self.usable.any() else 0.0
+        return median(self.mean[self.usable, 2]) if self.usable.any() else 0.0
 
     @cached_property
     def mean_moments(self) -> np.ndarray:
         """The moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
         x, y, d = self.mean.T
         return np.array([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d]).T
+
+
+def median(values: np.ndarray) -> float:
+    """Return the median of some values (n,), none of them NaN, without numpy's overhead."""
+    middle = len(values) // 2
+    low, high = middle - 1 + len(values) % 2, middle
+    ordered = np.partition(values, (low, high))
+    return float((ordered[low] + ordered[high]) / 2)
 
 
 def cell_size(shape: tuple[int, int]) -> int:
@@ -115,14 +123,13 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
     size, width = size or cell_size(picture), picture[1]
     y, x = picture_coordinates(picture)[::-1]
     origin = float(x[corner_px[1]]), float(y[corner_px[0]])
-    cut = [blocks(image, size) for image in (disparity, valid)]
-    shape = cut[0].shape[::2]
-    local, middle = _local_moments(
-        *(image.transpose(0, 2, 1, 3).reshape(-1, size**2) for image in cut), size, width)
+    shape = tuple(-(-side // size) for side in disparity.shape)
+    local, middle = _local_moments(disparity, valid, size, width)
     slope, inner_rms, usable = _own_planes(local, size, width)
     moments = _shifted(local, *_cell_centres(shape, size, width, origin), middle)
-    mean = moments[:, [X, Y, D]] / np.maximum(moments[:, N:N + 1], 1)
-    return CellGrid(size, width, origin, shape, moments, mean, slope, inner_rms, usable)
+    mean = moments[[X, Y, D]] / np.maximum(moments[N], 1)
+    return CellGrid(size, width, origin, shape, np.ascontiguousarray(moments.T), mean.T, slope,
+                    inner_rms, usable)
 
 
 def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
@@ -131,6 +138,29 @@ def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
     if any(end for _, end in missing):
         image = np.pad(image, missing, constant_values=fill)
     return image.reshape(image.shape[0] // size, size, -1, size)
+
+
+def pixels_of_cells(image: np.ndarray, size: int, at_row: np.ndarray | slice = np.s_[:],
+                    at_column: np.ndarray | slice = np.s_[:], fill: float = 0) -> np.ndarray:
+    """Return the pixels (n, s, s) of some cells (n,) of an image (H, W), or of all."""
+    whole = np.ascontiguousarray(blocks(image, size, fill))
+    # Each row of a cell moves as one item, several times faster than pixel by pixel.
+    rows = whole.view(np.dtype((np.void, size * image.itemsize)))[..., 0].transpose(0, 2, 1)
+    return np.ascontiguousarray(rows[at_row, at_column]).view(image.dtype).reshape(-1, size, size)
+
+
+def around(labels: np.ndarray, cell: np.ndarray) -> np.ndarray:
+    """Return the labels, of (R, C), of some cells (n,) and of their eight neighbours, (n, 9)."""
+    return labels.ravel()[_neighbourhoods(labels.shape)[cell]]
+
+
+@lru_cache(maxsize=8)
+def _neighbourhoods(shape: tuple[int, int]) -> np.ndarray:
+    """Return the nine cells around each; where the grid ends, its last ones again."""
+    index = np.arange(shape[0] * shape[1]).reshape(shape)
+    padded = np.pad(index, 1, mode='edge')
+    return np.stack([padded[i:i + shape[0], j:j + shape[1]].ravel()
+                     for i in range(3) for j in range(3)], axis=1)
 
 
 def block_coordinates(grid: CellGrid, at_row: np.ndarray,
@@ -142,6 +172,7 @@ def block_coordinates(grid: CellGrid, at_row: np.ndarray,
     return x[:, None, :], y[:, :, None]
 
 
+@lru_cache(maxsize=8)
 def _cell_centres(shape: tuple[int, int], size: int, width: int,
                   origin: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return x and y of the middle of each cell, (R * C,) each."""
@@ -152,22 +183,28 @@ def _cell_centres(shape: tuple[int, int], size: int, width: int,
 
 def _local_moments(disparity: np.ndarray, valid: np.ndarray, size: int,
                    width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the moments (n, 10) about each cell's centre and about ``middle`` (n,)."""
+    """Return the moments (10, n) about each cell's centre and about ``middle`` (n,)."""
     basis = _pixel_basis(size, width)
-    full = bool(valid.all())
-    count = basis.sum(axis=0)[None] if full else valid.astype(np.float32) @ basis
+    full = valid.all() and not any(side % size for side in valid.shape)
+    disparity = pixels_of_cells(disparity, size).reshape(-1, size**2)
+    if full:
+        count = basis.sum(axis=0)[None]
+    else:
+        valid = pixels_of_cells(valid, size).reshape(-1, size**2)
+        count = valid.astype(np.float32) @ basis
     # Brought to about zero cell by cell, float32 sums are exact enough.
     middle = disparity.sum(axis=1) / np.maximum(count[:, 0], 1)
     centred = disparity - middle[:, None]
     if not full:
         centred *= valid
-    moments = np.empty((len(disparity), 10))
-    moments[:, :6] = count
-    moments[:, 6:9] = centred @ basis[:, :3]
-    moments[:, 9] = np.einsum('ns,ns->n', centred, centred)
+    moments = np.empty((10, len(disparity)))
+    moments[:6] = count.T
+    moments[6:9] = (centred @ basis[:, :3]).T
+    moments[9] = np.einsum('ns,ns->n', centred, centred)
     return moments, middle.astype(float)
 
 
+@lru_cache(maxsize=8)
 def _pixel_basis(size: int, width: int) -> np.ndarray:
     """Return 1, x, y, xx, xy, yy of a cell's pixels about its centre, (s * s, 6) float32."""
     offset = (np.arange(size) - (size - 1) / 2) / width
@@ -178,35 +215,32 @@ def _pixel_basis(size: int, width: int) -> np.ndarray:
 def _own_planes(local: np.ndarray, size: int,
                 width: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit each cell's own plane: slope (R * C, 2), rms about it (R * C,), usable (R * C,)."""
-    n = np.maximum(local[:, N], 1)
-    x, y, d = local[:, X] / n, local[:, Y] / n, local[:, D] / n
-    xx, xy, yy = local[:, XX] / n - x * x, local[:, XY] / n - x * y, local[:, YY] / n - y * y
-    xd, yd, dd = local[:, XD] / n - x * d, local[:, YD] / n - y * d, local[:, DD] / n - d * d
+    n = np.maximum(local[N], 1)
+    x, y, xx, xy, yy, d, xd, yd, dd = local[X:] / n
+    xx, xy, yy = xx - x * x, xy - x * y, yy - y * y
+    xd, yd, dd = xd - x * d, yd - y * d, dd - d * d
     determinant = xx * yy - xy * xy
     whole = ((size**2 - 1) / 12 / width**2) ** 2
-    enough = ((local[:, N] >= max(MIN_VALID_SHARE * size**2, 4))
+    enough = ((local[N] >= max(MIN_VALID_SHARE * size**2, 4))
               & (determinant > MIN_SPREAD * whole))
     divisor = np.where(enough, determinant, 1.0)
     slope_x, slope_y = (yy * xd - xy * yd) / divisor, (xx * yd - xy * xd) / divisor
     variance = dd - slope_x * xd - slope_y * yd
-    slope = np.stack([slope_x, slope_y], axis=1) * enough[:, None]
-    return slope, np.sqrt(np.maximum(variance, 0)), enough
+    return (np.array([slope_x, slope_y]) * enough).T, np.sqrt(np.maximum(variance, 0)), enough
 
 
 def _shifted(local: np.ndarray, x: np.ndarray, y: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Move the origin of each cell's moments: from its own centre to x, y, d = 0."""
-    n = local[:, N]
-    moved = local.copy()
-    moved[:, XX] += 2 * x * local[:, X] + n * x * x
-    moved[:, XY] += x * local[:, Y] + y * local[:, X] + n * x * y
-    moved[:, YY] += 2 * y * local[:, Y] + n * y * y
-    moved[:, XD] += x * local[:, D] + d * local[:, X] + n * x * d
-    moved[:, YD] += y * local[:, D] + d * local[:, Y] + n * y * d
-    moved[:, DD] += 2 * d * local[:, D] + n * d * d
-    moved[:, X] += n * x
-    moved[:, Y] += n * y
-    moved[:, D] += n * d
-    return moved
+    """Move the origin of each cell's moments (10, n): from its own centre to x, y, d = 0."""
+    n, sum_x, sum_y, xx, xy, yy, sum_d, xd, yd, dd = local
+    return np.array([
+        n, sum_x + n * x, sum_y + n * y,
+        xx + (2 * x * sum_x + n * x * x),
+        xy + (x * sum_y + y * sum_x + n * x * y),
+        yy + (2 * y * sum_y + n * y * y),
+        sum_d + n * d,
+        xd + (x * sum_d + d * sum_x + n * x * d),
+        yd + (y * sum_d + d * sum_y + n * y * d),
+        dd + (2 * d * sum_d + n * d * d)])
 
 
 def fit_planes(moments: np.ndarray) -> np.ndarray:
@@ -215,24 +249,21 @@ def fit_planes(moments: np.ndarray) -> np.ndarray:
 
     Parameters
     ----------
-    moments : (..., 10) float64
+    moments : (10,) or (K, 10) float64
         Added up over the pixels of each plane.
 
     Returns
     -------
-    (..., 3) float64
+    (3,) or (K, 3) float64
         a, b, c; NaN where the pixels lie on a line or are fewer than three.
 
     """
-    n = np.maximum(moments[..., N], 1)
-    x, y, d = (moments[..., k] / n for k in (X, Y, D))
-    xx, xy, yy = (moments[..., XX] / n - x * x, moments[..., XY] / n - x * y,
-                  moments[..., YY] / n - y * y)
-    xd, yd = moments[..., XD] / n - x * d, moments[..., YD] / n - y * d
+    x, y, xx, xy, yy, d, xd, yd = moments.T[X:DD] / np.maximum(moments.T[N], 1)
+    xx, xy, yy, xd, yd = xx - x * x, xy - x * y, yy - y * y, xd - x * d, yd - y * d
     determinant = xx * yy - xy * xy
     divisor = np.where(determinant > 1e-6 * (xx + yy) ** 2, determinant, np.nan)
     a, b = (yy * xd - xy * yd) / divisor, (xx * yd - xy * xd) / divisor
-    return np.moveaxis(np.array([a, b, d - a * x - b * y]), 0, -1)
+    return np.array([a, b, d - a * x - b * y]).T
 
 
 def fit_plane(moments: np.ndarray) -> np.ndarray:
@@ -250,16 +281,12 @@ def fit_plane(moments: np.ndarray) -> np.ndarray:
 
 
 def error_weights(planes: np.ndarray) -> np.ndarray:
-    """Return the weights (..., 10) of the moments in the squared error of planes (..., 3)."""
-    a, b, c = planes[..., 0], planes[..., 1], planes[..., 2]
-    weights = np.empty((*planes.shape[:-1], 10))
-    weights[..., N], weights[..., X], weights[..., Y] = c * c, 2 * a * c, 2 * b * c
-    weights[..., XX], weights[..., XY], weights[..., YY] = a * a, 2 * a * b, b * b
-    weights[..., D:DD] = -2 * planes[..., [2, 0, 1]]
-    weights[..., DD] = 1
-    return weights
+    """Return the weights, (10,) or (K, 10), of the moments in the squared error of planes."""
+    a, b, c = planes.T
+    return np.array([c * c, 2 * a * c, 2 * b * c, a * a, 2 * a * b, b * b, -2 * c, -2 * a, -2 * b,
+                     np.ones_like(a)]).T
 
 
 def squared_error(planes: np.ndarray, moments: np.ndarray) -> np.ndarray:
-    """Return the squared error (...,) of planes (..., 3) over the pixels of moments (..., 10+)."""
-    return (error_weights(planes) * moments[..., :10]).sum(axis=-1)
+    """Return the squared error, () or (K,), of planes over the pixels of moments (K, 10+)."""
+    return (error_weights(planes).T * moments.T[:10]).sum(axis=0)

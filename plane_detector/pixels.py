@@ -15,7 +15,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from plane_detector.cells import block_coordinates, blocks
+from plane_detector.cells import around, block_coordinates, pixels_of_cells
 from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -25,7 +25,6 @@ SMOOTHED_GRAIN = 2.0
 MEDIAN_SIDE_PX = 5
 # The median of 25 pixels has about 1.25 / 5 of their standard deviation.
 MEDIAN_NOISE_SHARE = 0.25
-REACH_CELLS = 1
 # A pixel among those of a plane may stray this much more than the cells that found it.
 RELEASE = 1.3
 
@@ -54,8 +53,8 @@ def label_pixels(disparity: np.ndarray, valid: np.ndarray, model: CellModel, pat
     size, (rows, columns) = model.grid.size_px, patches.labels.shape
     certain = _certain_cells(model, patches, threshold)
     canvas = np.where(certain, patches.labels, -1).astype(np.int32)
-    canvas = canvas.repeat(size, axis=0).repeat(size, axis=1)
-    near = cv2.dilate((patches.labels + 1).astype(np.uint16), _square(REACH_CELLS)) > 0
+    canvas = canvas.repeat(size, axis=1).repeat(size, axis=0)
+    near = cv2.dilate((patches.labels + 1).astype(np.uint16), _square(1)) > 0
     at_row, at_column = np.nonzero(near & ~certain)
     if len(at_row):
         smooth, grain = _smoothed(disparity, noise)
@@ -81,6 +80,8 @@ def _certain_cells(model: CellModel, patches: Patches, threshold: float) -> np.n
 
 def _smoothed(disparity: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
     """Return the disparity with less grain, edges kept, and the grain that is left."""
+    if not noise.grain:
+        return disparity, 0.0
     typical = float(np.median(disparity[::7, ::7]))
     if noise.grain <= SMOOTHED_GRAIN * np.sqrt(noise.floor(typical)):
         return disparity, noise.grain
@@ -93,7 +94,7 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
     size = model.grid.size_px
     x, y = (values.astype(np.float32) for values in
             block_coordinates(model.grid, at_row, at_column))
-    d = blocks(disparity, size)[at_row, :, at_column, :]
+    d = pixels_of_cells(disparity, size, at_row, at_column)
     candidates = _candidates(patches.labels, at_row, at_column)
     planes = patches.planes.astype(np.float32)
     # Every cell here has a first candidate, few have more.
@@ -134,11 +135,8 @@ def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patch
 
 def _candidates(labels: np.ndarray, at_row: np.ndarray, at_column: np.ndarray) -> np.ndarray:
     """Return the different labels around each cell, (n, m), filled up with -1."""
-    span = 2 * REACH_CELLS + 1
-    padded = np.pad(labels, REACH_CELLS, constant_values=-1)
-    around = np.stack([padded[at_row + i, at_column + j]
-                       for i in range(span) for j in range(span)], axis=1)
-    around.sort(axis=1)
-    around[:, 1:][around[:, 1:] == around[:, :-1]] = -1
-    ordered = -np.sort(-around, axis=1)
+    found = around(labels, at_row * labels.shape[1] + at_column)
+    found.sort(axis=1)
+    found[:, 1:][found[:, 1:] == found[:, :-1]] = -1
+    ordered = -np.sort(-found, axis=1)
     return ordered[:, :int((ordered >= 0).sum(axis=1).max(initial=1))]

@@ -143,3 +143,37 @@ def test_input_is_not_modified():
     cells.make_cells(disparity, valid)
     np.testing.assert_array_equal(disparity, before[0])
     np.testing.assert_array_equal(valid, before[1])
+
+
+@pytest.mark.parametrize('dtype', [np.float32, np.int32, bool])
+@pytest.mark.parametrize(('shape', 'size'), [
+    ((24, 40), 8), ((23, 41), 8), ((9, 7), 3), ((4, 5), 1)])
+def test_pixels_of_cells_are_those_of_the_picture(dtype, shape, size):
+    image = np.random.default_rng(0).integers(0, 100, shape).astype(dtype)
+    rows, columns = (-(-side // size) for side in shape)
+    padded = np.ones((rows * size, columns * size), dtype)
+    padded[:shape[0], :shape[1]] = image
+    expected = [padded[i:i + size, j:j + size] for i in range(0, rows * size, size)
+                for j in range(0, columns * size, size)]
+    np.testing.assert_array_equal(cells.pixels_of_cells(image, size, fill=1), expected)
+    some = np.array([rows * columns - 1, 0])
+    np.testing.assert_array_equal(
+        cells.pixels_of_cells(image, size, *np.divmod(some, columns), fill=1),
+        [expected[k] for k in some])
+
+
+@pytest.mark.parametrize('shape', [(5, 7), (1, 4), (1, 1)])
+def test_around_a_cell_are_its_neighbours(shape):
+    labels = np.arange(shape[0] * shape[1]).reshape(shape) + 10
+    cell = np.arange(labels.size)
+    for k, found in zip(cell, cells.around(labels, cell), strict=True):
+        row, column = divmod(k, shape[1])
+        near = labels[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2]
+        assert len(found) == 9
+        assert set(found) == set(near.ravel())
+
+
+@pytest.mark.parametrize('count', [1, 2, 3, 10, 11])
+def test_median_is_that_of_numpy(count):
+    values = np.random.default_rng(count).normal(size=count)
+    assert cells.median(values) == np.median(values)
