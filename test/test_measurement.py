@@ -10,7 +10,7 @@ import pytest
 from plane_detector import segment_planes
 from plane_detector.backprojection import depth_to_points
 from plane_detector.cells import make_cells
-from plane_detector.measurement import count_labels, renumber
+from plane_detector.measurement import _inverse, count_labels, renumber
 from plane_detector.segmentation import to_disparity
 from plane_detector.tools.living_rooms import living_room
 from plane_detector.tools.scenes import with_disparity_noise
@@ -94,3 +94,21 @@ def test_renumber_by_hand():
                                   [[-1, 1, -1], [0, -1, 0]])
     np.testing.assert_array_equal(renumber(labels, np.arange(4), 4), labels)
     assert (renumber(labels, np.array([], int), 4) == -1).all()
+
+
+def test_renumber_more_labels_than_a_byte_holds():
+    labels = np.arange(-1, 399, dtype=np.int32).reshape(20, 20)
+    for count in (255, 256, 399):
+        kept, some = np.arange(count)[::-2], np.minimum(labels, count - 1)
+        found = renumber(some, kept, count)
+        assert found.dtype == np.int32
+        expected = [[list(kept).index(k) if k in kept else -1 for k in row] for row in some]
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize('rank', [0, 1, 2, 3])
+def test_inverse_is_the_pseudo_inverse(rank):
+    roots = np.random.default_rng(rank).normal(size=(5, 3, rank))
+    matrix = roots @ roots.transpose(0, 2, 1)
+    np.testing.assert_allclose(_inverse(matrix, 1e-12),
+                               np.linalg.pinv(matrix, rcond=1e-12, hermitian=True), rtol=1e-6)
