@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from plane_detector import cells
+from plane_detector.cells import around
 from plane_detector.config import DbscanConfig
 from plane_detector.dbscan import label_clusters
 from plane_detector.ransac import CellModel, Patches, chi_squared
@@ -27,6 +28,8 @@ MISFIT_CAP = 3.0
 RELEASE = 1.6
 # What one neighbour's agreement is worth, in units of chi-squared.
 AGREEMENT = 1.5
+# A cell whose nine cells all agree stays if it fits this well: the ninth is for rounding.
+SURE_VOTES = 8
 # A plane competes for cells up to this many cells away from its own.
 REACH_CELLS = 2
 
@@ -60,36 +63,61 @@ def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: fl
 
 def _compete(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
     """Return the label (R, C) of each cell that lowers the energy."""
-    shape, count = patches.labels.shape, len(patches.planes)
+    count = len(patches.planes)
     cost = _costs(model, patches, threshold)
-    labels = np.where(patches.labels < 0, count, patches.labels).astype(np.uint16)
-    classes = np.arange(count + 1, dtype=np.uint16)
+    active = _unsettled(cost, patches.labels)
+    labels = np.where(patches.labels < 0, count, patches.labels)
     for _ in range(SWEEPS):
-        votes = (labels[..., None] == classes).view(np.uint8)
-        votes = cv2.boxFilter(votes, cv2.CV_8U, (3, 3), normalize=False,
-                              borderType=cv2.BORDER_REPLICATE).reshape(*shape, -1)
-        updated = (cost - np.float32(AGREEMENT) * votes).argmin(axis=2).astype(np.uint16)
-        changed, labels = np.count_nonzero(updated != labels), updated
-        if changed <= SETTLED_SHARE * labels.size:
+        votes = _votes(labels, active, count + 1)
+        updated = labels.copy()
+        updated.ravel()[active] = (cost[active] - np.float32(AGREEMENT) * votes).argmin(axis=1)
+        changed, labels = updated != labels, updated
+        if np.count_nonzero(changed) <= SETTLED_SHARE * labels.size:
             break
-    return np.where(labels == count, -1, labels.astype(np.int32))
+        # Elsewhere the neighbours vote as before.
+        active = np.flatnonzero(cv2.dilate(changed.view(np.uint8), _square(1)))
+    return np.where(labels == count, -1, labels)
 
 
 def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
-    """Return what each plane, and last no plane, costs each cell, (R, C, K + 1) float32."""
-    shape, count = patches.labels.shape, len(patches.planes)
+    """Return what each plane, and last no plane, costs each cell, (R * C, K + 1) float32."""
+    count = len(patches.planes)
     cap = MISFIT_CAP * threshold**2
-    misfit = np.minimum(chi_squared(model, patches.planes), cap)
-    cost = np.empty((*shape, count + 1), np.float32)
-    cost[..., :count] = misfit.reshape(*shape, count)
-    cost[..., count] = RELEASE * threshold**2
+    cost = np.empty((patches.labels.size, count + 1), np.float32)
+    cost[:, :count] = np.minimum(chi_squared(model, patches.planes), cap)
+    cost[:, count] = RELEASE * threshold**2
     # A cell on an edge says nothing itself: its neighbours decide.
-    cost[~model.planar.reshape(shape)] = 0
-    members = (patches.labels[..., None] == np.arange(count)).astype(np.uint8)
-    side = 2 * REACH_CELLS + 1
-    near = cv2.dilate(members, np.ones((side, side), np.uint8)).reshape(*shape, count)
-    cost[..., :count][near == 0] = cap
+    cost[~model.planar] = 0
+    members = np.eye(count + 1, count, dtype=np.uint8)[patches.labels]
+    near = cv2.dilate(members, _square(REACH_CELLS)).reshape(-1, count)
+    np.copyto(cost[:, :count], cap, where=near == 0)
     return cost
+
+
+def _unsettled(cost: np.ndarray, labels: np.ndarray) -> np.ndarray:
+    """
+    Return the cells whose label may change.
+
+    A cell amid its plane stays there when it fits it better than the agreement of its neighbours
+    is worth, and one without any plane in reach goes on having none.
+    """
+    known = (labels + 1).astype(np.uint16)
+    amid = cv2.dilate(known, _square(1)) == cv2.erode(known, _square(1))
+    own = cost[np.arange(labels.size), labels.ravel()].reshape(labels.shape)
+    settled = np.where(known > 0, amid & (own < SURE_VOTES * AGREEMENT),
+                       cv2.dilate(known, _square(REACH_CELLS)) == 0)
+    return np.flatnonzero(~settled)
+
+
+def _votes(labels: np.ndarray, cell: np.ndarray, classes: int) -> np.ndarray:
+    """Return how many of the nine cells around some (n,) have each label, (n, K + 1) float32."""
+    key = around(labels, cell) + classes * np.arange(len(cell))[:, None]
+    votes = np.bincount(key.ravel(), minlength=classes * len(cell))
+    return votes.reshape(-1, classes).astype(np.float32)
+
+
+def _square(reach: int) -> np.ndarray:
+    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
 
 
 def _split(model: CellModel, labels: np.ndarray, min_pixels: float,
@@ -97,8 +125,8 @@ def _split(model: CellModel, labels: np.ndarray, min_pixels: float,
     """Cut each label into its density clusters, drop the small ones and fit the others."""
     clusters = label_clusters(labels, dbscan.eps, dbscan.min_samples).ravel()
     pixels = np.bincount(clusters + 1, model.grid.moments[:, cells.N] * model.planar)[1:]
-    kept = np.flatnonzero(pixels >= max(min_pixels, 1))
-    members = (clusters[:, None] == kept).T & model.planar
+    kept = np.flatnonzero(pixels >= max(min_pixels, 1)).astype(clusters.dtype)
+    members = (clusters == kept[:, None]) & model.planar
     planes = cells.fit_planes(members.astype(float) @ model.grid.moments)
     fitted = np.isfinite(planes).all(axis=1)
     renumbered = np.full(len(pixels) + 1, -1, np.int32)

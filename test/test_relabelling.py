@@ -4,8 +4,9 @@
 
 import numpy as np
 import pytest
-from cell_helpers import cell_model, view, wall
+from cell_helpers import EXACT, cell_model, view, wall
 
+from plane_detector import relabelling
 from plane_detector.config import DbscanConfig
 from plane_detector.ransac import Patches
 from plane_detector.relabelling import relabel
@@ -66,3 +67,36 @@ def test_no_planes_are_no_planes():
     model, _ = halves()
     none = Patches(labels_of(model, -1, -1), np.zeros((0, 3)))
     assert relabel(model, none, 3.0, 600, DbscanConfig()) is none
+
+
+def competed(cost, labels):
+    """Return the labels after sweeps over all cells, as the energy is defined."""
+    count = cost.shape[1] - 1
+    labels = np.where(labels < 0, count, labels)
+    for _ in range(relabelling.SWEEPS):
+        padded = np.pad(labels, 1, mode='edge')
+        around = np.stack([padded[i:i + labels.shape[0], j:j + labels.shape[1]]
+                           for i in range(3) for j in range(3)], axis=-1)
+        votes = (around[..., None] == np.arange(count + 1)).sum(axis=2).reshape(-1, count + 1)
+        updated = (cost - np.float32(relabelling.AGREEMENT) * votes.astype(np.float32)).argmin(1)
+        changed, labels = (updated != labels.ravel()).sum(), updated.reshape(labels.shape)
+        if changed <= relabelling.SETTLED_SHARE * labels.size:
+            break
+    return np.where(labels == count, -1, labels)
+
+
+@pytest.mark.parametrize('seed', range(8))
+def test_only_cells_that_may_change_compete(seed):
+    """Leaving out the others changes nothing, whatever labels the sweeps start from."""
+    rng = np.random.default_rng(seed)
+    model = cell_model(view([wall(2.0)]).depth_m)
+    # The second strays from the wall by 2 to 6 deviations, whose squares votes may outweigh.
+    deviation = np.sqrt(EXACT.floor(0.5))
+    planes = np.array([[0, 0, 0.5], [4 * deviation, 0, 0.5 + 4 * deviation]])
+    labels = rng.integers(-1, 2, (12, 16)).astype(np.int32).repeat(5, axis=0).repeat(5, axis=1)
+    labels = labels[:model.grid.shape[0], :model.grid.shape[1]]
+    labels[rng.random(labels.shape) < 0.02 * seed] = seed % 3 - 1
+    patches = Patches(labels, planes)
+    expected = competed(relabelling._costs(model, patches, 3.0), labels)
+    assert (expected != labels).any()
+    np.testing.assert_array_equal(relabelling._compete(model, patches, 3.0), expected)
