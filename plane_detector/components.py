@@ -39,11 +39,11 @@ def flat_components(model: CellModel, min_pixels: float,
         1/z = a x + b y + c, (3,) float64, and its cells, (R * C,) bool; the largest first.
 
     """
-    right, down = (_links(model, near, far, threshold) for near, far in NEIGHBOURS)
+    right, down = _links(model, threshold)
     components = linked_components(model.planar.reshape(model.grid.shape), right, down).ravel()
-    pixels = np.bincount(components[model.planar], model.grid.moments[model.planar, cells.N])
+    pixels = np.bincount(components + 1, model.grid.moments[:, cells.N])[1:]
     large = np.flatnonzero(pixels >= max(min_pixels, 1))
-    large = large[np.argsort(-pixels[large], kind='stable')]
+    large = large[np.argsort(-pixels[large], kind='stable')].astype(components.dtype)
     members = components == large[:, None]
     one_hot = members.astype(float)
     planes = cells.fit_planes(one_hot @ model.grid.moments)
@@ -52,17 +52,20 @@ def flat_components(model: CellModel, min_pixels: float,
     return [(planes[k], members[k]) for k in np.flatnonzero(flat)]
 
 
-def _links(model: CellModel, near: tuple, far: tuple, threshold: float) -> np.ndarray:
-    """Say which neighbours have one plane: they meet half-way, at one slope."""
-    shape = model.grid.shape
-    x, y, d, slope_x, slope_y = (
-        values.reshape(shape) for values in (*model.grid.mean.T, *model.grid.slope.T))
-    step = (d[far] - d[near] - (slope_x[near] + slope_x[far]) * (x[far] - x[near]) / 2
-            - (slope_y[near] + slope_y[far]) * (y[far] - y[near]) / 2)
-    bend = (slope_x[far] - slope_x[near]) ** 2 + (slope_y[far] - slope_y[near]) ** 2
-    of_mean, of_slope = (np.maximum(variance.reshape(shape), MIN_VARIANCE)
+def _links(model: CellModel, threshold: float) -> list[np.ndarray]:
+    """Say of each cell whether it and the next one, right and down, have one plane."""
+    x, y, d, slope_x, slope_y, planar = (
+        values.reshape(model.grid.shape)
+        for values in (*model.grid.mean.T, *model.grid.slope.T, model.planar))
+    of_mean, of_slope = (np.maximum(variance, MIN_VARIANCE).reshape(model.grid.shape)
                          for variance in (model.variances.mean, model.variances.slope))
-    planar = model.planar.reshape(shape)
-    chi_square = (step * step / (of_mean[near] + of_mean[far])
-                  + bend / (of_slope[near] + of_slope[far]))
-    return (chi_square < threshold**2) & planar[near] & planar[far]
+    links = []
+    for near, far in NEIGHBOURS:
+        # Planes are one when they meet half-way, at one slope.
+        step = (d[far] - d[near] - (slope_x[near] + slope_x[far]) * (x[far] - x[near]) / 2
+                - (slope_y[near] + slope_y[far]) * (y[far] - y[near]) / 2)
+        bend = (slope_x[far] - slope_x[near]) ** 2 + (slope_y[far] - slope_y[near]) ** 2
+        chi_square = (step * step / (of_mean[near] + of_mean[far])
+                      + bend / (of_slope[near] + of_slope[far]))
+        links.append((chi_square < threshold**2) & planar[near] & planar[far])
+    return links

@@ -133,7 +133,8 @@ def linked_components(mask: np.ndarray, right: np.ndarray, down: np.ndarray) -> 
     picture[::2, ::2] = mask
     picture[::2, 1:-1:2] = right
     picture[1:-1:2, ::2] = down
-    _, components = cv2.connectedComponents(picture, connectivity=4, ltype=cv2.CV_32S)
+    # Links that touch at a corner have a cell in common; OpenCV is faster with all eight sides.
+    _, components = cv2.connectedComponents(picture, connectivity=8, ltype=cv2.CV_32S)
     return components[::2, ::2] - 1
 
 

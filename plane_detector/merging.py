@@ -56,14 +56,18 @@ class Borders:
 def find_borders(labels: np.ndarray, reach: int = BORDER_REACH_CELLS) -> Borders:
     """Find which patches of labels (R, C) touch along rows or columns of cells."""
     flat, (near, far) = labels.ravel(), _pairs(labels.shape, reach)
-    touching = (flat[near] != flat[far]) & (flat[near] >= 0) & (flat[far] >= 0)
-    near, far = near[touching], far[touching]
-    swap = flat[near] > flat[far]
+    first, second = flat[near], flat[far]
+    touching = np.flatnonzero((first != second) & (np.minimum(first, second) >= 0))
+    near, far, first, second = near[touching], far[touching], first[touching], second[touching]
+    swap = first > second
     near, far = np.where(swap, far, near), np.where(swap, near, far)
-    size = int(flat.max(initial=-1)) + 1
-    keys, pair, count = np.unique(flat[near].astype(np.int64) * size + flat[far],
-                                  return_inverse=True, return_counts=True)
-    return Borders(keys // max(size, 1), keys % max(size, 1), count, pair.ravel(), near, far)
+    size = int(flat.max(initial=0)) + 1
+    key = np.minimum(first, second).astype(np.int64) * size + np.maximum(first, second)
+    count = np.bincount(key, minlength=size**2)
+    found = np.flatnonzero(count)
+    index = np.zeros(len(count), int)
+    index[found] = np.arange(len(found))
+    return Borders(*np.divmod(found, size), count[found], index[key], near, far)
 
 
 @lru_cache(maxsize=8)
@@ -141,14 +145,14 @@ class _Summary:
 def memberships(model: CellModel, patches: Patches) -> np.ndarray:
     """Return which flat cells each patch has, 1 or 0, (K, R * C) float64."""
     labels = np.where(model.planar, patches.labels.ravel(), -1)
-    return (labels == np.arange(len(patches.planes))[:, None]).astype(float)
+    return (labels == np.arange(len(patches.planes), dtype=labels.dtype)[:, None]).astype(float)
 
 
 def _summarise(model: CellModel, patches: Patches) -> _Summary:
     members = memberships(model, patches)
-    count = np.maximum(members.sum(axis=1), 1)
-    return _Summary(members @ model.grid.mean_moments, count,
-                    (members @ model.variances.mean) / count)
+    moments = members @ model.grid.mean_moments
+    count = np.maximum(moments[:, cells.N], 1)
+    return _Summary(moments, count, (members @ model.variances.mean) / count)
 
 
 def joint_misfit(model: CellModel, patches: Patches, first: np.ndarray,

@@ -80,14 +80,19 @@ def find_patches(grid: CellGrid, least: Noise, min_pixels: float, config: Config
 def _share(model: CellModel, found: list[Found]) -> float:
     """Return the share of the picture's pixels with depth that lie on planes."""
     count = model.grid.moments[:, cells.N]
-    return sum(count @ members for _, members in found) / max(count.sum(), 1)
+    return (count @ _taken(model, found)) / max(count.sum(), 1)
+
+
+def _taken(model: CellModel, found: list[Found]) -> np.ndarray:
+    """Return the cells of any of the planes, (R * C,) bool."""
+    taken = np.zeros(len(model.planar), bool)
+    for _, members in found:
+        taken |= members
+    return taken
 
 
 def search_planes(model: CellModel, plain: list[Found], min_pixels: float, config: Config,
                   dbscan: DbscanConfig | None, rng: np.random.Generator) -> Iterator[Found]:
     """Yield the planes that are plain to see, then those that RANSAC finds in what is left."""
     yield from plain
-    taken = np.zeros(len(model.planar), bool)
-    for _, members in plain:
-        taken |= members
-    yield from peel_planes(model, min_pixels, config.ransac, dbscan, rng, taken)
+    yield from peel_planes(model, min_pixels, config.ransac, dbscan, rng, _taken(model, plain))
