@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector.cells import median
 from plane_detector.noise import GRAIN_PER_NOISE, Noise
 from plane_detector.ransac import CellModel, Patches
 
@@ -50,13 +51,12 @@ def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
     if not len(members):
         return noise
     members = members[::len(members) // MAX_SAMPLES + 1]
-    plane, mean = patches.planes[labels[members]], model.grid.mean[members]
-    residual = mean[:, 2] - (plane[:, :2] * mean[:, :2]).sum(axis=1) - plane[:, 2]
-    tilt = model.grid.slope[members] - plane[:, :2]
-    grain = max(float(np.median(model.grid.inner_rms[members])), GRAIN_PER_NOISE * noise.known)
+    plane, (x, y, d) = patches.planes[labels[members]].T, model.grid.mean[members].T
+    residual = d - (plane[0] * x + plane[1] * y) - plane[2]
+    tilt = (model.grid.slope[members].T - plane[:2]).ravel()
+    grain = max(median(model.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.known)
     return replace(noise, grain=min(noise.grain, grain)).with_smooth_part(
-        SIGMA_PER_MEDIAN * np.median(np.abs(residual)),
-        SIGMA_PER_MEDIAN * np.median(np.abs(tilt)))
+        SIGMA_PER_MEDIAN * median(np.abs(residual)), SIGMA_PER_MEDIAN * median(np.abs(tilt)))
 
 
 def is_settled(model: CellModel, before: Noise, after: Noise) -> bool:

@@ -135,11 +135,11 @@ def with_rounding(least: Noise, disparity: np.ndarray, valid: np.ndarray) -> Noi
     if min(disparity.shape) < 2:
         return least
     # Along whole lines no step of a slope is left out.
-    rows, columns = (np.linspace(0, side - 1, ROUNDING_LINES + 2).astype(int)[1:-1]
+    rows, columns = (np.arange(1, ROUNDING_LINES + 1) * (side - 1) // (ROUNDING_LINES + 1)
                      for side in disparity.shape)
     lines = disparity[rows], disparity[:, columns].T
     # An upright wall is even along its columns too, but not along its rows.
-    if min(np.mean(line[:, 1:] == line[:, :-1]) for line in lines) < MIN_EQUAL_SHARE:
+    if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_EQUAL_SHARE for line in lines):
         return least
     sample = np.concatenate([lines[0][valid[rows]], lines[1][valid[:, columns].T]])
     values = np.unique(sample)
@@ -180,8 +180,8 @@ def cell_variances(grid: CellGrid, noise: Noise) -> CellVariances:
     The noise floor of the depth is one of the disparity that falls with 1/z**2; over a cell of
     n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel.
     """
-    floor = noise.floor(grid.mean[:, 2])
-    span = (grid.size_px / grid.width_px) ** 2 / 12 * (grid.slope**2).sum(axis=1)
+    floor, (slope_x, slope_y) = noise.floor(grid.mean[:, 2]), grid.slope.T
+    span = (grid.size_px / grid.width_px) ** 2 / 12 * (slope_x**2 + slope_y**2)
     tilt = 12 * (grid.width_px / grid.size_px**2) ** 2
     return CellVariances(noise.mean**2 + floor, noise.slope**2 + floor * tilt,
                          noise.grain**2 + floor + ROUNDING * span)

@@ -70,8 +70,9 @@ def _is_hidden_between(model: CellModel, patches: Patches, first: int, second: i
     if not len(cell):
         return True
     x, y, d = model.grid.mean[cell].T
-    members = np.isin(patches.labels.ravel(), (first, second)) & model.planar
-    a, b, c = cells.fit_planes(model.grid.moments[members].sum(axis=0))
+    labels = patches.labels.ravel()
+    members = ((labels == first) | (labels == second)) & model.planar
+    a, b, c = cells.fit_plane(members.astype(float) @ model.grid.moments)
     farther = (a * x + b * y + c) - d > FARTHER_DEVIATIONS * np.sqrt(model.variances.mean[cell])
     return bool(farther.mean() <= MAX_SEEN_THROUGH)
 
