@@ -128,8 +128,7 @@ def make_cells(disparity: np.ndarray, valid: np.ndarray, size: int = 0,
     slope, inner_rms, usable = _own_planes(local, size, width)
     moments = _shifted(local, *_cell_centres(shape, size, width, origin), middle)
     mean = moments[[X, Y, D]] / np.maximum(moments[N], 1)
-    return CellGrid(size, width, origin, shape, np.ascontiguousarray(moments.T), mean.T, slope,
-                    inner_rms, usable)
+    return CellGrid(size, width, origin, shape, moments.T, mean.T, slope, inner_rms, usable)
 
 
 def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:

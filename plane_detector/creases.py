@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.merging import find_borders
+from plane_detector.merging import Borders, find_borders
 from plane_detector.ransac import CellModel, Patches
 
 REACH_CELLS = 3
@@ -29,8 +29,12 @@ def find_creases(model: CellModel, patches: Patches) -> np.ndarray:
         one is in front of the other or they do not touch.
 
     """
+    return _signs(model, patches, find_borders(patches.labels, REACH_CELLS))
+
+
+def _signs(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
+    """Return what :func:`find_creases` does, given the borders."""
     signs = np.zeros((len(patches.planes),) * 2, np.int8)
-    borders = find_borders(patches.labels, REACH_CELLS)
     if not len(borders.first):
         return signs
     difference = patches.planes[borders.first] - patches.planes[borders.second]
@@ -45,8 +49,8 @@ def find_creases(model: CellModel, patches: Patches) -> np.ndarray:
 
 def straighten(model: CellModel, patches: Patches, threshold: float) -> Patches:
     """Give the cells along creases, where both planes fit, to the plane of their side."""
-    signs, labels = find_creases(model, patches), patches.labels.ravel().copy()
-    borders = find_borders(patches.labels, REACH_CELLS)
+    borders, labels = find_borders(patches.labels, REACH_CELLS), patches.labels.ravel().copy()
+    signs = _signs(model, patches, borders)
     first, second = borders.first[borders.pair], borders.second[borders.pair]
     for own, other, cell in ((first, second, borders.cell_first),
                              (second, first, borders.cell_second)):
@@ -59,4 +63,5 @@ def straighten(model: CellModel, patches: Patches, threshold: float) -> Patches:
 
 def _at_cells(model: CellModel, planes: np.ndarray, cell: np.ndarray) -> np.ndarray:
     """Return the value of each plane (n, 3) at its cell (n,)."""
-    return planes[:, 2] + (planes[:, :2] * model.grid.mean[cell, :2]).sum(axis=1)
+    (x, y, _), (a, b, c) = model.grid.mean[cell].T, planes.T
+    return c + (a * x + b * y)

@@ -17,6 +17,7 @@ from sklearn.cluster import DBSCAN
 
 _SQUARE = np.ones((3, 3), np.uint8)
 _CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+_DIAGONAL = 2**0.5
 # Slices of the cells of a grid and of their neighbours: right, down, and along the diagonals.
 NEIGHBOURS = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :]))
 DIAGONALS = ((np.s_[:-1, :-1], np.s_[1:, 1:]), (np.s_[:-1, 1:], np.s_[1:, :-1]))
@@ -43,16 +44,16 @@ def grid_clusters(mask: np.ndarray, eps: float, min_samples: int) -> np.ndarray:
     if eps >= 2:
         return _by_distance(mask, eps, min_samples)
     set_cells = np.ascontiguousarray(mask).view(np.uint8)
-    diagonal = eps >= np.sqrt(2)
+    diagonal = eps >= _DIAGONAL
     neighbourhood = _SQUARE if diagonal else _CROSS
     density = cv2.filter2D(set_cells, cv2.CV_8U, neighbourhood, borderType=cv2.BORDER_CONSTANT)
-    core = set_cells * (density >= min_samples)
-    _, clusters = cv2.connectedComponents(core, connectivity=8 if diagonal else 4,
+    core = mask & (density >= min_samples)
+    _, clusters = cv2.connectedComponents(core.view(np.uint8), connectivity=8 if diagonal else 4,
                                           ltype=cv2.CV_16U)
     # A border cell joins the last of the clusters that it touches.
     joined = cv2.dilate(clusters, neighbourhood) * set_cells
-    np.copyto(joined, clusters, where=core.view(bool))
-    return joined.astype(np.int32) - 1
+    np.copyto(joined, clusters, where=core)
+    return np.subtract(joined, 1, dtype=np.int32)
 
 
 def largest_piece(mask: np.ndarray, weight: np.ndarray, eps: float) -> float:
@@ -96,7 +97,7 @@ def label_clusters(labels: np.ndarray, eps: float, min_samples: int) -> np.ndarr
     if eps >= 2:
         return _clusters_one_by_one(labels, eps, min_samples)
     sides = _alike(labels, NEIGHBOURS)
-    corners = _alike(labels, DIAGONALS) if eps >= np.sqrt(2) else []
+    corners = _alike(labels, DIAGONALS) if eps >= _DIAGONAL else []
     density = np.ones(labels.shape, np.int32)
     for near, far, alike in sides + corners:
         density[near] += alike

@@ -192,9 +192,8 @@ def _bulge_misfit(model: CellModel, patches: Patches, borders: Borders,
 
 def _border_step(model: CellModel, planes: np.ndarray, borders: Borders) -> np.ndarray:
     """Return the mean step (P,) from one side of each border to the other, about its plane."""
-    plane = planes[borders.pair]
-    first, second = (
-        model.grid.mean[side, 2] - plane[:, 2] - (plane[:, :2] * model.grid.mean[side, :2]).sum(1)
-        for side in (borders.cell_first, borders.cell_second))
+    a, b, c = planes[borders.pair].T
+    first, second = (d - c - (a * x + b * y) for x, y, d in (
+        model.grid.mean[side].T for side in (borders.cell_first, borders.cell_second)))
     total = np.bincount(borders.pair, first - second, minlength=len(borders.count))
     return np.abs(total / np.maximum(borders.count, 1))

@@ -97,12 +97,12 @@ def make_model(grid: CellGrid, noise: Noise) -> CellModel:
 def monomials(planes: np.ndarray) -> np.ndarray:
     """Return the products of the coefficients of planes (K, 3) that the score needs, (10, K)."""
     a, b, c = planes.T
-    return np.array([a * a, a * b, b * b, a * c, b * c, c * c, a, b, c, np.ones_like(a)])
+    return np.array([a * a, a * b, b * b, a * c, b * c, c * c, a, b, c, np.ones(np.shape(a))])
 
 
 def chi_squared(model: CellModel, planes: np.ndarray) -> np.ndarray:
     """
-    Return how ill each plane fits each cell, (R * C, K).
+    Return how ill each plane fits each cell, (R * C, K); (R * C,) for one plane (3,).
 
     The squared residual of the cell's mean disparity over its variance, plus the same of its
     slope: what crosses a plane at an angle is no part of it, however near.
@@ -200,6 +200,7 @@ def _window_planes(model: CellModel, free: np.ndarray, wanted: int,
                    rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Return planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
     shape = model.grid.shape
+    variance = (model.variances.mean + model.variances.grain) * model.grid.moments[:, cells.N]
     integral = cv2.integral(free.reshape(shape).astype(np.uint8))
     planes, middles = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     for height, width in WINDOWS_CELLS:
@@ -213,18 +214,17 @@ def _window_planes(model: CellModel, free: np.ndarray, wanted: int,
         rows, columns = np.unravel_index(starts, count.shape)
         window = ((rows[:, None, None] + np.arange(height)[:, None]) * shape[1]
                   + columns[:, None, None] + np.arange(width)).reshape(len(starts), height * width)
-        fitted, flat = _fit_windows(model, free, window)
+        fitted, flat = _fit_windows(model, variance, free, window)
         planes.append(fitted[flat])
         middles.append(window[flat, height * width // 2])
     return np.concatenate(planes), np.concatenate(middles)
 
 
-def _fit_windows(model: CellModel, free: np.ndarray,
+def _fit_windows(model: CellModel, variance: np.ndarray, free: np.ndarray,
                  window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit planes (n, 3) to the free cells of windows (n, m), and say which are flat (n,)."""
-    taken = free[window]
-    moments = np.einsum('nm,nmk->nk', taken, model.grid.moments[window])
-    variance = (model.variances.mean + model.variances.grain) * model.grid.moments[:, cells.N]
+    taken = free[window].astype(float)
+    moments = (taken[:, None, :] @ model.grid.moments[window])[:, 0]
     planes = cells.fit_planes(moments)
     with np.errstate(invalid='ignore'):
         flat = (cells.squared_error(planes, moments)
@@ -241,7 +241,7 @@ def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: f
         if batch.gain[best] < min_pixels / 2:
             return
         plane, members = refine(model, batch.planes[best], batch.seeds[best], free, ransac, dbscan)
-        if count @ members < min_pixels:
+        if count[members].sum() < min_pixels:
             batch.gain[best] = 0
             failures += 1
             continue
@@ -268,14 +268,15 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
     members = np.zeros(len(free), bool)
     members[seed] = True
     for _ in range(REFINEMENTS):
-        inliers = (chi_squared(model, plane[None])[:, 0] < ransac.inlier_threshold**2) & free
+        inliers = (chi_squared(model, plane) < ransac.inlier_threshold**2) & free
         grown = _around(members, inliers.reshape(model.grid.shape), dbscan)
-        if not grown.any():
+        count = np.count_nonzero(grown)
+        if not count:
             return plane, grown
-        if np.count_nonzero(grown != members) <= SETTLED_SHARE * np.count_nonzero(grown):
+        if np.count_nonzero(grown != members) <= SETTLED_SHARE * count:
             break
         refitted = cells.fit_plane(grown.astype(float) @ model.grid.moments)
-        if not np.isfinite(refitted).all():
+        if np.isnan(refitted[0]):
             return plane, np.zeros_like(members)
         plane, members = refitted, grown
     return plane, members
@@ -290,7 +291,9 @@ def _around(members: np.ndarray, inliers: np.ndarray, dbscan: DbscanConfig | Non
     if dbscan is None:
         return inliers.ravel()
     clusters = grid_clusters(inliers, dbscan.eps, dbscan.min_samples).ravel()
-    touched = np.bincount(clusters[members] + 1, minlength=2)[1:]
-    if not touched.any():
-        touched = np.bincount(clusters + 1, minlength=2)[1:]
-    return clusters == np.argmax(touched) if touched.any() else np.zeros_like(members)
+    for counted in (clusters[members], clusters):
+        touched = np.bincount(counted + 1, minlength=2)[1:]
+        most = int(touched.argmax())
+        if touched[most]:
+            return clusters == most
+    return np.zeros_like(members)
