@@ -55,13 +55,14 @@ class Borders:
 
 def find_borders(labels: np.ndarray, reach: int = BORDER_REACH_CELLS) -> Borders:
     """Find which patches of labels (R, C) touch along rows or columns of cells."""
-    flat, (near, far) = labels.ravel(), _pairs(labels.shape, reach)
-    first, second = flat[near], flat[far]
+    near, far = _pairs(labels.shape, reach)
+    first, second = (np.concatenate([labels[side].ravel() for side in sides])
+                     for sides in _sides(reach))
     touching = np.flatnonzero((first != second) & (np.minimum(first, second) >= 0))
     near, far, first, second = near[touching], far[touching], first[touching], second[touching]
     swap = first > second
     near, far = np.where(swap, far, near), np.where(swap, near, far)
-    size = int(flat.max(initial=0)) + 1
+    size = int(labels.max(initial=0)) + 1
     key = np.minimum(first, second).astype(np.int64) * size + np.maximum(first, second)
     count = np.bincount(key, minlength=size**2)
     found = np.flatnonzero(count)
@@ -73,11 +74,17 @@ def find_borders(labels: np.ndarray, reach: int = BORDER_REACH_CELLS) -> Borders
 @lru_cache(maxsize=8)
 def _pairs(shape: tuple[int, int], reach: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the cells of a grid that are up to ``reach`` apart in a row or column."""
-    index, near, far = np.arange(shape[0] * shape[1]).reshape(shape), [], []
-    for gap in range(1, reach + 1):
-        near += [index[:, :-gap].ravel(), index[:-gap].ravel()]
-        far += [index[:, gap:].ravel(), index[gap:].ravel()]
-    return np.concatenate(near), np.concatenate(far)
+    index = np.arange(shape[0] * shape[1]).reshape(shape)
+    near, far = _sides(reach)
+    return (np.concatenate([index[side].ravel() for side in near]),
+            np.concatenate([index[side].ravel() for side in far]))
+
+
+def _sides(reach: int) -> tuple[list, list]:
+    """Return the slices of a grid's cells and of those up to ``reach`` right and down of them."""
+    gaps = range(1, reach + 1)
+    return ([side for gap in gaps for side in (np.s_[:, :-gap], np.s_[:-gap])],
+            [side for gap in gaps for side in (np.s_[:, gap:], np.s_[gap:])])
 
 
 def merge_patches(model: CellModel, patches: Patches) -> Patches:
@@ -124,7 +131,8 @@ def merged(model: CellModel, patches: Patches, kept: np.ndarray, gone: np.ndarra
     count = len(patches.planes)
     target = np.arange(count)
     target[gone] = kept
-    left, renumbered = np.unique(target, return_inverse=True)
+    left = target == np.arange(count)
+    renumbered = (np.cumsum(left) - 1)[target]
     labels = np.append(renumbered, -1)[patches.labels].astype(np.int32)
     planes = patches.planes[left]
     for k in renumbered[kept]:

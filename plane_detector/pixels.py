@@ -15,7 +15,7 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from plane_detector.cells import around, block_coordinates, pixels_of_cells
+from plane_detector.cells import around, block_coordinates, median, pixels_of_cells
 from plane_detector.creases import find_creases
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -82,7 +82,7 @@ def _smoothed(disparity: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
     """Return the disparity with less grain, edges kept, and the grain that is left."""
     if not noise.grain:
         return disparity, 0.0
-    typical = float(np.median(disparity[::7, ::7]))
+    typical = median(disparity[::7, ::7].ravel())
     if noise.grain <= SMOOTHED_GRAIN * np.sqrt(noise.floor(typical)):
         return disparity, noise.grain
     return cv2.medianBlur(disparity, MEDIAN_SIDE_PX), MEDIAN_NOISE_SHARE * noise.grain
@@ -118,11 +118,10 @@ def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: No
 def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patches: Patches,
              x: np.ndarray, y: np.ndarray, unclear: np.ndarray) -> np.ndarray:
     """Correct the pixels near creases, where the planes' square difference is unclear."""
-    signs = np.pad(find_creases(model, patches), ((0, 1), (0, 1)))
-    planes = np.vstack([patches.planes, np.zeros(3)]).astype(np.float32)
+    signs, planes = find_creases(model, patches), patches.planes.astype(np.float32)
     for i, j in combinations(range(candidates.shape[1]), 2):
         first, second = candidates[:, i], candidates[:, j]
-        active = np.flatnonzero(signs[first, second])
+        active = np.flatnonzero((second >= 0) & (signs[first, second] != 0))
         first, second = first[active, None, None], second[active, None, None]
         a, b, c = np.moveaxis(planes[first] - planes[second], -1, 0)
         difference = c + a * x[active] + b * y[active]
