@@ -19,15 +19,21 @@ P, R = ParamSpec('P'), TypeVar('R')
 
 
 @cache
-def _controller() -> ThreadpoolController:
+def _libraries() -> list:
     """Look for the linear algebra libraries once; numpy's is loaded by now."""
-    return ThreadpoolController()
+    return ThreadpoolController().select(user_api='blas').lib_controllers
 
 
 def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Decorate a function to run its linear algebra on one thread."""
     @wraps(function)
     def on_one_thread(*args: P.args, **kwargs: P.kwargs) -> R:
-        with _controller().limit(limits=1, user_api='blas'):
+        before = [library.num_threads for library in _libraries()]
+        for library in _libraries():
+            library.set_num_threads(1)
+        try:
             return function(*args, **kwargs)
+        finally:
+            for library, count in zip(_libraries(), before, strict=True):
+                library.set_num_threads(count)
     return on_one_thread
