@@ -84,8 +84,8 @@ def _is_curved(model: CellModel, members: np.ndarray, noise: Noise) -> np.ndarra
     products = (basis[:, :, None] * basis[:, None, :]).reshape(len(x), -1)
     normal_matrix = (members @ products).reshape(-1, 6, 6)
     projection, square = members @ (basis * d[:, None]), members @ (d * d)
-    flat, _ = _least_squares(normal_matrix[:, :3, :3], projection[:, :3], square)
-    curved, quadratic = _least_squares(normal_matrix, projection, square)
+    flat, _ = least_squares(normal_matrix[:, :3, :3], projection[:, :3], square)
+    curved, quadratic = least_squares(normal_matrix, projection, square)
     variance = np.maximum(curved / (count - 6), _least_variance(noise, mean[:, 2]))
     gain = (flat - curved) / 3 / variance
     spread = normal_matrix[:, 1:3, 1:3] / count[:, None, None]
@@ -93,7 +93,7 @@ def _is_curved(model: CellModel, members: np.ndarray, noise: Noise) -> np.ndarra
     return (gain > MIN_GAIN) & (turn_deg > MIN_TURN_DEG)
 
 
-def _least_squares(normal_matrix: np.ndarray, projection: np.ndarray,
+def least_squares(normal_matrix: np.ndarray, projection: np.ndarray,
                    square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the squared error (K,) and the coefficients (K, n) of fits."""
     scale = np.sqrt(np.maximum(np.einsum('kii->ki', normal_matrix), np.finfo(float).tiny))

@@ -9,6 +9,7 @@ from itertools import islice
 import cv2
 import numpy as np
 
+from plane_detector.bends import without_bent
 from plane_detector.cells import N, error_weights, make_cells
 from plane_detector.components import flat_components
 from plane_detector.config import Config
@@ -61,10 +62,10 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
     if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1:
         return labels, planes
-    left, cut = _large_pieces(valid & (labels < 0), min_pixels)
+    left, cut = _large_pieces(valid, labels, min_pixels)
     if cut is None:
         return labels, planes
-    left, disparity = left[cut], disparity[cut]
+    disparity = disparity[cut]
     grid = make_cells(np.where(left, disparity, np.float32(0)), left, size,
                       (cut[0].start, cut[1].start), labels.shape)
     smaller = make_model(grid, noise.for_smaller_cells(model.grid.size_px, size))
@@ -76,6 +77,7 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     search = search_planes(smaller, plain, min_cell_pixels, config, config.dbscan, rng)
     patches = drop_curved(smaller, collect(smaller, list(islice(search, room))), noise)
     new = label_pixels(disparity, left, smaller, patches, noise, threshold)
+    new, patches = without_bent(new, smaller, patches, noise)
     labels, whole = labels.copy(), labels[cut]
     labels[cut] = np.where(new >= 0, new + len(planes), whole)
     planes = np.vstack([planes, patches.planes])
@@ -104,23 +106,25 @@ def _with_continuations(labels: np.ndarray, cut: Cut, model: CellModel, patches:
     return target.astype(np.int32).take(labels, mode='wrap')
 
 
-def _large_pieces(mask: np.ndarray, min_pixels: float) -> tuple[np.ndarray, Cut | None]:
+def _large_pieces(valid: np.ndarray, labels: np.ndarray,
+                  min_pixels: float) -> tuple[np.ndarray, Cut | None]:
     """
-    Return the connected pieces of a mask that are large enough, as seen at half the size.
+    Return the connected pieces without label that are large enough, as seen at half the size.
 
-    With them the part of the picture that holds them all, None when there is none.
+    They are cut out of the picture; with them the part that holds them all, None for none.
     """
-    half = np.ascontiguousarray(mask[::2, ::2]).view(np.uint8)
+    half = (valid[::2, ::2] & (labels[::2, ::2] < 0)).view(np.uint8)
     if 4 * cv2.countNonZero(half) < min_pixels:
-        return mask, None
+        return valid, None
     _, pieces, statistics, _ = cv2.connectedComponentsWithStats(half, connectivity=4,
                                                                 ltype=cv2.CV_16U)
     large = 4 * statistics[:, cv2.CC_STAT_AREA] >= min_pixels
     large[0] = False
     if not large.any():
-        return mask, None
+        return valid, None
     left, top, width, height = statistics[large, :4].T
     cut = (slice(2 * int(top.min()), 2 * int((top + height).max())),
            slice(2 * int(left.min()), 2 * int((left + width).max())))
-    whole = large[pieces].repeat(2, axis=0).repeat(2, axis=1)
-    return mask & whole[:mask.shape[0], :mask.shape[1]], cut
+    whole = large[pieces].repeat(2, axis=1).repeat(2, axis=0)[cut]
+    left = valid[cut] & (labels[cut] < 0)
+    return left & whole[:left.shape[0], :left.shape[1]], cut

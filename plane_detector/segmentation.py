@@ -14,7 +14,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from plane_detector.backprojection import check_depth, valid_depth
+from plane_detector.backprojection import check_depth
+from plane_detector.bends import find_bent
 from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coordinates
 from plane_detector.config import Config
 from plane_detector.creases import straighten
@@ -227,7 +228,7 @@ def _nearest_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
 
 def to_disparity(depth_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return 1/depth, 0 where invalid, (H, W) float32, and where it is valid, (H, W) bool."""
-    valid = valid_depth(depth_m) & (depth_m >= LEAST_DEPTH_M)
+    valid = (depth_m >= LEAST_DEPTH_M) & (depth_m < np.inf)
     with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
         disparity = np.reciprocal(depth_m, dtype=np.float32)
     if not valid.all():
@@ -249,4 +250,8 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
         patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
         patches = straighten(model, patches, threshold)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
-    return *add_narrow(disparity, valid, labels, model, noise, patches.planes, config, rng), noise
+    labels, planes = add_narrow(disparity, valid, labels, model, noise, patches.planes, config,
+                                rng)
+    # Until here the facets of curved things hold their place, lest others grow into it.
+    kept = np.delete(np.arange(len(planes)), find_bent(model, patches, noise))
+    return renumber(labels, kept, len(planes)), planes[kept], noise
