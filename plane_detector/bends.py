@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes that are facets of one curved surface, told under noise.
+Several planes or one curved surface.
 
 Noise hides the curve of a single patch, and then a column or a cushion is three or four planes.
 But where two patches meet, one quadratic surface has as many parameters as their two planes: it
-fits a bend better than they do, and a fold between planes worse. As for steps there are two
-thresholds (Canny 1986): a clear bend, and what it goes on in.
+fits a bend better than they do, and a fold between planes worse. What is bent in measured depth
+is no plane; as for steps there are two thresholds (Canny 1986), a clear bend and what it goes on
+in. A network bends flat walls: where its depth has a slight bend, the patches are one plane.
 """
 
 from __future__ import annotations
@@ -18,14 +19,15 @@ import numpy as np
 from plane_detector.cells import fit_planes, squared_error
 from plane_detector.curvature import MIN_TURN_DEG, TYPICAL_FOCAL_SHARE, least_squares
 from plane_detector.measurement import renumber
-from plane_detector.merging import Borders, find_borders, memberships
+from plane_detector.merging import Borders, best_pairs, find_borders, memberships, merged
 from plane_detector.noise import Noise
 from plane_detector.ransac import MIN_VARIANCE, CellModel, Patches
 
 # Fewer cells fit any surface.
 MIN_CELLS = 4
 MIN_BORDER_PAIRS = 2
-# Planes that meet at less than this are one plane with a dent, at more they are an edge.
+# Things that are curved: planes that meet at less than the first angle are one plane with a dent,
+# at more than the second an edge.
 MIN_FOLD_DEG, MAX_FOLD_DEG = 10.0, 70.0
 # A curved surface does not jump: so many deviations of a cell from the one plane to the other.
 MAX_STEP = 3.0
@@ -36,6 +38,8 @@ MIN_GAIN, MIN_WEAK_GAIN = 1.0, 0.5
 MAX_RATIO = 2.0
 # Small patches fit their noise: no plane is taken to fit better than these shares of it.
 LEAST_SHARE, LEAST_WEAK_SHARE = 0.25, 0.8
+# Walls that a network bows: the same for these, where its noise is known.
+MAX_BOW_DEG, MAX_BOW_STEP, MAX_BOW_RATIO, LEAST_BOW_SHARE = 35.0, 4.0, 3.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,7 @@ def find_bent(model: CellModel, patches: Patches, noise: Noise) -> np.ndarray:
     if noise.known > 0 or len(patches.planes) < 2:
         return np.zeros(0, int)
     borders = find_borders(patches.labels)
-    pairs = np.stack([borders.first, borders.second], axis=1)[
-        _may_be_one(model, patches, borders, noise)]
+    pairs = _pairs(borders)[_may_be_curved(model, patches, borders, noise)]
     if not len(pairs):
         return np.zeros(0, int)
     facets = _facets(model, patches)
@@ -96,6 +99,39 @@ def find_bent(model: CellModel, patches: Patches, noise: Noise) -> np.ndarray:
     triples = _extended(pairs[goes_on], touching)
     clear |= triples[_judge(facets, triples)[0]].any(axis=0)
     return np.flatnonzero(_spread(clear, pairs[goes_on]))
+
+
+def join_bowed(model: CellModel, patches: Patches, noise: Noise) -> Patches:
+    """
+    Join patches that are one wall, bowed by the network whose depth it is.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+    noise : Noise
+        Where it is not known from the source, depth is measured, and nothing is joined.
+
+    Returns
+    -------
+    Patches
+        Planes refitted to all their cells.
+
+    """
+    while noise.known > 0 and len(patches.planes) > 1:
+        borders = find_borders(patches.labels)
+        misfit = np.full(len(borders.count), np.inf)
+        slight = np.flatnonzero(_is_slight(model, patches, borders))
+        misfit[slight] = _bow_misfit(model, patches, _pairs(borders)[slight])
+        chosen = best_pairs(borders, misfit)
+        if not len(chosen):
+            break
+        patches = merged(model, patches, borders.first[chosen], borders.second[chosen])
+    return patches
+
+
+def _pairs(borders: Borders) -> np.ndarray:
+    return np.stack([borders.first, borders.second], axis=1)
 
 
 def _facets(model: CellModel, patches: Patches) -> _Facets:
@@ -112,10 +148,27 @@ def _facets(model: CellModel, patches: Patches) -> _Facets:
                    np.maximum(error, 0))
 
 
-def _may_be_one(model: CellModel, patches: Patches, borders: Borders,
-                noise: Noise) -> np.ndarray:
+def _may_be_curved(model: CellModel, patches: Patches, borders: Borders,
+                   noise: Noise) -> np.ndarray:
     """Say which pairs (P,) of patches are large enough and meet in a blunt fold, no step."""
     count = np.bincount(patches.labels[patches.labels >= 0], minlength=len(patches.planes))
+    exact = noise.is_exact(model.grid.typical_disparity)
+    fold_deg, step = _folds(model, patches, borders)
+    return ((np.minimum(count[borders.first], count[borders.second]) >= MIN_CELLS)
+            & (borders.count >= MIN_BORDER_PAIRS) & (step < MAX_STEP)
+            & (fold_deg > (MIN_TURN_DEG if exact else MIN_FOLD_DEG)) & (fold_deg < MAX_FOLD_DEG))
+
+
+def _is_slight(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
+    """Say which pairs (P,) of patches meet in so slight a fold that a network may have made it."""
+    fold_deg, step = _folds(model, patches, borders)
+    return ((borders.count >= MIN_BORDER_PAIRS) & (step < MAX_BOW_STEP)
+            & (fold_deg < MAX_BOW_DEG))
+
+
+def _folds(model: CellModel, patches: Patches,
+           borders: Borders) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angle at which the planes of each pair meet and their step there, (P,) each."""
     normals = patches.planes * [TYPICAL_FOCAL_SHARE, TYPICAL_FOCAL_SHARE, 1]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     cosine = (normals[borders.first] * normals[borders.second]).sum(axis=1)
@@ -123,13 +176,8 @@ def _may_be_one(model: CellModel, patches: Patches, borders: Borders,
     gap = (patches.planes[borders.first] - patches.planes[borders.second])[borders.pair]
     gap = (gap[:, :2] * middle[:, :2]).sum(axis=1) + gap[:, 2]
     variance = np.maximum(model.variances.mean[borders.cell_first], MIN_VARIANCE)
-    step = np.abs(np.bincount(borders.pair, gap / np.sqrt(variance), len(cosine))) / borders.count
-    exact = noise.is_exact(model.grid.typical_disparity)
-    least_deg = MIN_TURN_DEG if exact else MIN_FOLD_DEG
-    return ((np.minimum(count[borders.first], count[borders.second]) >= MIN_CELLS)
-            & (borders.count >= MIN_BORDER_PAIRS) & (step < MAX_STEP)
-            & (cosine < np.cos(np.radians(least_deg)))
-            & (cosine > np.cos(np.radians(MAX_FOLD_DEG))))
+    total = np.bincount(borders.pair, gap / np.sqrt(variance), len(cosine))
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1))), np.abs(total) / borders.count
 
 
 def _one_hot(groups: np.ndarray, count: int) -> np.ndarray:
@@ -159,10 +207,7 @@ def _judge(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
     """
     members = groups.astype(float)
-    products = np.tensordot(members, facets.products, axes=1)
-    joint, surface = least_squares(products[:, :6, :6], products[:, :6, 6], products[:, 6, 6])
-    surface = np.hstack([surface, -np.ones((len(surface), 1))])
-    error = np.einsum('gi,kij,gj->gk', surface, facets.products, surface, optimize=True)
+    joint, error = _fit_quadratic(facets, groups)
     moments, expected = members @ facets.moments, members @ facets.noise
     gain = (squared_error(fit_planes(moments), moments) - joint) / expected
     own, weak_own = (np.maximum(facets.error, share * facets.noise)
@@ -171,6 +216,24 @@ def _judge(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]
             & ((error < MAX_RATIO * own) | ~groups).all(axis=1))
     goes_on = (gain > MIN_WEAK_GAIN) & ((error < MAX_RATIO * weak_own) | ~groups).all(axis=1)
     return bent, goes_on
+
+
+def _fit_quadratic(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the squared error (G,) of a quadratic surface, and that over each patch (G, K)."""
+    products = np.tensordot(groups.astype(float), facets.products, axes=1)
+    joint, surface = least_squares(products[:, :6, :6], products[:, :6, 6], products[:, 6, 6])
+    surface = np.hstack([surface, -np.ones((len(surface), 1))])
+    return joint, np.einsum('gi,kij,gj->gk', surface, facets.products, surface, optimize=True)
+
+
+def _bow_misfit(model: CellModel, patches: Patches, pairs: np.ndarray) -> np.ndarray:
+    """Return how much worse than the planes one curved surface fits, (P,); up to 1 it may."""
+    if not len(pairs):
+        return np.zeros(0)
+    facets, groups = _facets(model, patches), _one_hot(pairs, len(patches.planes))
+    own = np.maximum(facets.error, LEAST_BOW_SHARE * facets.noise)
+    _, error = _fit_quadratic(facets, groups)
+    return np.where(groups, error / own, 0).max(axis=1) / MAX_BOW_RATIO
 
 
 def _spread(clear: np.ndarray, weak: np.ndarray) -> np.ndarray:

@@ -106,14 +106,14 @@ def merge_patches(model: CellModel, patches: Patches) -> Patches:
         borders = find_borders(np.where(model.planar.reshape(patches.labels.shape),
                                         patches.labels, -1))
         misfit = _misfit(model, patches, borders)
-        chosen = _best_pairs(borders, misfit)
+        chosen = best_pairs(borders, misfit)
         if not len(chosen):
             return patches
         patches = merged(model, patches, borders.first[chosen], borders.second[chosen])
     return patches
 
 
-def _best_pairs(borders: Borders, misfit: np.ndarray) -> np.ndarray:
+def best_pairs(borders: Borders, misfit: np.ndarray) -> np.ndarray:
     """Return the pairs that fit, best first, no patch twice: a merged one is another one."""
     chosen, used = [], set()
     for k in np.argsort(misfit, kind='stable'):

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from plane_detector.backprojection import check_depth
-from plane_detector.bends import find_bent
+from plane_detector.bends import find_bent, join_bowed
 from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coordinates
 from plane_detector.config import Config
 from plane_detector.creases import straighten
@@ -248,7 +248,7 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
         patches = drop_curved(model, patches, noise)
     else:
         patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
-        patches = straighten(model, patches, threshold)
+        patches = join_bowed(model, straighten(model, patches, threshold), noise)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
     labels, planes = add_narrow(disparity, valid, labels, model, noise, patches.planes, config,
                                 rng)
