@@ -38,7 +38,8 @@ MIN_GAIN, MIN_WEAK_GAIN = 1.0, 0.5
 MAX_RATIO = 2.0
 # Small patches fit their noise: no plane is taken to fit better than these shares of it.
 LEAST_SHARE, LEAST_WEAK_SHARE = 0.25, 0.8
-# Walls that a network bows: the same for these, where its noise is known.
+# Walls that a network bows: the same for these, where its noise is known. Where the shift of its
+# disparity is not, the angle is a rough one.
 MAX_BOW_DEG, MAX_BOW_STEP, MAX_BOW_RATIO, LEAST_BOW_SHARE = 35.0, 4.0, 3.0, 0.1
 
 
