@@ -40,6 +40,12 @@ class NodeProcess:
     def log(self):
         return self._log_path.read_text(errors='replace')
 
+    def wait_until(self, condition):
+        end_s = time.monotonic() + STARTED_S
+        while not condition():
+            assert time.monotonic() < end_s, self.log()
+            time.sleep(0.01)
+
     def end(self, number):
         """Send a signal and return the exit code."""
         self.process.send_signal(number)
@@ -127,13 +133,24 @@ def test_a_signal_ends_a_waiting_node_with_exit_code_0(start, robot, number):
 def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch, number):
     monkeypatch.setenv('PYTHONPROFILEIMPORTTIME', '1')  # the log tells each import that is done
     node = start('-p', 'depth.source:=topic')
-    end_s = time.monotonic() + STARTED_S
-    while not re.search(r'\| +numpy$', node.log(), re.MULTILINE):
-        assert time.monotonic() < end_s, node.log()
-        time.sleep(0.01)
+    node.wait_until(lambda: re.search(r'\| +numpy$', node.log(), re.MULTILINE))
     assert node.end(number) == -number
     assert 'plane_detector.ros.node' not in node.log(), 'it was still importing'
     assert 'Traceback' not in node.log()
+
+
+def test_a_signal_ends_a_download(start, monkeypatch, tmp_path):
+    """As soon as it comes: npm, a stand-in here, would take longer than the test waits."""
+    begun = tmp_path / 'begun'
+    npm = tmp_path / 'npm'
+    npm.write_text(f'#!/bin/sh\n[ $1 = view ] || {{ : > {begun}; exec sleep {2 * STARTED_S}; }}\n')
+    npm.chmod(0o755)
+    monkeypatch.setenv('PATH', str(tmp_path), prepend=os.pathsep)
+    node = start('-p', 'depth.model:=fastdepth', '-p', f'depth.cache_dir:={tmp_path / "cache"}')
+    node.wait_until(begun.exists)
+    assert node.end(signal.SIGTERM) == 0
+    assert 'Traceback' not in node.log()
+    assert not list((tmp_path / 'cache').iterdir())
 
 
 def test_the_installed_program_takes_signals_before_the_long_imports():

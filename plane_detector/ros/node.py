@@ -40,7 +40,7 @@ from plane_detector.ros.diagnostics import (
 from plane_detector.ros.frames import Frame
 from plane_detector.ros.inputs import Inputs, image_topic
 from plane_detector.ros.outputs import OUTPUTS
-from plane_detector.ros.process import answer_impossible_transitions, run
+from plane_detector.ros.process import answer_impossible_transitions, interruptible, run
 from plane_detector.ros.processing import FrameProcessor
 from plane_detector.ros.worker import FrameWorker
 from plane_detector.types import Detection
@@ -107,7 +107,8 @@ class PlaneDetectorNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the network and create the outputs; fail with the reason if one cannot."""
         try:
-            detector = PlaneDetector(self._config, self._estimate_depth)
+            with interruptible():
+                detector = PlaneDetector(self._config, self._estimate_depth)
             self._create_outputs()
         except Exception as error:  # whatever a model file may provoke: the node stays
             self._release()

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import rclpy
@@ -20,14 +21,38 @@ from rclpy.signals import SignalHandlerOptions
 from plane_detector.ros.memory import keep_freed_memory
 
 _SPIN_TIMEOUT_S = 0.2
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class _Interruption:
+    """
+    What SIGINT and SIGTERM do: they are noted, for the main thread to end when it comes to it.
+
+    An exception that a signal raises anywhere is swallowed where it meets a destructor or an
+    error handler, and gives a traceback where it meets the shutdown. So it is raised only where
+    the main thread may stay for long; see `interruptible`.
+    """
+
+    def __init__(self) -> None:
+        self.is_asked = False
+        self.may_raise = False
+
+    def ask(self, _number: int, _stack: Any) -> None:
+        """Handle a signal; a second one changes nothing."""
+        is_first, self.is_asked = not self.is_asked, True
+        if is_first and self.may_raise:
+            raise KeyboardInterrupt
+
+
+_interruption = _Interruption()
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
-    Run a node until SIGINT or SIGTERM.
+    Run a node until SIGINT or SIGTERM; once in a process.
 
     Both are taken by Python rather than by rclpy, so that they also end what takes long outside
-    of the executor's wait, the download of a network for example.
+    of the executor's wait; see `interruptible`.
 
     Parameters
     ----------
@@ -42,24 +67,44 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         The exit code: 1 when the node cannot be made with these arguments, else 0.
 
     """
+    for number in _SIGNALS:
+        signal.signal(number, _interruption.ask)
     try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, _interrupt)
         keep_freed_memory()
         _init(args)
         _spin(make_node())
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except Exception as error:
-        # Within a call of rclpy to C the interrupt comes out as another error.
-        if not _is_interrupted():
-            if not isinstance(error, (ValueError, ParameterException)):
-                raise
-            print(f'the node cannot start: {error}', file=sys.stderr)
-            return 1
+    except (ValueError, ParameterException) as error:
+        print(f'the node cannot start: {error}', file=sys.stderr)
+        return 1
     finally:
         rclpy.try_shutdown()
+        for number in _SIGNALS:  # the interpreter's end would put back that they kill
+            signal.signal(number, signal.SIG_IGN)
     return 0
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """
+    Let SIGINT and SIGTERM break off what takes long, the download of a network for example.
+
+    For the main thread of `run`; without it nothing changes.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        From anywhere within, or at once when the signal came before.
+
+    """
+    try:
+        _interruption.may_raise = True
+        if _interruption.is_asked:
+            raise KeyboardInterrupt
+        yield
+    finally:
+        _interruption.may_raise = False
 
 
 def answer_impossible_transitions(node: LifecycleNode) -> None:
@@ -87,24 +132,12 @@ def _init(args: list[str] | None) -> None:
         raise ValueError(f'rclpy refuses the arguments: {error}') from error
 
 
-def _interrupt(_number: int, _stack: Any) -> None:
-    """End the process once, whatever the main thread is at; a second signal changes nothing."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise KeyboardInterrupt
-
-
-def _is_interrupted() -> bool:
-    """Say whether a signal was taken: from then on they are ignored."""
-    return signal.getsignal(signal.SIGTERM) is signal.SIG_IGN
-
-
 def _spin(node: Node) -> None:
-    """Spin in short waits: Python handles signals only between them."""
+    """Spin until a signal, in short waits: Python handles signals only between them."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        while rclpy.ok():
+        while rclpy.ok() and not _interruption.is_asked:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT_S)
     finally:
         node.destroy_node()
