@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clean depth is judged by the labels grown from it, with and without what is unclear."""
 
+import json
 from dataclasses import replace
 
 import cv2
@@ -13,12 +14,13 @@ from plane_detector.tools import peers
 from plane_detector.tools.benchmark_exact import (
     LabelledFrame,
     frame_scores,
+    held_out_frames,
     leave_out,
     report_exact,
     segmented,
 )
 from plane_detector.tools.exact_labels import ExactLabels
-from plane_detector.tools.real_frames import Frame
+from plane_detector.tools.real_frames import Frame, frames
 from plane_detector.tools.scenes import single_wall, with_disparity_noise
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
@@ -96,19 +98,34 @@ def test_frames_are_reported_and_drawn(capsys, tmp_path):
     slow.name, slow.slow = 'slow', True
     found = [replace(FRAME, name=name) for name in ('1', '2', '3')]
     report_exact([peers.Ours(), slow, absent], [*found, replace(FRAME, set_name='real')],
-                 tmp_path / 'sheets')
+                 found[:1], tmp_path / 'sheets')
     text = capsys.readouterr().out
     assert 'nowhere: absent, nothing of that name is installed.' in text
     assert '| nowhere |' not in text
     assert text.count('| plane_detector | 0.004 | 3 |') == 2, 'both tables'
+    assert text.count('| plane_detector | 0.004 | 1 |') == 2, 'of the held-out frame'
     assert text.count('| slow | 0.01 | 2 |') == 2
-    assert text.count('unclear pixels are left out of the count') == 1
+    assert text.count('unclear pixels are left out of the count') == 2
     sheet = cv2.imread(str(tmp_path / 'sheets' / 'living_room_labels.png'))
     assert 5 * 400 <= sheet.shape[1] < 6 * 400
     assert 3 * 300 <= sheet.shape[0] < 4 * 400
 
 
 def test_without_clean_frames_nothing_is_reported(capsys, tmp_path):
-    report_exact([peers.Ours()], [replace(FRAME, set_name='real')], tmp_path / 'sheets')
+    report_exact([peers.Ours()], [replace(FRAME, set_name='real')], [], tmp_path / 'sheets')
     assert capsys.readouterr().out == ''
     assert not (tmp_path / 'sheets').exists()
+
+
+def test_held_out_frames_are_others_than_those_looked_at(tmp_path):
+    folder = tmp_path / 'living_room'
+    folder.mkdir()
+    about = {'fx': 9.0, 'fy': 9.0, 'cx': 4.5, 'cy': 3.5, 'width': 10, 'height': 8,
+             'depth_unit_m': 0.001}
+    (folder / 'intrinsics.json').write_text(json.dumps(about))
+    for k in range(17):
+        cv2.imwrite(str(folder / f'{k:02}_depth.png'), np.full((8, 10), 1000, np.uint16))
+        cv2.imwrite(str(folder / f'{k:02}_rgb.png'), np.zeros((8, 10, 3), np.uint8))
+    assert [frame.name for frame in frames(tmp_path)] == ['00', '10']
+    assert [frame.name for frame in held_out_frames(tmp_path)] == ['05', '15']
+    assert held_out_frames(tmp_path / 'nowhere') == []

@@ -20,7 +20,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from plane_detector.tools.benchmark_exact import report_exact
+from plane_detector.tools.benchmark_exact import held_out_frames, report_exact
 from plane_detector.tools.benchmark_living import report_living
 from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
 from plane_detector.tools.benchmark_report import emit, provenance
@@ -71,7 +71,8 @@ def report(arguments: argparse.Namespace) -> None:
     if {'living_room', 'real'} & set(arguments.only):
         found = collect_frames(arguments.data)
         if 'living_room' in arguments.only:
-            report_exact(methods, found, arguments.output)
+            held_out = held_out_frames(arguments.data)
+            report_exact(methods, found, held_out, arguments.output)
             report_consistency(found)
         if 'real' in arguments.only:
             report_real(found, arguments.model, arguments.output)

@@ -24,10 +24,12 @@ from plane_detector.tools.exact_labels import (
 )
 from plane_detector.tools.metrics import Score, score
 from plane_detector.tools.peers import Method, Ours, Segments
-from plane_detector.tools.real_frames import Frame
+from plane_detector.tools.real_frames import Frame, frames
 
 SLOW_FRAMES = 2
 """A slow method is tried on the first frames only."""
+HELD_OUT_FRAME = 5
+"""Frames from this one on, as many apart as the others, were not looked at for tuning."""
 _PANEL_WIDTH_PX = 400
 _VARIANTS = ('unclear pixels count as no plane', 'unclear pixels are left out of the count')
 
@@ -40,15 +42,35 @@ class LabelledFrame:
     truth: ExactLabels
 
 
-def report_exact(methods: Sequence[Method], found: Sequence[Frame], output: Path) -> None:
+def held_out_frames(data: Path) -> list[Frame]:
+    """Return frames that were not looked at while the method was made; none without the data."""
+    try:
+        return list(frames(data, RENDERED, HELD_OUT_FRAME))
+    except FileNotFoundError:
+        return []
+
+
+def report_exact(methods: Sequence[Method], found: Sequence[Frame], held_out: Sequence[Frame],
+                 output: Path) -> None:
     """Print the tables of the frames of clean rendered depth and write a contact sheet."""
+    tuning, unseen = (label_frames(part) for part in (found, held_out))
+    for name, labelled in (('tuning', tuning), ('held-out', unseen)):
+        if labelled:
+            _report(f'Rendered living room, {name} frames', methods, labelled)
+    if tuning:
+        emit(f'Contact sheet: `{write_sheet(tuning, output)}`')
+
+
+def label_frames(found: Sequence[Frame]) -> list[LabelledFrame]:
+    """Label the frames whose depth is rendered."""
     clean = [frame for frame in found if frame.set_name in RENDERED]
-    if not clean:
-        return
-    labelled = [LabelledFrame(frame, label_exact_planes(frame.depth_m, frame.intrinsics))
-                for frame in tqdm(clean, 'labels from exact depth', leave=False)]
+    return [LabelledFrame(frame, label_exact_planes(frame.depth_m, frame.intrinsics))
+            for frame in tqdm(clean, 'labels from exact depth', leave=False)]
+
+
+def _report(title: str, methods: Sequence[Method], labelled: Sequence[LabelledFrame]) -> None:
     for variant, rows in zip(_VARIANTS, _tables(methods, labelled), strict=True):
-        emit(f'### Rendered living room, labels grown from exact depth: {variant}',
+        emit(f'### {title}, labels grown from exact depth: {variant}',
              table(columns('frames', 'frame'), rows))
     unclear = np.mean([one.truth.unclear.mean() for one in labelled])
     emit('The labels are grown slowly from the exact depth, by code that the detector does not '
@@ -57,8 +79,7 @@ def report_exact(methods: Sequence[Method], found: Sequence[Frame], output: Path
          'faces of a curtain\'s folds; where that is left out, so are the predicted planes that '
          'lie on it for the greater part. Columns are those of the rooms. Slow methods are tried '
          f'on the first {SLOW_FRAMES} frames only.',
-         *(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent),
-         f'Contact sheet: `{write_sheet(labelled, output)}`')
+         *(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
 
 
 def _tables(methods: Sequence[Method], labelled: Sequence[LabelledFrame]

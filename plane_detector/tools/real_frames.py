@@ -47,7 +47,7 @@ class Frame:
     intrinsics: CameraIntrinsics
 
 
-def frames(data: Path, sets: tuple[str, ...] | None = None) -> Iterator[Frame]:
+def frames(data: Path, sets: tuple[str, ...] | None = None, first: int = 0) -> Iterator[Frame]:
     """
     Yield the frames of a data folder, set by set.
 
@@ -56,6 +56,8 @@ def frames(data: Path, sets: tuple[str, ...] | None = None) -> Iterator[Frame]:
     data : Path
     sets : tuple of str, optional
         Names of the sets, default all.
+    first : int
+        Of long sequences, of which only some frames are taken, start with this one.
 
     Raises
     ------
@@ -72,7 +74,7 @@ def frames(data: Path, sets: tuple[str, ...] | None = None) -> Iterator[Frame]:
         if name not in found:
             raise FileNotFoundError(f'{data} has no set {name}, only {", ".join(found)}')
         depths = sorted((data / name).glob('*_depth.png'))
-        for path in depths[::STEPS.get(name, 1)]:
+        for path in depths[first::STEPS[name]] if name in STEPS else depths:
             yield read_frame(path)
 
 
