@@ -7,10 +7,10 @@ Measure the plane segmentation, beside its peers, and print the tables as Markdo
     python3 -m plane_detector.tools.benchmark --only rooms --seeds 5
     python3 -m plane_detector.tools.benchmark --only real --data folder --model fastdepth
 
-The sections: `rooms` of boxes and `living` rooms are rendered, with exact truth; `living_room`
-is clean depth of a room that others rendered, with labels that tools/exact_labels.py grows from
-it, and how little noise changes what is found; `real` pictures have a sensor's depth.
-Contact sheets of all but the boxes are written to benchmark_output/. Peers that are
+The sections: `rooms` of boxes, `living` rooms and `curved` things are rendered, with exact truth;
+`living_room` is clean depth of a room that others rendered, with labels that tools/exact_labels.py
+grows from it, and how little noise changes what is found; `real` pictures have a sensor's depth.
+Contact sheets of living rooms and real pictures are written to benchmark_output/. Peers that are
 not installed are named as absent.
 """
 
@@ -20,6 +20,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from plane_detector.tools.benchmark_curved import report_curved
 from plane_detector.tools.benchmark_exact import held_out_frames, report_exact
 from plane_detector.tools.benchmark_living import report_living
 from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
@@ -28,7 +29,7 @@ from plane_detector.tools.benchmark_rooms import report_rooms
 from plane_detector.tools.benchmark_times import report_times
 from plane_detector.tools.peers import all_methods
 
-SECTIONS = ('rooms', 'living', 'living_room', 'real', 'time')
+SECTIONS = ('rooms', 'living', 'curved', 'living_room', 'real', 'time')
 
 
 def parsed() -> argparse.Namespace:
@@ -68,6 +69,8 @@ def report(arguments: argparse.Namespace) -> None:
         report_rooms(methods, arguments.seeds, arguments.slow_seeds)
     if 'living' in arguments.only:
         report_living(methods, arguments.seeds, arguments.slow_seeds, arguments.output)
+    if 'curved' in arguments.only:
+        report_curved(methods)
     if {'living_room', 'real'} & set(arguments.only):
         found = collect_frames(arguments.data)
         if 'living_room' in arguments.only:
