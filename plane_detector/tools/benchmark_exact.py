@@ -8,13 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.drawing import figure, overlay
+from plane_detector.drawing import overlay
 from plane_detector.tools.benchmark_real import RENDERED
-from plane_detector.tools.benchmark_report import emit, table
+from plane_detector.tools.benchmark_report import emit, grey_of, table, write_sheet
 from plane_detector.tools.benchmark_rooms import SIGMAS, columns, noisy_depth, score_cells
 from plane_detector.tools.exact_labels import (
     LOOSE_TOLERANCE_M,
@@ -58,7 +57,7 @@ def report_exact(methods: Sequence[Method], found: Sequence[Frame], held_out: Se
         if labelled:
             _report(f'Rendered living room, {name} frames', methods, labelled)
     if tuning:
-        emit(f'Contact sheet: `{write_sheet(tuning, output)}`')
+        emit(f'Contact sheet: `{draw_frames(tuning, output)}`')
 
 
 def label_frames(found: Sequence[Frame]) -> list[LabelledFrame]:
@@ -119,20 +118,17 @@ def leave_out(labels: np.ndarray, planes: np.ndarray, unclear: np.ndarray) -> Se
     return new_label[labels], planes[kept]
 
 
-def write_sheet(labelled: Sequence[LabelledFrame], output: Path) -> Path:
+def draw_frames(labelled: Sequence[LabelledFrame], output: Path) -> Path:
     """Write a row for each frame: picture, labels, and ours at each noise; return where."""
-    output.mkdir(parents=True, exist_ok=True)
-    path = output / 'living_room_labels.png'
     panels = [panel for one in labelled for panel in _panels(one)]
-    if not cv2.imwrite(str(path), figure(panels, columns=2 + len(SIGMAS))[..., ::-1]):
-        raise OSError(f'{path} cannot be written')
-    return path
+    return write_sheet(output / 'living_room_labels.png', panels, 2 + len(SIGMAS),
+                       _PANEL_WIDTH_PX)
 
 
 def _panels(one: LabelledFrame) -> list[tuple[str, np.ndarray]]:
     """Return the pictures of a frame with titles; planes are drawn on grey, to tell them apart."""
     rgb, truth = one.frame.rgb, one.truth
-    grey = cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    grey = grey_of(rgb)
     drawn = overlay(grey, truth.labels + 1)
     drawn[truth.unclear] = 0
     panels = [(f'{one.frame.set_name}/{one.frame.name}', rgb),
@@ -140,6 +136,4 @@ def _panels(one: LabelledFrame) -> list[tuple[str, np.ndarray]]:
     for sigma in SIGMAS:
         labels, planes = segmented(Ours(), one.frame, sigma)
         panels.append((f'noise {sigma:g}: {len(planes)} planes', overlay(grey, labels + 1)))
-    size = (_PANEL_WIDTH_PX, round(_PANEL_WIDTH_PX * rgb.shape[0] / rgb.shape[1]))
-    return [(title, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-            for title, picture in panels]
+    return panels

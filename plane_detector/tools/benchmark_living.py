@@ -8,11 +8,10 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from plane_detector.drawing import colour_depth, figure, overlay
-from plane_detector.tools.benchmark_report import emit
+from plane_detector.drawing import colour_depth, overlay
+from plane_detector.tools.benchmark_report import emit, grey_of, write_sheet
 from plane_detector.tools.benchmark_rooms import SIGMAS, noisy_depth, report_sets
 from plane_detector.tools.living_rooms import living_room
 from plane_detector.tools.peers import Method, Ours
@@ -20,7 +19,7 @@ from plane_detector.tools.scenes import Scene
 
 SHEET_ROOMS = 6
 """Rooms of the contact sheet, the first of the tuning seeds."""
-_PANEL_PX = (320, 240)
+_PANEL_WIDTH_PX = 320
 
 
 @lru_cache(maxsize=64)
@@ -33,27 +32,22 @@ def report_living(methods: Sequence[Method], count: int, slow_count: int, output
     """Print the tables of the living rooms and write a contact sheet of the first."""
     report_sets('Rendered living rooms', furnished, methods, count, slow_count)
     emit('What is curved belongs to no plane, and its pixels count as that.',
-         f'Contact sheet: `{write_sheet(range(min(count, SHEET_ROOMS)), output)}`')
+         f'Contact sheet: `{draw_rooms(range(min(count, SHEET_ROOMS)), output)}`')
 
 
-def write_sheet(seeds: Sequence[int], output: Path) -> Path:
+def draw_rooms(seeds: Sequence[int], output: Path) -> Path:
     """Write a row for each room: picture, depth, truth, and ours at each noise; return where."""
-    output.mkdir(parents=True, exist_ok=True)
-    path = output / 'living_rooms.png'
     panels = [panel for seed in seeds for panel in _panels(seed)]
-    if not cv2.imwrite(str(path), figure(panels, columns=3 + len(SIGMAS))[..., ::-1]):
-        raise OSError(f'{path} cannot be written')
-    return path
+    return write_sheet(output / 'living_rooms.png', panels, 3 + len(SIGMAS), _PANEL_WIDTH_PX)
 
 
 def _panels(seed: int) -> list[tuple[str, np.ndarray]]:
     """Return the pictures of a room with titles; planes are drawn on grey, to tell them apart."""
     scene = furnished(seed)
-    grey = cv2.cvtColor(cv2.cvtColor(scene.rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
+    grey = grey_of(scene.rgb)
     panels = [(f'seed {seed}', scene.rgb), ('depth', colour_depth(scene.depth_m)),
               (f'truth: {len(scene.planes)} planes', overlay(grey, scene.labels + 1))]
     for sigma in SIGMAS:
         labels, planes = Ours()(noisy_depth(scene, sigma, seed), scene.intrinsics)
         panels.append((f'noise {sigma:g}: {len(planes)} planes', overlay(grey, labels + 1)))
-    return [(title, cv2.resize(picture, _PANEL_PX, interpolation=cv2.INTER_AREA))
-            for title, picture in panels]
+    return panels

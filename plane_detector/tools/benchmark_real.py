@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
-import cv2
 import numpy as np
 from tqdm import tqdm
 
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth import DepthEstimator
-from plane_detector.drawing import figure, overlay
+from plane_detector.drawing import overlay
 from plane_detector.model_zoo import NetworkUnavailableError
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.segmentation import segment_planes
@@ -25,7 +24,7 @@ from plane_detector.tools.benchmark_judging import (
     judge_coverage,
     judge_planes,
 )
-from plane_detector.tools.benchmark_report import emit, table
+from plane_detector.tools.benchmark_report import emit, table, write_sheet
 from plane_detector.tools.benchmark_rooms import SIGMAS
 from plane_detector.tools.metrics import score
 from plane_detector.tools.peers import plane_array
@@ -151,14 +150,10 @@ def _known_mean(numbers: np.ndarray) -> np.ndarray:
 
 def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
     """Write one picture for each set: a row for each frame; return the paths."""
-    output.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         panels = [panel for one in group for panel in _panels(one)]
-        path = output / f'{name}.png'
-        if not cv2.imwrite(str(path), figure(panels, columns=3)[..., ::-1]):
-            raise OSError(f'{path} cannot be written')
-        paths.append(path)
+        paths.append(write_sheet(output / f'{name}.png', panels, 3, _PANEL_WIDTH_PX))
     return paths
 
 
@@ -172,9 +167,7 @@ def _panels(one: Comparison) -> list[tuple[str, np.ndarray]]:
     else:
         panels.append((f'network: {len(one.network.planes)} planes',
                        overlay(rgb, one.network.labels + 1)))
-    size = (_PANEL_WIDTH_PX, round(_PANEL_WIDTH_PX * rgb.shape[0] / rgb.shape[1]))
-    return [(title, cv2.resize(picture, size, interpolation=cv2.INTER_AREA))
-            for title, picture in panels]
+    return panels
 
 
 def report_consistency(found: Sequence[Frame]) -> None:

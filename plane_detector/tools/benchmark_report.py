@@ -12,7 +12,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
+import numpy as np
 
+from plane_detector.drawing import figure
 from plane_detector.tools.benchmark_depth import machine
 
 _PACKAGES = ('numpy', 'scikit-learn', 'pyransac3d', 'open3d')
@@ -57,3 +59,33 @@ def emit(*blocks: str) -> None:
     """Print blocks of Markdown, each followed by an empty line, at once."""
     for block in blocks:
         print(f'{block}\n', flush=True)
+
+
+def write_sheet(path: Path, panels: Sequence[tuple[str, np.ndarray]], columns: int,
+                width_px: int) -> Path:
+    """
+    Write a contact sheet of titled pictures (H, W, 3) uint8 RGB, each shrunk to one width.
+
+    Returns
+    -------
+    Path
+        Where it is; its folder is made.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    shrunk = [(title, cv2.resize(
+        picture, (width_px, round(width_px * picture.shape[0] / picture.shape[1])),
+        interpolation=cv2.INTER_AREA)) for title, picture in panels]
+    if not cv2.imwrite(str(path), figure(shrunk, columns)[..., ::-1]):
+        raise OSError(f'{path} cannot be written')
+    return path
+
+
+def grey_of(rgb: np.ndarray) -> np.ndarray:
+    """Return a picture without its colours, (H, W, 3) uint8, to draw planes on."""
+    return cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
