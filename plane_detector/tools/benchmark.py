@@ -22,10 +22,11 @@ from pathlib import Path
 
 from plane_detector.tools.benchmark_curved import report_curved
 from plane_detector.tools.benchmark_exact import held_out_frames, report_exact
-from plane_detector.tools.benchmark_living import report_living
+from plane_detector.tools.benchmark_living import furnished, report_living
+from plane_detector.tools.benchmark_misses import report_misses
 from plane_detector.tools.benchmark_real import collect_frames, report_consistency, report_real
 from plane_detector.tools.benchmark_report import emit, provenance
-from plane_detector.tools.benchmark_rooms import report_rooms
+from plane_detector.tools.benchmark_rooms import report_rooms, room, room_sets
 from plane_detector.tools.benchmark_times import report_times
 from plane_detector.tools.peers import all_methods
 
@@ -67,8 +68,10 @@ def report(arguments: argparse.Namespace) -> None:
     methods = all_methods()
     if 'rooms' in arguments.only:
         report_rooms(methods, arguments.seeds, arguments.slow_seeds)
+        report_misses('Rendered rooms', room, room_sets(arguments.seeds, 0)[1].seeds)
     if 'living' in arguments.only:
         report_living(methods, arguments.seeds, arguments.slow_seeds, arguments.output)
+        report_misses('Rendered living rooms', furnished, room_sets(arguments.seeds, 0)[1].seeds)
     if 'curved' in arguments.only:
         report_curved(methods)
     if {'living_room', 'real'} & set(arguments.only):
