@@ -17,8 +17,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.cells import fit_planes, squared_error
-from plane_detector.curvature import MIN_TURN_DEG, TYPICAL_FOCAL_SHARE, least_squares
-from plane_detector.measurement import renumber
+from plane_detector.curvature import (
+    MIN_TURN_DEG,
+    TYPICAL_FOCAL_SHARE,
+    least_squares,
+    quadratic_products,
+)
 from plane_detector.merging import Borders, best_pairs, find_borders, memberships, merged
 from plane_detector.noise import Noise
 from plane_detector.ransac import MIN_VARIANCE, CellModel, Patches
@@ -51,7 +55,7 @@ class _Facets:
     Attributes
     ----------
     products : (K, 7, 7) float64
-        Sums over the cells of the products of two of 1, x, y, xx, xy, yy and the disparity.
+        As :func:`plane_detector.curvature.quadratic_products` gives them.
     moments : (K, M) float64
         The same as :class:`plane_detector.cells.CellGrid` has them.
     noise : (K,) float64
@@ -140,13 +144,11 @@ def _facets(model: CellModel, patches: Patches) -> _Facets:
     used = members.any(axis=0)
     members, values = members[:, used], model.grid.mean[used]
     x, y, d = (values - values.mean(axis=0)).T
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, d], axis=1)
-    products = members @ (basis[:, :, None] * basis[:, None, :]).reshape(len(x), -1)
     moments = members @ model.grid.mean_moments[used]
     # Cells in a line have no plane; too few to be judged, they only must not spoil a sum.
     error = np.nan_to_num(squared_error(fit_planes(moments), moments))
-    return _Facets(products.reshape(-1, 7, 7), moments, members @ model.variances.mean[used],
-                   np.maximum(error, 0))
+    return _Facets(quadratic_products(members, x, y, d), moments,
+                   members @ model.variances.mean[used], np.maximum(error, 0))
 
 
 def _may_be_curved(model: CellModel, patches: Patches, borders: Borders,
@@ -222,7 +224,7 @@ def _judge(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 def _fit_quadratic(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the squared error (G,) of a quadratic surface, and that over each patch (G, K)."""
     products = np.tensordot(groups.astype(float), facets.products, axes=1)
-    joint, surface = least_squares(products[:, :6, :6], products[:, :6, 6], products[:, 6, 6])
+    joint, surface = least_squares(products, 6)
     surface = np.hstack([surface, -np.ones((len(surface), 1))])
     return joint, np.einsum('gi,kij,gj->gk', surface, facets.products, surface, optimize=True)
 
@@ -245,12 +247,3 @@ def _spread(clear: np.ndarray, weak: np.ndarray) -> np.ndarray:
         if not len(halfway):
             return reached
         reached[halfway.ravel()] = True
-
-
-def without_bent(labels: np.ndarray, model: CellModel, patches: Patches,
-                 noise: Noise) -> tuple[np.ndarray, Patches]:
-    """Return labels of pixels (H, W) and patches without those of :func:`find_bent`."""
-    count = len(patches.planes)
-    kept = np.delete(np.arange(count), find_bent(model, patches, noise))
-    left = Patches(renumber(patches.labels, kept, count), patches.planes[kept])
-    return renumber(labels, kept, count), left

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector import cells
-from plane_detector.measurement import renumber
+from plane_detector.measurement import without
 from plane_detector.merging import memberships
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
@@ -48,16 +48,14 @@ def drop_curved(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     Patches
 
     """
-    count = len(patches.planes)
-    if not count or not noise.is_exact(model.grid.typical_disparity):
+    if not len(patches.planes) or not noise.is_exact(model.grid.typical_disparity):
         return patches
     members = memberships(model, patches)
     suspects = _not_exact(model, members, patches.planes)
     if not len(suspects):
         return patches
     curved = suspects[_is_curved(model, members[suspects], noise)]
-    kept = np.delete(np.arange(count), curved)
-    return Patches(renumber(patches.labels, kept, count), patches.planes[kept])
+    return Patches(*without(patches.labels, patches.planes, curved))
 
 
 def _not_exact(model: CellModel, members: np.ndarray, planes: np.ndarray) -> np.ndarray:
@@ -79,23 +77,58 @@ def _is_curved(model: CellModel, members: np.ndarray, noise: Noise) -> np.ndarra
     count = members.sum(axis=1)
     mean = members @ values / count[:, None]
     x, y, d = (values - mean[members.argmax(axis=0)]).T
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-    # All products of two of the basis, and with d, added up over each patch.
-    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(x), -1)
-    normal_matrix = (members @ products).reshape(-1, 6, 6)
-    projection, square = members @ (basis * d[:, None]), members @ (d * d)
-    flat, _ = least_squares(normal_matrix[:, :3, :3], projection[:, :3], square)
-    curved, quadratic = least_squares(normal_matrix, projection, square)
+    products = quadratic_products(members, x, y, d)
+    flat, _ = least_squares(products, 3)
+    curved, quadratic = least_squares(products, 6)
     variance = np.maximum(curved / (count - 6), _least_variance(noise, mean[:, 2]))
     gain = (flat - curved) / 3 / variance
-    spread = normal_matrix[:, 1:3, 1:3] / count[:, None, None]
+    spread = products[:, 1:3, 1:3] / count[:, None, None]
     turn_deg = _turn_deg(quadratic, spread, mean[:, 2])
     return (gain > MIN_GAIN) & (turn_deg > MIN_TURN_DEG)
 
 
-def least_squares(normal_matrix: np.ndarray, projection: np.ndarray,
-                   square: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the squared error (K,) and the coefficients (K, n) of fits."""
+def quadratic_products(members: np.ndarray, x: np.ndarray, y: np.ndarray,
+                       d: np.ndarray) -> np.ndarray:
+    """
+    Add up what fits of surfaces need over the cells of each patch.
+
+    Parameters
+    ----------
+    members : (K, n) float64
+        1 or 0: the cells of each patch.
+    x, y, d : (n,) float64
+        Place and disparity of each cell.
+
+    Returns
+    -------
+    (K, 7, 7) float64
+        Sums of the products of two of 1, x, y, xx, xy, yy and d.
+
+    """
+    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, d], axis=1)
+    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(x), -1)
+    return (members @ products).reshape(-1, 7, 7)
+
+
+def least_squares(products: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Fit planes, of 3 terms, or quadratic surfaces, of 6.
+
+    Parameters
+    ----------
+    products : (K, 7, 7) float64
+        As :func:`quadratic_products` gives them.
+    terms : int
+
+    Returns
+    -------
+    error : (K,) float64
+        Squared error.
+    coefficients : (K, terms) float64
+
+    """
+    normal_matrix, projection = products[:, :terms, :terms], products[:, :terms, 6]
+    square = products[:, 6, 6]
     scale = np.sqrt(np.maximum(np.einsum('kii->ki', normal_matrix), np.finfo(float).tiny))
     unit = normal_matrix / (scale[:, :, None] * scale[:, None, :])
     coefficients = (np.linalg.pinv(unit, rcond=1e-10, hermitian=True)

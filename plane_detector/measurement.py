@@ -116,6 +116,13 @@ def renumber(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
     return renumbered.take(labels, mode='wrap')
 
 
+def without(labels: np.ndarray, planes: np.ndarray,
+            gone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return labels and planes (K, m) without some of the planes; their labels are -1."""
+    kept = np.delete(np.arange(len(planes)), gone)
+    return renumber(labels, kept, len(planes)), planes[kept]
+
+
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     """Return how many pixels of each label each cell has, (R * C, K) float64."""
     rows, columns, size = *grid.shape, grid.size_px

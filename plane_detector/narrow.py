@@ -9,11 +9,12 @@ from itertools import islice
 import cv2
 import numpy as np
 
-from plane_detector.bends import without_bent
+from plane_detector.bends import find_bent
 from plane_detector.cells import N, error_weights, make_cells
 from plane_detector.components import flat_components
 from plane_detector.config import Config
 from plane_detector.curvature import drop_curved
+from plane_detector.measurement import without
 from plane_detector.merging import MAX_JOINT_VARIANCES, memberships
 from plane_detector.noise import Noise
 from plane_detector.pixels import label_pixels
@@ -77,7 +78,9 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     search = search_planes(smaller, plain, min_cell_pixels, config, config.dbscan, rng)
     patches = drop_curved(smaller, collect(smaller, list(islice(search, room))), noise)
     new = label_pixels(disparity, left, smaller, patches, noise, threshold)
-    new, patches = without_bent(new, smaller, patches, noise)
+    bent = find_bent(smaller, patches, noise)
+    new, _ = without(new, patches.planes, bent)
+    patches = Patches(*without(patches.labels, patches.planes, bent))
     labels, whole = labels.copy(), labels[cut]
     labels[cut] = np.where(new >= 0, new + len(planes), whole)
     planes = np.vstack([planes, patches.planes])

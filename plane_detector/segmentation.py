@@ -20,7 +20,7 @@ from plane_detector.cells import CellGrid, fit_planes, make_cells, picture_coord
 from plane_detector.config import Config
 from plane_detector.creases import straighten
 from plane_detector.curvature import drop_curved
-from plane_detector.measurement import count_labels, measure_planes, renumber
+from plane_detector.measurement import count_labels, measure_planes, renumber, without
 from plane_detector.merging import merge_patches
 from plane_detector.narrow import MIN_CELL_SHARE, add_narrow
 from plane_detector.noise import Noise, estimate_noise, with_rounding
@@ -253,5 +253,4 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
     labels, planes = add_narrow(disparity, valid, labels, model, noise, patches.planes, config,
                                 rng)
     # Until here the facets of curved things hold their place, lest others grow into it.
-    kept = np.delete(np.arange(len(planes)), find_bent(model, patches, noise))
-    return renumber(labels, kept, len(planes)), planes[kept], noise
+    return *without(labels, planes, find_bent(model, patches, noise)), noise

@@ -11,6 +11,7 @@ from plane_detector.ransac import Patches, make_model
 from plane_detector.segmentation import to_disparity
 from plane_detector.tools.metrics import overlap
 from plane_detector.tools.scenes import VGA, Rectangle, camera_rotation, render
+from plane_detector.tools.surfaces import ellipsoid
 
 EXACT = Noise(Config().ransac.noise_floor)
 """No noise but the floor."""
@@ -29,6 +30,21 @@ def view(rectangles, curved=(), intrinsics=VGA, angles_deg=(0, 0, 0)):
 def wall(distance_m, left_m=-50.0, right_m=50.0):
     """Return an endless wall square to y, or an upright strip of one."""
     return rectangle([left_m, distance_m, -50], [right_m - left_m, 0, 0], [0, 0, 100])
+
+
+FLOOR = rectangle([-9, -1, -1.2], [18, 0, 0], [0, 9, 0])
+
+
+def ball(radius):
+    return ellipsoid(radius, radius).at(0, 2 + radius)
+
+
+def fold(angle_deg, width_m=3.0):
+    """Return two upright planes that meet 2 m ahead."""
+    half = np.radians(angle_deg / 2)
+    across, back = width_m * np.cos(half), width_m * np.sin(half)
+    return [rectangle([0, 2, -50], [across, back, 0], [0, 0, 100]),
+            rectangle([-across, 2 + back, -50], [across, -back, 0], [0, 0, 100])]
 
 
 def millimetres(depth_m):

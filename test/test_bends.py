@@ -6,17 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cell_helpers import best_iou, cell_model, hand_made, rectangle, view, wall
+from cell_helpers import FLOOR, ball, best_iou, cell_model, fold, hand_made, view, wall
 
 from plane_detector import segment_planes
-from plane_detector.bends import find_bent, without_bent
+from plane_detector.bends import find_bent
 from plane_detector.config import Config
+from plane_detector.measurement import without
 from plane_detector.noise import Noise
 from plane_detector.tools.rendering import VGA
 from plane_detector.tools.scenes import with_disparity_noise
-from plane_detector.tools.surfaces import cone, ellipsoid
+from plane_detector.tools.surfaces import cone
 
-FLOOR = rectangle([-9.0, -1.0, -1.2], [18.0, 0, 0], [0, 9.0, 0])
 ROOM = [wall(4), FLOOR]
 SIGMA = 0.004
 NOISE = Noise(Config().ransac.noise_floor, mean=SIGMA, slope=0.05, grain=SIGMA)
@@ -25,18 +25,6 @@ NOISE = Noise(Config().ransac.noise_floor, mean=SIGMA, slope=0.05, grain=SIGMA)
 def column(radius):
     """Return an upright cylinder whose front is 2 m away."""
     return cone(radius, radius, -3, 3).at(0, 2 + radius)
-
-
-def ball(radius):
-    return ellipsoid(radius, radius).at(0, 2 + radius)
-
-
-def fold(angle_deg, width_m=3.0, height_m=100.0):
-    """Return two upright planes that meet 2 m ahead."""
-    half = np.radians(angle_deg / 2)
-    across, back = width_m * np.cos(half), width_m * np.sin(half)
-    return [rectangle([0, 2, -height_m / 2], [across, back, 0], [0, 0, height_m]),
-            rectangle([-across, 2 + back, -height_m / 2], [across, -back, 0], [0, 0, height_m])]
 
 
 def noisy(scene, sigma, seed=0):
@@ -90,10 +78,12 @@ def test_the_others_are_renumbered():
     labels[52:58] = 0
     patches = hand_made(model, labels)
     pixels = labels.repeat(8, axis=0).repeat(8, axis=1)
-    left, kept = without_bent(pixels, model, patches, NOISE)
+    bent = find_bent(model, patches, NOISE)
+    left, planes = without(pixels, patches.planes, bent)
+    kept, _ = without(patches.labels, patches.planes, bent)
     np.testing.assert_array_equal(left, np.where(pixels == 0, 0, -1))
-    np.testing.assert_array_equal(kept.labels, np.where(labels == 0, 0, -1))
-    np.testing.assert_array_equal(kept.planes, patches.planes[:1])
+    np.testing.assert_array_equal(kept, np.where(labels == 0, 0, -1))
+    np.testing.assert_array_equal(planes, patches.planes[:1])
 
 
 def test_what_hardly_turns_is_not_bent():

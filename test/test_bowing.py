@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cell_helpers import cell_model, hand_made, rectangle, view, wall
+from cell_helpers import cell_model, fold, hand_made, view, wall
 
 from plane_detector import segment_planes
 from plane_detector.bends import join_bowed
@@ -48,10 +48,7 @@ def test_measured_depth_stays_as_it_is():
 
 @pytest.mark.parametrize('angle_deg', [30, 45, 90])
 def test_planes_that_meet_in_a_fold_stay_two(angle_deg):
-    half = np.radians(angle_deg / 2)
-    across, back = 5 * np.cos(half), 5 * np.sin(half)
-    scene = view([rectangle([0, 2, -50], [across, back, 0], [0, 0, 100]),
-                  rectangle([-across, 2 + back, -50], [across, -back, 0], [0, 0, 100])])
+    scene = view(fold(angle_deg, width_m=5))
     assert len(join_bowed(*halves(scene.depth_m), NETWORK).planes) == 2
 
 

@@ -6,15 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, best_iou, cell_model, hand_made, millimetres, one_patch, view, wall
+from cell_helpers import (
+    EXACT,
+    FLOOR,
+    ball,
+    best_iou,
+    cell_model,
+    hand_made,
+    millimetres,
+    one_patch,
+    view,
+    wall,
+)
 
 from plane_detector import segment_planes
 from plane_detector.curvature import drop_curved
-from plane_detector.tools.rendering import VGA, Rectangle
-from plane_detector.tools.surfaces import bar, cone, ellipsoid, sheet
+from plane_detector.tools.rendering import VGA
+from plane_detector.tools.surfaces import bar, cone, sheet
 from plane_detector.types import CameraIntrinsics
 
-FLOOR = Rectangle(np.array([-9.0, -1.0, -1.2]), np.array([18.0, 0, 0]), np.array([0, 9.0, 0]))
 ROOM = [wall(4), FLOOR]
 KEEP = {'float': lambda depth_m: depth_m, '16 bit': millimetres}
 
@@ -26,10 +36,6 @@ def upright(radius):
 
 def lying(radius):
     return bar((-4, 2.2 + radius, -0.3), (4, 2.2 + radius, -0.3), radius)
-
-
-def ball(radius):
-    return ellipsoid(radius, radius).at(0, 2 + radius)
 
 
 def wave(height_m, length_m):

@@ -11,7 +11,7 @@ import numpy as np
 
 from plane_detector.tools.benchmark_report import emit, table
 from plane_detector.tools.benchmark_rooms import SIGMAS, noisy_depth
-from plane_detector.tools.metrics import overlap
+from plane_detector.tools.metrics import MIN_PIXELS, overlap
 from plane_detector.tools.peers import Method
 from plane_detector.tools.rendering import VGA, Rectangle
 from plane_detector.tools.scenes import Scene, camera_rotation, render
@@ -21,7 +21,6 @@ RADII_M = (0.25, 0.4, 0.7, 1.2)
 ANGLES_DEG = ((0, 0, 0), (0, -15, 4), (10, 10, 0))
 """Yaw, pitch and roll of the camera."""
 _FRONT_M, _WALL_M, _CAMERA_HEIGHT_M = 2.0, 4.0, 1.2
-_MIN_PIXELS = 1500
 
 
 def curved_scenes() -> Iterator[Scene]:
@@ -54,7 +53,7 @@ def report_curved(methods: Sequence[Method]) -> None:
          table(('method', 'noise (1/m)', 'scenes', 'taken for planes', 'worst', 'IoU of planes',
                 'worst IoU'), rows),
          'Share of the pixels on the curved thing that have a label, and the least IoU of a true '
-         f'plane over {_MIN_PIXELS} pixels with a predicted one: means over the scenes.')
+         f'plane over {MIN_PIXELS} pixels with a predicted one: means over the scenes.')
 
 
 def judge(method: Method, scene: Scene, sigma: float, seed: int) -> tuple[float, float]:
@@ -63,6 +62,6 @@ def judge(method: Method, scene: Scene, sigma: float, seed: int) -> tuple[float,
     seen = np.isfinite(scene.depth_m)
     curved = seen & (scene.labels < 0)
     shared = overlap(scene.labels, labels, seen)
-    large = shared.counts[:-1].sum(axis=1) > _MIN_PIXELS
+    large = shared.counts[:-1].sum(axis=1) > MIN_PIXELS
     best = shared.iou[large].max(axis=1, initial=0)
     return float((labels[curved] >= 0).mean()), float(best.min(initial=1))

@@ -12,6 +12,7 @@ import numpy as np
 from tqdm import tqdm
 
 from plane_detector.drawing import overlay
+from plane_detector.measurement import without
 from plane_detector.tools.benchmark_real import RENDERED
 from plane_detector.tools.benchmark_report import emit, grey_of, table, write_sheet
 from plane_detector.tools.benchmark_rooms import SIGMAS, columns, noisy_depth, score_cells
@@ -113,9 +114,7 @@ def leave_out(labels: np.ndarray, planes: np.ndarray, unclear: np.ndarray) -> Se
     """Return a segmentation without the planes that are for the greater part on some pixels."""
     pixels, pixels_there = (np.bincount(labels[(labels >= 0) & where], minlength=len(planes))
                             for where in (True, unclear))
-    kept = 2 * pixels_there <= pixels
-    new_label = np.append(np.where(kept, np.cumsum(kept) - 1, -1), -1)  # the last for label -1
-    return new_label[labels], planes[kept]
+    return without(labels, planes, np.flatnonzero(2 * pixels_there > pixels))
 
 
 def draw_frames(labelled: Sequence[LabelledFrame], output: Path) -> Path:

@@ -11,12 +11,10 @@ from tqdm import tqdm
 
 from plane_detector.tools.benchmark_report import emit, table
 from plane_detector.tools.benchmark_rooms import SIGMAS, SceneOfSeed, noisy_depth, plane_depth
-from plane_detector.tools.metrics import overlap
+from plane_detector.tools.metrics import MIN_PIXELS, overlap
 from plane_detector.tools.peers import Ours
 from plane_detector.tools.scenes import Scene
 
-MIN_PIXELS = 1500
-"""True planes of fewer pixels are not counted as missed."""
 _EDGES = (0.0, 0.5, 1.0, 2.0, np.inf)
 
 

@@ -15,6 +15,7 @@ from plane_detector.config import Config
 from plane_detector.segmentation import segment_planes
 from plane_detector.tools.benchmark_report import emit, table
 from plane_detector.tools.metrics import (
+    MIN_PIXELS,
     RECALL_ANGLES_DEG,
     RECALL_DEPTHS_M,
     Score,
@@ -84,8 +85,8 @@ def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], co
         emit(f'### {title}, {rooms.name} seeds {rooms.seeds[0]} to {rooms.seeds[-1]}',
              table(columns('rooms', 'seed'), rows))
     emit(f'Seeds up to {HELD_OUT - 1} were used for tuning, the others were not. Means over the '
-         'rooms; recall counts true planes of more than 1500 pixels, both it and precision '
-         'matches of IoU > 0.5; errors are medians over the matched planes of a room. Slow '
+         f'rooms; recall counts true planes of more than {MIN_PIXELS} pixels, both it and '
+         'precision matches of IoU > 0.5; errors are medians over the matched planes of a room. Slow '
          'methods are tried on the first rooms only.')
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
 

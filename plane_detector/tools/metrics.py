@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+MIN_PIXELS = 1500
+"""True planes of fewer pixels cannot be missed."""
+
 
 @dataclass(frozen=True)
 class Overlap:
@@ -86,7 +89,7 @@ class Score:
 
 
 def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
-          planes: np.ndarray, mask: np.ndarray, min_pixels: int = 1500) -> Score:
+          planes: np.ndarray, mask: np.ndarray, min_pixels: int = MIN_PIXELS) -> Score:
     """
     Compare a segmentation with the truth.
 
