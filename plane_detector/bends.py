@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.cells import fit_planes, squared_error
 from plane_detector.curvature import (
     MIN_TURN_DEG,
     TYPICAL_FOCAL_SHARE,
@@ -56,8 +55,6 @@ class _Facets:
     ----------
     products : (K, 7, 7) float64
         As :func:`plane_detector.curvature.quadratic_products` gives them.
-    moments : (K, M) float64
-        The same as :class:`plane_detector.cells.CellGrid` has them.
     noise : (K,) float64
         Squared error that the noise leaves.
     error : (K,) float64
@@ -66,7 +63,6 @@ class _Facets:
     """
 
     products: np.ndarray
-    moments: np.ndarray
     noise: np.ndarray
     error: np.ndarray
 
@@ -144,11 +140,8 @@ def _facets(model: CellModel, patches: Patches) -> _Facets:
     used = members.any(axis=0)
     members, values = members[:, used], model.grid.mean[used]
     x, y, d = (values - values.mean(axis=0)).T
-    moments = members @ model.grid.mean_moments[used]
-    # Cells in a line have no plane; too few to be judged, they only must not spoil a sum.
-    error = np.nan_to_num(squared_error(fit_planes(moments), moments))
-    return _Facets(quadratic_products(members, x, y, d), moments,
-                   members @ model.variances.mean[used], np.maximum(error, 0))
+    products = quadratic_products(members, x, y, d)
+    return _Facets(products, members @ model.variances.mean[used], least_squares(products, 3)[0])
 
 
 def _may_be_curved(model: CellModel, patches: Patches, borders: Borders,
@@ -210,9 +203,9 @@ def _judge(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
     """
     members = groups.astype(float)
-    joint, error = _fit_quadratic(facets, groups)
-    moments, expected = members @ facets.moments, members @ facets.noise
-    gain = (squared_error(fit_planes(moments), moments) - joint) / expected
+    products = _products(facets, groups)
+    joint, error = _fit_quadratic(facets, products)
+    gain = (least_squares(products, 3)[0] - joint) / (members @ facets.noise)
     own, weak_own = (np.maximum(facets.error, share * facets.noise)
                      for share in (LEAST_SHARE, LEAST_WEAK_SHARE))
     bent = ((gain > MIN_GAIN) & (joint < members @ own)
@@ -221,9 +214,13 @@ def _judge(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return bent, goes_on
 
 
-def _fit_quadratic(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _products(facets: _Facets, groups: np.ndarray) -> np.ndarray:
+    """Return the products (G, 7, 7) of all cells of each group."""
+    return np.tensordot(groups.astype(float), facets.products, axes=1)
+
+
+def _fit_quadratic(facets: _Facets, products: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the squared error (G,) of a quadratic surface, and that over each patch (G, K)."""
-    products = np.tensordot(groups.astype(float), facets.products, axes=1)
     joint, surface = least_squares(products, 6)
     surface = np.hstack([surface, -np.ones((len(surface), 1))])
     return joint, np.einsum('gi,kij,gj->gk', surface, facets.products, surface, optimize=True)
@@ -235,7 +232,7 @@ def _bow_misfit(model: CellModel, patches: Patches, pairs: np.ndarray) -> np.nda
         return np.zeros(0)
     facets, groups = _facets(model, patches), _one_hot(pairs, len(patches.planes))
     own = np.maximum(facets.error, LEAST_BOW_SHARE * facets.noise)
-    _, error = _fit_quadratic(facets, groups)
+    _, error = _fit_quadratic(facets, _products(facets, groups))
     return np.where(groups, error / own, 0).max(axis=1) / MAX_BOW_RATIO
 
 

@@ -86,8 +86,8 @@ def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], co
              table(columns('rooms', 'seed'), rows))
     emit(f'Seeds up to {HELD_OUT - 1} were used for tuning, the others were not. Means over the '
          f'rooms; recall counts true planes of more than {MIN_PIXELS} pixels, both it and '
-         'precision matches of IoU > 0.5; errors are medians over the matched planes of a room. Slow '
-         'methods are tried on the first rooms only.')
+         'precision matches of IoU > 0.5; errors are medians over the matched planes of a room. '
+         'Slow methods are tried on the first rooms only.')
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
 
 
