@@ -16,12 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.curvature import (
-    MIN_TURN_DEG,
-    TYPICAL_FOCAL_SHARE,
-    least_squares,
-    quadratic_products,
-)
+from plane_detector.curvature import MIN_TURN_DEG, TYPICAL_FOCAL_SHARE
+from plane_detector.fits import least_squares, quadratic_products
 from plane_detector.merging import Borders, best_pairs, find_borders, memberships, merged
 from plane_detector.noise import Noise
 from plane_detector.ransac import MIN_VARIANCE, CellModel, Patches
@@ -54,7 +50,7 @@ class _Facets:
     Attributes
     ----------
     products : (K, 7, 7) float64
-        As :func:`plane_detector.curvature.quadratic_products` gives them.
+        As :func:`plane_detector.fits.quadratic_products` gives them.
     noise : (K,) float64
         Squared error that the noise leaves.
     error : (K,) float64

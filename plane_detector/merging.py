@@ -16,11 +16,13 @@ from functools import lru_cache
 import numpy as np
 
 from plane_detector import cells
+from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
+from plane_detector.seams import Correlation, are_two
 
-MAX_JOINT_VARIANCES = 2.0
+MAX_JOINT_VARIANCES = 2.5
 MAX_BULGE_DEVIATIONS = 3.5
-MAX_BULGE_STEP_DEVIATIONS = 2.0
+MAX_BULGE_STEP_DEVIATIONS = 2.6
 MAX_BULGE_SHARE = 0.35
 MIN_BORDER_PAIRS = 2
 # Cells this far apart still touch: between them may lie cells that straddle the border.
@@ -87,7 +89,7 @@ def _sides(reach: int) -> tuple[list, list]:
             [side for gap in gaps for side in (np.s_[:, gap:], np.s_[gap:])])
 
 
-def merge_patches(model: CellModel, patches: Patches) -> Patches:
+def merge_patches(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     """
     Merge patches, the pairs that fit best first, until no pair fits.
 
@@ -95,6 +97,7 @@ def merge_patches(model: CellModel, patches: Patches) -> Patches:
     ----------
     model : CellModel
     patches : Patches
+    noise : Noise
 
     Returns
     -------
@@ -106,11 +109,25 @@ def merge_patches(model: CellModel, patches: Patches) -> Patches:
         borders = find_borders(np.where(model.planar.reshape(patches.labels.shape),
                                         patches.labels, -1))
         misfit = _misfit(model, patches, borders)
-        chosen = best_pairs(borders, misfit)
+        chosen = _chosen(model, patches, borders, misfit, Correlation.of(model, patches, noise))
         if not len(chosen):
             return patches
         patches = merged(model, patches, borders.first[chosen], borders.second[chosen])
     return patches
+
+
+def _chosen(model: CellModel, patches: Patches, borders: Borders, misfit: np.ndarray,
+            correlation: Correlation | None) -> np.ndarray:
+    """Return the best pairs among those that no seam keeps apart."""
+    tested = np.zeros(len(misfit), bool)
+    while True:
+        chosen = best_pairs(borders, misfit)
+        new = chosen[~tested[chosen]]
+        apart = new[are_two(model, patches.labels, correlation, borders.first[new],
+                            borders.second[new])]
+        if not len(apart):
+            return chosen
+        tested[new], misfit[apart] = True, np.inf
 
 
 def best_pairs(borders: Borders, misfit: np.ndarray) -> np.ndarray:

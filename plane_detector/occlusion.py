@@ -16,7 +16,9 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.merging import joint_misfit, merged
+from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
+from plane_detector.seams import Correlation, are_two
 
 SIGHT_LINES = 24
 SAMPLES_PER_LINE = 24
@@ -25,7 +27,7 @@ FARTHER_DEVIATIONS = 3.0
 MAX_SEEN_THROUGH = 0.2
 
 
-def join_hidden(model: CellModel, patches: Patches) -> Patches:
+def join_hidden(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     """
     Join coplanar patches where next to nothing between them is farther than their plane.
 
@@ -33,6 +35,7 @@ def join_hidden(model: CellModel, patches: Patches) -> Patches:
     ----------
     model : CellModel
     patches : Patches
+    noise : Noise
 
     Returns
     -------
@@ -41,14 +44,16 @@ def join_hidden(model: CellModel, patches: Patches) -> Patches:
     """
     joined = True
     while joined and len(patches.planes) > 1:
-        joined = False
+        joined, correlation = False, Correlation.of(model, patches, noise)
         first, second = np.array(list(combinations(range(len(patches.planes)), 2))).T
         misfit = joint_misfit(model, patches, first, second)
         for k in np.argsort(misfit):
             if misfit[k] > 1:
                 break
-            if _is_hidden_between(model, patches, first[k], second[k]):
-                patches, joined = merged(model, patches, first[k:k + 1], second[k:k + 1]), True
+            pair = first[k:k + 1], second[k:k + 1]
+            if (_is_hidden_between(model, patches, first[k], second[k])
+                    and not are_two(model, patches.labels, correlation, *pair)[0]):
+                patches, joined = merged(model, patches, *pair), True
                 break
     return patches
 

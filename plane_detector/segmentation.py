@@ -243,7 +243,7 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
     min_cell_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * disparity.size
     model, patches, noise = find_patches(grid, least, min_cell_pixels, config, config.dbscan, rng)
     patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
-    patches = join_hidden(model, merge_patches(model, patches))
+    patches = join_hidden(model, merge_patches(model, patches, noise), noise)
     if noise.is_exact(grid.typical_disparity):
         patches = drop_curved(model, patches, noise)
     else:

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Patches that a closed step cuts apart become several planes.
+Patches that a step cuts apart become several planes.
 
 A picture frame on a wall may stand out less than the noise of any pixel or cell, so that no plane
 of its own explains it better. But the smooth part of noise does not jump, and the grain averages
 out along an edge: differences of the means on both sides of a line show much smaller steps than
-residuals do. They are linked with two thresholds, as in Canny's detector (1986).
+residuals do. They are linked with two thresholds, as in Canny's detector (1986), and what they
+cut off is a plane of its own if its seam says so.
 """
 
 from __future__ import annotations
@@ -19,16 +20,14 @@ from plane_detector.calibration import SIGMA_PER_MEDIAN
 from plane_detector.dbscan import NEIGHBOURS, linked_components
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
+from plane_detector.seams import Correlation, are_two
 
 # Blocks of pixels along the side of a cell.
 BLOCKS = 4
-# The means compared are of half a cell by four cells along the step.
-LENGTH_CELLS = 4
+# The means compared are of half a cell by three cells along the step.
+LENGTH_CELLS = 3
 # A step in standard deviations of what is everywhere: everywhere along it, and somewhere.
-WEAK, STRONG = 2.0, 5.0
-# A step this long, in sides of cells, and around so much of a piece cuts it off.
-MIN_BORDER_CELLS = 22
-MIN_BORDER_SHARE = 0.6
+WEAK, STRONG = 1.7, 4.0
 # The piece is off its surroundings by this many deviations of the noise, at the step and overall.
 MIN_OFFSET = 0.5
 # Residuals are cut off at this many deviations, lest an outlier be the only step.
@@ -38,7 +37,7 @@ MAX_RESIDUAL = 6.0
 def split_at_steps(disparity: np.ndarray, valid: np.ndarray, model: CellModel, patches: Patches,
                    noise: Noise, min_pixels: float) -> Patches:
     """
-    Split patches along closed steps.
+    Split patches along steps.
 
     Parameters
     ----------
@@ -70,7 +69,7 @@ def split_at_steps(disparity: np.ndarray, valid: np.ndarray, model: CellModel, p
     owner[pieces] = labels
     large = np.flatnonzero(area * (size / BLOCKS) ** 2 >= min_pixels)
     large = large[np.argsort(-area[large], kind='stable')]
-    split = patches
+    split, correlation = patches, Correlation.of(model, patches, noise)
     for rank, piece in enumerate(large):
         larger = large[:rank][owner[large[:rank]] == owner[piece]]
         if not len(larger):
@@ -78,7 +77,7 @@ def split_at_steps(disparity: np.ndarray, valid: np.ndarray, model: CellModel, p
         mask, patch = pieces == piece, labels == owner[piece]
         rest_mean = residual[pieces == larger[0]].mean()
         if _stands_out(mask, patch & inside, residual, rest_mean, MIN_OFFSET * noise.mean):
-            split = _cut_off(model, split, mask, owner[piece])
+            split = _cut_off(model, split, mask, owner[piece], correlation)
     return split
 
 
@@ -133,11 +132,7 @@ def _pieces(free: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 def _stands_out(piece: np.ndarray, patch: np.ndarray, residual: np.ndarray, rest_mean: float,
                 least: float) -> bool:
-    """Say whether a piece (H, W) bool is cut off by a step, and a step up or down all along."""
-    border = _grown(piece, 1) & ~piece
-    within = np.count_nonzero(border & patch)
-    if within < max(MIN_BORDER_CELLS * BLOCKS, MIN_BORDER_SHARE * np.count_nonzero(border)):
-        return False
+    """Say whether a piece (H, W) bool is off its patch, and the same way at the step."""
     beyond = _grown(piece, BLOCKS)
     outer = _grown(beyond, BLOCKS) & ~beyond & patch
     inner = piece & _grown(patch & ~piece, BLOCKS + BLOCKS // 2)
@@ -153,8 +148,9 @@ def _grown(mask: np.ndarray, reach: int) -> np.ndarray:
     return cv2.dilate(mask.view(np.uint8), square).view(bool)
 
 
-def _cut_off(model: CellModel, patches: Patches, piece: np.ndarray, label: int) -> Patches:
-    """Make the cells that a piece, with half the step around it, fills a patch of their own."""
+def _cut_off(model: CellModel, patches: Patches, piece: np.ndarray, label: int,
+             correlation: Correlation | None) -> Patches:
+    """Make the cells that a piece, with half the step around it, fills a patch if it is one."""
     rows, columns = patches.labels.shape
     filled = _grown(piece, BLOCKS // 2).reshape(rows, BLOCKS, columns, BLOCKS).sum(axis=(1, 3))
     labels = np.where((2 * filled >= BLOCKS**2) & (patches.labels == label),
@@ -165,4 +161,5 @@ def _cut_off(model: CellModel, patches: Patches, piece: np.ndarray, label: int) 
         return patches
     planes = np.append(patches.planes, fitted[1:], axis=0)
     planes[label] = fitted[0]
-    return Patches(labels, planes)
+    split, pair = Patches(labels, planes), np.array([[label], [len(patches.planes)]])
+    return split if are_two(model, labels, correlation, *pair)[0] else patches

@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Steps and creases within the noise keep patches apart, the noise's own borders do not."""
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+from cell_helpers import EXACT, cell_model, fold, hand_made, one_patch, rectangle, view, wall
+
+from plane_detector import seams
+from plane_detector.cells import make_cells
+from plane_detector.noise import estimate_noise
+from plane_detector.seams import Correlation, are_two
+from plane_detector.segmentation import to_disparity
+from plane_detector.tools.scenes import with_disparity_noise
+
+SIGMA = 0.01
+SEEDS = range(12)
+WALL_M = 2.5
+LEFT, MIDDLE = np.zeros((60, 80), int), np.zeros((60, 80), int)
+LEFT[:, 40:], MIDDLE[20:40, 30:50] = 1, 1
+
+
+def noisy(scene, seed, sigma=SIGMA, **kind):
+    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), **kind)
+
+
+@cache
+def bare():
+    return view([wall(WALL_M)])
+
+
+@cache
+def rough(power, seed, length_cells=4.0, sigma=0.003):
+    """Return the wall's depth with noise whose cells correlate by exp(-(r / length)**power)."""
+    lag = np.minimum(np.arange(128), 128 - np.arange(128))
+    spectrum = np.fft.fft2(np.exp(-(np.hypot(lag[:, None], lag) / length_cells) ** power)).real
+    rng = np.random.default_rng(seed)
+    white = np.fft.fft2(rng.standard_normal(spectrum.shape))
+    field = np.fft.ifft2(white * np.sqrt(np.maximum(spectrum, 0))).real[:60, :80]
+    noise = np.kron(field, np.ones((8, 8))) + 0.5 * rng.standard_normal((480, 640))
+    return (1 / (1 / bare().depth_m + sigma * noise)).astype(np.float32)
+
+
+def cells_and_noise(depth_m):
+    noise = estimate_noise(make_cells(*to_disparity(depth_m)), EXACT)
+    return cell_model(depth_m, noise), noise
+
+
+def two(depth_m, labels, known=0.0):
+    """Say whether the two patches of these labels are kept apart."""
+    model, noise = cells_and_noise(depth_m)
+    patches = hand_made(model, labels)
+    correlation = Correlation.of(model, patches, replace(noise, known=known))
+    return bool(are_two(model, patches.labels, correlation, np.array([0]), np.array([1]))[0])
+
+
+def correlation_of(depth_m):
+    model, noise = cells_and_noise(depth_m)
+    return Correlation.of(model, one_patch(model), noise)
+
+
+@pytest.mark.parametrize('sigma', [0.002, 0.004, 0.01])
+def test_the_correlation_of_blurred_noise(sigma):
+    """A Gaussian of 12 pixels and the mean over cells of 8 blur, half the variance is grain."""
+    expected = np.exp(-(8 * np.arange(4)) ** 2 / (4 * (12**2 + 8**2 / 12)))
+    found = [correlation_of(noisy(bare(), seed, sigma)) for seed in range(4)]
+    shape = np.mean([c.by_lag[0, :4] / c.by_lag[0, 0] for c in found], axis=0)
+    np.testing.assert_allclose(shape, expected, atol=0.08)
+    assert np.mean([c.power for c in found]) == pytest.approx(1.9, abs=0.15)
+    assert np.mean([c.own for c in found]) == pytest.approx(sigma**2 / 2 / 64, rel=0.15)
+    assert np.mean([c.by_lag[0, 0] for c in found]) == pytest.approx(0.42 * sigma**2, rel=0.2)
+
+
+@pytest.mark.parametrize('power', [0.7, 1.0, 1.4])
+def test_the_correlation_of_rougher_noise(power):
+    found = [correlation_of(rough(power, seed)) for seed in range(6)]
+    assert np.mean([c.power for c in found]) == pytest.approx(power, abs=0.2)
+
+
+def test_grain_alone_is_no_correlation():
+    found = correlation_of(noisy(bare(), 0, smooth_share=0.0))
+    assert found.own == pytest.approx(SIGMA**2 / 64, rel=0.15)
+    assert found.by_lag[0, 1] < 0.1 * found.own
+
+
+def test_the_covariance_goes_by_rows_and_columns():
+    model, noise = cells_and_noise(noisy(bare(), 0))
+    correlation = Correlation.of(model, one_patch(model), noise)
+    cell = np.array([0, 1, 80, 82, 4799])
+    matrix = correlation.matrix(model, cell)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    assert matrix[0, 1] == matrix[0, 2] == correlation.by_lag[0, 1]
+    assert matrix[1, 3] == correlation.by_lag[1, 1]
+    np.testing.assert_allclose(matrix[0, 0], correlation.by_lag[0, 0] + correlation.own, rtol=0.01)
+
+
+@pytest.mark.parametrize(('gap_m', 'least'), [(0.06, 9), (0.08, 12), (0.12, 12)])
+def test_a_step_of_about_the_noise_is_seen(gap_m, least):
+    """1.4 to 3 deviations of the smooth part; the border of the patch is the frame's."""
+    frame = rectangle([-0.35, WALL_M - gap_m, -0.25], [0.8, 0, 0], [0, 0, 0.6])
+    scene = view([wall(WALL_M), frame])
+    labels = (scene.labels[4::8, 4::8] == scene.labels[240, 320]).astype(int)
+    assert sum(two(noisy(scene, seed), labels) for seed in SEEDS) >= least
+
+
+def test_a_crease_is_seen():
+    scene = view(fold(150))
+    labels = (scene.labels[4::8, 4::8] != scene.labels[4, 4]).astype(int)
+    assert all(two(noisy(scene, seed), labels) for seed in SEEDS)
+
+
+@pytest.mark.parametrize('labels', [LEFT, MIDDLE], ids=['halves', 'box'])
+def test_a_border_drawn_on_a_wall_is_none(labels):
+    assert not any(two(noisy(bare(), seed), labels) for seed in SEEDS)
+
+
+def own_border(depth_m):
+    """Return as label 1 the largest piece of a wall that its noise lifts off it."""
+    model, _ = cells_and_noise(depth_m)
+    (a, b, c), (x, y, d) = one_patch(model).planes[0], model.grid.mean.T
+    lifted = (d - (a * x + b * y + c)).reshape(model.grid.shape)
+    lifted = cv2.medianBlur(lifted.astype(np.float32), 5) > 0.5 * lifted.std()
+    _, pieces, statistics, _ = cv2.connectedComponentsWithStats(lifted.view(np.uint8))
+    return (pieces == 1 + statistics[1:, 4].argmax()).astype(int)
+
+
+def test_borders_that_the_noise_draws_are_hardly_ever_any(monkeypatch):
+    """Rough noise jumps along its own borders: more is asked of it than of blurred noise."""
+    blurred, jumping = ([depth(seed) for seed in SEEDS] for depth in (
+        lambda seed: noisy(bare(), seed), lambda seed: rough(0.85, seed)))
+    assert sum(two(depth_m, own_border(depth_m)) for depth_m in blurred) <= 3
+    assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) <= 3
+    monkeypatch.setattr(seams, 'MIN_GAIN_TIMES_POWER', 0.85 / 2 * seams.MIN_GAIN_TIMES_POWER)
+    assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) > 3
+
+
+def test_nothing_is_known_of_exact_depth_of_a_network_or_of_small_patches():
+    scene = view([wall(2, right_m=0), wall(2.3, 0)])
+    depth_m = noisy(scene, 0)
+    assert two(depth_m, LEFT)
+    assert not two(depth_m, LEFT, known=0.005)
+    assert not two(scene.depth_m, LEFT)
+    small = np.full(LEFT.shape, -1)
+    small[20:27, 33:40], small[20:27, 40:47] = 0, 1
+    assert not two(depth_m, small)
+
+
+def test_patches_that_do_not_touch_are_not_kept_apart():
+    depth_m = noisy(view([wall(2, right_m=0), wall(2.3, 0)]), 0)
+    apart = LEFT.copy()
+    apart[:, 35:45] = -1
+    assert not two(depth_m, apart)
+
+
+def test_the_gain_is_that_of_the_likelihood():
+    """Twice the logarithm of the ratio of two normal densities, one by one."""
+    model, noise = cells_and_noise(noisy(view([wall(WALL_M), wall(WALL_M - 0.08, 0, 0.7)]), 3))
+    labels = np.zeros((60, 80), int)
+    labels[:, 40:52] = 1
+    patches = hand_made(model, labels)
+    correlation = Correlation.of(model, patches, noise)
+    cell, small, cut = seams._cells_about(model, patches.labels, 0, 1)
+    x, y, d = model.grid.mean[cell].T
+    one = np.stack([np.ones_like(x), x, y], axis=1)
+    both = np.hstack([one, one * small[:, None]])
+    covariance = correlation.matrix(model, cell)
+
+    def fit(design, covariance):
+        root = np.linalg.cholesky(covariance)
+        design, values = np.linalg.solve(root, design), np.linalg.solve(root, d)
+        coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
+        error = values - design @ coefficients
+        return error @ error + 2 * np.log(np.diag(root)).sum(), coefficients
+
+    alone, _ = fit(one, covariance)
+    _, coefficients = fit(both, covariance)
+    wider = covariance.copy()
+    wider[cut, cut] += seams.CUT_VARIANCE * (one[cut] @ coefficients[3:]) ** 2
+    expected = alone - fit(both, wider)[0]
+    assert expected > 10
+    for pair in ((0, 1), (1, 0)):
+        found = seams._gain(model, patches.labels, correlation, *pair)
+        assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_only_the_cells_nearest_to_a_long_border_are_used():
+    model, _ = cells_and_noise(noisy(bare(), 0))
+    cell, small, cut = seams._cells_about(model, LEFT, 0, 1)
+    column = cell % 80
+    assert len(cell) <= seams.MAX_CELLS
+    assert (np.abs(column - 39.5) <= seams.REACH_CELLS).all()
+    np.testing.assert_array_equal(small, small[0] ^ ((column >= 40) != (column[0] >= 40)))
+    assert set(column[cut]) == {39, 40}
