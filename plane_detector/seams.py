@@ -39,6 +39,8 @@ MAX_RESIDUAL = 3.0
 LEAST_SHARE = 1e-3
 CORRELATION_RANGE = (0.02, 0.98)
 POWER_RANGE = (0.5, 2.0)
+# Of a torus of cells that stands for the endless plane.
+PERIOD = 32
 
 
 @dataclass(frozen=True)
@@ -46,23 +48,21 @@ class Correlation:
     """
     How the errors of cells' means go together.
 
-    They are a smooth part, whose values r cells apart correlate by exp(-(r / length)**power),
-    and one that is different from cell to cell. The power is 2 for noise that was blurred and
-    about 1 for the rougher one of real sensors.
+    They have a smooth part and one that is different from cell to cell. The power is 2 for noise
+    that was blurred and about 1 for the rougher one of real sensors.
 
     Attributes
     ----------
-    by_lag : (R, C) float64
-        Covariance of the smooth part of two cells so many rows and columns apart, per square
-        metre.
-    own : float
-        Variance of the other part, per square metre.
-    power : float
+    smooth, own : float
+        Variances of these parts, per square metre.
+    decay, power : float
+        The smooth parts of cells r sides apart correlate by exp(-decay * r**power).
 
     """
 
-    by_lag: np.ndarray
+    smooth: float
     own: float
+    decay: float
     power: float
 
     @classmethod
@@ -81,20 +81,33 @@ class Correlation:
         own = square * np.clip((noise.grain / model.grid.size_px) ** 2 / square,
                                LEAST_SHARE, 1 - LEAST_SHARE)
         smooth = square - own
-        one, two = -np.log(np.clip(np.array(at_lags) / smooth, *CORRELATION_RANGE))
-        power = float(np.clip(np.log2(two / one), *POWER_RANGE))
-        rows, columns = (np.arange(side, dtype=float) for side in model.grid.shape)
-        lag = np.hypot(rows[:, None], columns)
-        return cls(smooth * np.exp(-one * lag**power), float(own), power)
+        decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, *CORRELATION_RANGE))
+        power = np.clip(np.log2(at_two / decay), *POWER_RANGE)
+        return cls(float(smooth), float(own), float(decay), float(power))
+
+    def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Return that of cells so many rows and columns apart, broadcast."""
+        apart = np.hypot(rows, columns)
+        return self.smooth * np.exp(-self.decay * apart**self.power) + self.own * (apart == 0)
 
     def matrix(self, model: CellModel, cell: np.ndarray) -> np.ndarray:
         """Return the covariance (n, n) of some cells (n,)."""
-        row, column = np.divmod(cell, model.grid.shape[1])
-        covariance = self.by_lag[np.abs(row[:, None] - row), np.abs(column[:, None] - column)]
+        rows, columns = (np.abs(at[:, None] - at) for at in np.divmod(cell, model.grid.shape[1]))
+        table = self.covariance(np.arange(rows.max() + 1.0)[:, None],
+                                np.arange(columns.max() + 1.0))
+        matrix = table[rows, columns]
         # Where the floor of the noise rises, that of the depth, cells tell less.
         variance = model.variances.mean[cell]
-        covariance[np.diag_indices(len(cell))] += self.own + variance - variance.min()
-        return covariance
+        matrix[np.diag_indices(len(cell))] += variance - variance.min()
+        return matrix
+
+    def precision(self, reach: int) -> np.ndarray:
+        """Return the inverse of the covariance as a filter (2 * reach + 1, 2 * reach + 1)."""
+        apart = np.minimum(np.arange(PERIOD), PERIOD - np.arange(PERIOD))
+        spectrum = np.fft.fft2(self.covariance(apart[:, None], apart)).real
+        inverse = np.fft.fftshift(np.fft.ifft2(1 / np.maximum(spectrum, self.own)).real)
+        middle = slice(PERIOD // 2 - reach, PERIOD // 2 + reach + 1)
+        return np.ascontiguousarray(inverse[middle, middle])
 
 
 def _covariances(model: CellModel, patches: Patches, limit: float) -> list[float]:

@@ -27,6 +27,7 @@ from plane_detector.noise import Noise, estimate_noise, with_rounding
 from plane_detector.occlusion import join_hidden
 from plane_detector.paper import paper_labels
 from plane_detector.pixels import label_pixels
+from plane_detector.refinement import refine_borders
 from plane_detector.relabelling import relabel
 from plane_detector.search import find_patches
 from plane_detector.steps import split_at_steps
@@ -248,7 +249,8 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, least: Nois
         patches = drop_curved(model, patches, noise)
     else:
         patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
-        patches = join_bowed(model, straighten(model, patches, threshold), noise)
+        patches = refine_borders(model, straighten(model, patches, threshold), noise)
+        patches = join_bowed(model, patches, noise)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
     labels, planes = add_narrow(disparity, valid, labels, model, noise, patches.planes, config,
                                 rng)

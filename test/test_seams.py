@@ -66,13 +66,14 @@ def correlation_of(depth_m):
 @pytest.mark.parametrize('sigma', [0.002, 0.004, 0.01])
 def test_the_correlation_of_blurred_noise(sigma):
     """A Gaussian of 12 pixels and the mean over cells of 8 blur, half the variance is grain."""
-    expected = np.exp(-(8 * np.arange(4)) ** 2 / (4 * (12**2 + 8**2 / 12)))
+    lag = np.arange(1, 5)
+    expected = np.exp(-(8 * lag) ** 2 / (4 * (12**2 + 8**2 / 12)))
     found = [correlation_of(noisy(bare(), seed, sigma)) for seed in range(4)]
-    shape = np.mean([c.by_lag[0, :4] / c.by_lag[0, 0] for c in found], axis=0)
+    shape = np.mean([c.covariance(0, lag) / c.smooth for c in found], axis=0)
     np.testing.assert_allclose(shape, expected, atol=0.08)
     assert np.mean([c.power for c in found]) == pytest.approx(1.9, abs=0.15)
     assert np.mean([c.own for c in found]) == pytest.approx(sigma**2 / 2 / 64, rel=0.15)
-    assert np.mean([c.by_lag[0, 0] for c in found]) == pytest.approx(0.42 * sigma**2, rel=0.2)
+    assert np.mean([c.smooth for c in found]) == pytest.approx(0.42 * sigma**2, rel=0.2)
 
 
 @pytest.mark.parametrize('power', [0.7, 1.0, 1.4])
@@ -84,7 +85,7 @@ def test_the_correlation_of_rougher_noise(power):
 def test_grain_alone_is_no_correlation():
     found = correlation_of(noisy(bare(), 0, smooth_share=0.0))
     assert found.own == pytest.approx(SIGMA**2 / 64, rel=0.15)
-    assert found.by_lag[0, 1] < 0.1 * found.own
+    assert found.smooth < 0.1 * found.own
 
 
 def test_the_covariance_goes_by_rows_and_columns():
@@ -94,9 +95,10 @@ def test_the_covariance_goes_by_rows_and_columns():
     matrix = correlation.matrix(model, cell)
     np.testing.assert_array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix).min() > 0
-    assert matrix[0, 1] == matrix[0, 2] == correlation.by_lag[0, 1]
-    assert matrix[1, 3] == correlation.by_lag[1, 1]
-    np.testing.assert_allclose(matrix[0, 0], correlation.by_lag[0, 0] + correlation.own, rtol=0.01)
+    assert matrix[0, 1] == matrix[0, 2] == correlation.covariance(0, 1)
+    assert matrix[1, 3] == correlation.covariance(1, 1)
+    assert matrix[0, 4] == correlation.covariance(59, 79)
+    np.testing.assert_allclose(matrix[0, 0], correlation.smooth + correlation.own, rtol=0.01)
 
 
 @pytest.mark.parametrize(('gap_m', 'least'), [(0.06, 9), (0.08, 12), (0.12, 12)])
