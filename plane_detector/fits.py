@@ -6,6 +6,9 @@ from __future__ import annotations
 
 import numpy as np
 
+# Of terms of like size: what a fit to too few cells leaves open.
+LEAST_EIGENVALUE = 1e-10
+
 
 def quadratic_products(members: np.ndarray, x: np.ndarray, y: np.ndarray,
                        d: np.ndarray) -> np.ndarray:
@@ -52,6 +55,19 @@ def least_squares(products: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndar
     square = products[:, 6, 6]
     scale = np.sqrt(np.maximum(np.einsum('kii->ki', normal_matrix), np.finfo(float).tiny))
     unit = normal_matrix / (scale[:, :, None] * scale[:, None, :])
-    coefficients = (np.linalg.pinv(unit, rcond=1e-10, hermitian=True)
+    coefficients = (pseudo_inverse(unit, LEAST_EIGENVALUE)
                     @ (projection / scale)[..., None])[..., 0] / scale
     return np.maximum(square - (coefficients * projection).sum(axis=1), 0), coefficients
+
+
+def pseudo_inverse(matrix: np.ndarray, least: float) -> np.ndarray:
+    """
+    Return the pseudo-inverses of symmetric matrices (K, n, n), as numpy's pinv but faster.
+
+    Eigenvalues of less than this share of the largest are taken for zero.
+    """
+    values, vectors = np.linalg.eigh(matrix)
+    size = np.abs(values)
+    large = size > least * size.max(axis=1, keepdims=True)
+    inverse = np.divide(1, values, out=np.zeros_like(values), where=large)
+    return (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)

@@ -16,6 +16,7 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.cells import CellGrid
+from plane_detector.fits import pseudo_inverse
 from plane_detector.noise import Noise
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -250,19 +251,10 @@ def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: n
                               [m[cells.X], m[cells.Y], m[cells.N]]]).transpose(2, 0, 1)
     variance = (noise.grain**2 + noise.floor(m[cells.D] / m[cells.N])
                 + CORRELATED_CELLS * grid.size_px**2 * noise.mean**2)
-    fit = variance[:, None, None] * _inverse(normal_matrix)
+    fit = variance[:, None, None] * pseudo_inverse(normal_matrix, LEAST_EIGENVALUE)
     length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
     unit = ray_planes[:, :, None] / length
     to_normal = (unit * unit.transpose(0, 2, 1) - np.eye(3)) / length
     to_offset = -unit.transpose(0, 2, 1) / length**2
     chain = np.concatenate([to_normal, to_offset], axis=1) @ jacobian
     return chain @ fit @ chain.transpose(0, 2, 1)
-
-
-def _inverse(matrix: np.ndarray, least: float = LEAST_EIGENVALUE) -> np.ndarray:
-    """Return the pseudo-inverses of symmetric matrices (K, 3, 3), as numpy's pinv but faster."""
-    values, vectors = np.linalg.eigh(matrix)
-    size = np.abs(values)
-    large = size > least * size.max(axis=1, keepdims=True)
-    inverse = np.divide(1, values, out=np.zeros_like(values), where=large)
-    return (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)

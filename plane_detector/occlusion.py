@@ -44,15 +44,15 @@ def join_hidden(model: CellModel, patches: Patches, noise: Noise) -> Patches:
     """
     joined = True
     while joined and len(patches.planes) > 1:
-        joined, correlation = False, Correlation.of(model, patches, noise)
+        joined = False
         first, second = np.array(list(combinations(range(len(patches.planes)), 2))).T
         misfit = joint_misfit(model, patches, first, second)
         for k in np.argsort(misfit):
             if misfit[k] > 1:
                 break
             pair = first[k:k + 1], second[k:k + 1]
-            if (_is_hidden_between(model, patches, first[k], second[k])
-                    and not are_two(model, patches.labels, correlation, *pair)[0]):
+            if (_is_hidden_between(model, patches, first[k], second[k]) and not are_two(
+                    model, patches.labels, Correlation.of(model, patches, noise), *pair)[0]):
                 patches, joined = merged(model, patches, *pair), True
                 break
     return patches

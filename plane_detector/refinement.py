@@ -25,8 +25,9 @@ from plane_detector.seams import Correlation
 # Of the filter that undoes the correlation.
 REACH_CELLS = 4
 SWEEPS = 3
-# Of a cell's three by three cells all but itself.
+# Of a cell's three by three cells all but itself, and those whose label it may take.
 OTHERS = [0, 1, 2, 3, 5, 6, 7, 8]
+CROSS = [1, 3, 4, 5, 7]
 # What one neighbour's agreement is worth, in log-likelihood.
 AGREEMENT = 3.0
 # Residuals are cut off at this many deviations.
@@ -76,11 +77,12 @@ def _move(model: CellModel, planes: np.ndarray, labels: np.ndarray, residual: np
     """Give some cells (n,) the label among their neighbours' that lowers the energy most."""
     pull = cv2.filter2D(residual.reshape(labels.shape), -1, precision,
                         borderType=cv2.BORDER_REFLECT).ravel()[cell, None]
-    near = around(labels, cell)
+    every = around(labels, cell)
+    near = every[:, CROSS]
     moved = _residual(model, planes, cell[:, None], near, limit)
     change = moved - residual[cell, None]
     misfit = change * pull + change**2 * precision[REACH_CELLS, REACH_CELLS] / 2
-    votes = (near[:, :, None] == near[:, None, OTHERS]).sum(axis=2)
+    votes = (near[:, :, None] == every[:, None, OTHERS]).sum(axis=2)
     best = np.where(near >= 0, misfit - AGREEMENT * votes, np.inf).argmin(axis=1)[:, None]
     labels.ravel()[cell] = np.take_along_axis(near, best, axis=1)[:, 0]
     residual[cell] = np.take_along_axis(moved, best, axis=1)[:, 0]

@@ -10,7 +10,8 @@ import pytest
 from plane_detector import segment_planes
 from plane_detector.backprojection import depth_to_points
 from plane_detector.cells import make_cells
-from plane_detector.measurement import _inverse, count_labels, renumber
+from plane_detector.fits import pseudo_inverse
+from plane_detector.measurement import count_labels, renumber
 from plane_detector.segmentation import to_disparity
 from plane_detector.tools.living_rooms import living_room
 from plane_detector.tools.scenes import with_disparity_noise
@@ -110,5 +111,5 @@ def test_renumber_more_labels_than_a_byte_holds():
 def test_inverse_is_the_pseudo_inverse(rank):
     roots = np.random.default_rng(rank).normal(size=(5, 3, rank))
     matrix = roots @ roots.transpose(0, 2, 1)
-    np.testing.assert_allclose(_inverse(matrix, 1e-12),
+    np.testing.assert_allclose(pseudo_inverse(matrix, 1e-12),
                                np.linalg.pinv(matrix, rcond=1e-12, hermitian=True), rtol=1e-6)

@@ -31,7 +31,7 @@ from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
-HELD_OUT = 4000
+HELD_OUT = 5000
 """Rooms from this seed on were not looked at while the method was made."""
 SceneOfSeed = Callable[[int], Scene]
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
