@@ -16,9 +16,10 @@ from functools import lru_cache
 import numpy as np
 
 from plane_detector import cells
+from plane_detector.correlation import Correlation
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
-from plane_detector.seams import Correlation, are_two
+from plane_detector.seams import are_two
 
 MAX_JOINT_VARIANCES = 2.5
 MAX_BULGE_DEVIATIONS = 3.5

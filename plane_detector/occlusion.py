@@ -15,10 +15,11 @@ from itertools import combinations
 import numpy as np
 
 from plane_detector import cells
+from plane_detector.correlation import Correlation
 from plane_detector.merging import joint_misfit, merged
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
-from plane_detector.seams import Correlation, are_two
+from plane_detector.seams import are_two
 
 SIGHT_LINES = 24
 SAMPLES_PER_LINE = 24

@@ -16,11 +16,11 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.cells import around
+from plane_detector.correlation import Correlation
 from plane_detector.measurement import without
 from plane_detector.merging import memberships
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
-from plane_detector.seams import Correlation
 
 # Of the filter that undoes the correlation.
 REACH_CELLS = 4

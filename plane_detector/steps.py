@@ -17,10 +17,11 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.calibration import SIGMA_PER_MEDIAN
+from plane_detector.correlation import Correlation
 from plane_detector.dbscan import NEIGHBOURS, linked_components
 from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
-from plane_detector.seams import Correlation, are_two
+from plane_detector.seams import are_two
 
 # Blocks of pixels along the side of a cell.
 BLOCKS = 4

@@ -2,15 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rendered views and the models of their cells, for the tests of what works on cells."""
 
+from functools import cache
+
 import numpy as np
 
 from plane_detector.cells import fit_planes, make_cells
 from plane_detector.config import Config
-from plane_detector.noise import Noise
+from plane_detector.noise import Noise, estimate_noise
 from plane_detector.ransac import Patches, make_model
 from plane_detector.segmentation import to_disparity
 from plane_detector.tools.metrics import overlap
-from plane_detector.tools.scenes import VGA, Rectangle, camera_rotation, render
+from plane_detector.tools.scenes import (
+    VGA,
+    Rectangle,
+    camera_rotation,
+    render,
+    with_disparity_noise,
+)
 from plane_detector.tools.surfaces import ellipsoid
 
 EXACT = Noise(Config().ransac.noise_floor)
@@ -54,6 +62,35 @@ def millimetres(depth_m):
 
 def cell_model(depth_m, noise=EXACT):
     return make_model(make_cells(*to_disparity(depth_m)), noise)
+
+
+def noisy(scene, seed, sigma=0.01, **kind):
+    """Return the depth of a view under noise, half of whose variance is smooth by default."""
+    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), **kind)
+
+
+def cells_and_noise(depth_m):
+    """Return the cells of a depth image and the noise that is estimated from them."""
+    noise = estimate_noise(make_cells(*to_disparity(depth_m)), EXACT)
+    return cell_model(depth_m, noise), noise
+
+
+@cache
+def bare_wall():
+    """Return a wall 2.5 m ahead that fills the picture."""
+    return view([wall(2.5)])
+
+
+@cache
+def rough_wall(power, seed, length_cells=4.0, sigma=0.003):
+    """Return its depth with noise whose cells correlate by exp(-(r / length)**power)."""
+    lag = np.minimum(np.arange(128), 128 - np.arange(128))
+    spectrum = np.fft.fft2(np.exp(-(np.hypot(lag[:, None], lag) / length_cells) ** power)).real
+    rng = np.random.default_rng(seed)
+    white = np.fft.fft2(rng.standard_normal(spectrum.shape))
+    field = np.fft.ifft2(white * np.sqrt(np.maximum(spectrum, 0))).real[:60, :80]
+    noise = np.kron(field, np.ones((8, 8))) + 0.5 * rng.standard_normal((480, 640))
+    return (1 / (1 / bare_wall().depth_m + sigma * noise)).astype(np.float32)
 
 
 def hand_made(model, labels):

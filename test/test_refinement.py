@@ -7,15 +7,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, fold, hand_made, rectangle, view, wall
+from cell_helpers import EXACT, cells_and_noise, fold, hand_made, noisy, rectangle, view, wall
 
 from plane_detector import refinement
-from plane_detector.cells import make_cells
-from plane_detector.noise import estimate_noise
+from plane_detector.correlation import Correlation
 from plane_detector.refinement import refine_borders
-from plane_detector.seams import Correlation
-from plane_detector.segmentation import to_disparity
-from plane_detector.tools.scenes import with_disparity_noise
 
 SIGMA = 0.01
 SCENES = {'box': view([wall(2.5), rectangle([-0.35, 2.2, -0.25], [0.8, 0, 0], [0, 0, 0.6])]),
@@ -23,9 +19,7 @@ SCENES = {'box': view([wall(2.5), rectangle([-0.35, 2.2, -0.25], [0.8, 0, 0], [0
 
 
 def model_of(scene, seed=0, sigma=SIGMA):
-    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
-    noise = estimate_noise(make_cells(*to_disparity(depth_m)), EXACT)
-    return cell_model(depth_m, noise), noise
+    return cells_and_noise(noisy(scene, seed, sigma))
 
 
 def true_labels(scene):
@@ -77,17 +71,6 @@ def test_the_energy_goes_down():
     before, after = (energy(model, patches.planes, of, correlation)
                      for of in (patches.labels, labels))
     assert after < before - 50
-
-
-def test_the_precision_undoes_the_covariance():
-    correlation = Correlation(4.0, 0.5, 0.3, 1.3)
-    apart = np.arange(-15, 16.0)
-    covariance = correlation.covariance(apart[:, None], apart)
-    product = cv2.filter2D(covariance, -1, correlation.precision(6),
-                           borderType=cv2.BORDER_CONSTANT)[8:-8, 8:-8]
-    expected = np.zeros_like(product)
-    expected[7, 7] = 1
-    np.testing.assert_allclose(product, expected, atol=0.02)
 
 
 def test_cells_without_a_plane_stay_without():

@@ -3,51 +3,31 @@
 """Steps and creases within the noise keep patches apart, the noise's own borders do not."""
 
 from dataclasses import replace
-from functools import cache
 
 import cv2
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, fold, hand_made, one_patch, rectangle, view, wall
+from cell_helpers import (
+    bare_wall,
+    cells_and_noise,
+    fold,
+    hand_made,
+    noisy,
+    one_patch,
+    rectangle,
+    rough_wall,
+    view,
+    wall,
+)
 
 from plane_detector import seams
-from plane_detector.cells import make_cells
-from plane_detector.noise import estimate_noise
-from plane_detector.seams import Correlation, are_two
-from plane_detector.segmentation import to_disparity
-from plane_detector.tools.scenes import with_disparity_noise
+from plane_detector.correlation import Correlation
+from plane_detector.seams import are_two
 
-SIGMA = 0.01
 SEEDS = range(12)
 WALL_M = 2.5
 LEFT, MIDDLE = np.zeros((60, 80), int), np.zeros((60, 80), int)
 LEFT[:, 40:], MIDDLE[20:40, 30:50] = 1, 1
-
-
-def noisy(scene, seed, sigma=SIGMA, **kind):
-    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), **kind)
-
-
-@cache
-def bare():
-    return view([wall(WALL_M)])
-
-
-@cache
-def rough(power, seed, length_cells=4.0, sigma=0.003):
-    """Return the wall's depth with noise whose cells correlate by exp(-(r / length)**power)."""
-    lag = np.minimum(np.arange(128), 128 - np.arange(128))
-    spectrum = np.fft.fft2(np.exp(-(np.hypot(lag[:, None], lag) / length_cells) ** power)).real
-    rng = np.random.default_rng(seed)
-    white = np.fft.fft2(rng.standard_normal(spectrum.shape))
-    field = np.fft.ifft2(white * np.sqrt(np.maximum(spectrum, 0))).real[:60, :80]
-    noise = np.kron(field, np.ones((8, 8))) + 0.5 * rng.standard_normal((480, 640))
-    return (1 / (1 / bare().depth_m + sigma * noise)).astype(np.float32)
-
-
-def cells_and_noise(depth_m):
-    noise = estimate_noise(make_cells(*to_disparity(depth_m)), EXACT)
-    return cell_model(depth_m, noise), noise
 
 
 def two(depth_m, labels, known=0.0):
@@ -56,49 +36,6 @@ def two(depth_m, labels, known=0.0):
     patches = hand_made(model, labels)
     correlation = Correlation.of(model, patches, replace(noise, known=known))
     return bool(are_two(model, patches.labels, correlation, np.array([0]), np.array([1]))[0])
-
-
-def correlation_of(depth_m):
-    model, noise = cells_and_noise(depth_m)
-    return Correlation.of(model, one_patch(model), noise)
-
-
-@pytest.mark.parametrize('sigma', [0.002, 0.004, 0.01])
-def test_the_correlation_of_blurred_noise(sigma):
-    """A Gaussian of 12 pixels and the mean over cells of 8 blur, half the variance is grain."""
-    lag = np.arange(1, 5)
-    expected = np.exp(-(8 * lag) ** 2 / (4 * (12**2 + 8**2 / 12)))
-    found = [correlation_of(noisy(bare(), seed, sigma)) for seed in range(4)]
-    shape = np.mean([c.covariance(0, lag) / c.smooth for c in found], axis=0)
-    np.testing.assert_allclose(shape, expected, atol=0.08)
-    assert np.mean([c.power for c in found]) == pytest.approx(1.9, abs=0.15)
-    assert np.mean([c.own for c in found]) == pytest.approx(sigma**2 / 2 / 64, rel=0.15)
-    assert np.mean([c.smooth for c in found]) == pytest.approx(0.42 * sigma**2, rel=0.2)
-
-
-@pytest.mark.parametrize('power', [0.7, 1.0, 1.4])
-def test_the_correlation_of_rougher_noise(power):
-    found = [correlation_of(rough(power, seed)) for seed in range(6)]
-    assert np.mean([c.power for c in found]) == pytest.approx(power, abs=0.2)
-
-
-def test_grain_alone_is_no_correlation():
-    found = correlation_of(noisy(bare(), 0, smooth_share=0.0))
-    assert found.own == pytest.approx(SIGMA**2 / 64, rel=0.15)
-    assert found.smooth < 0.1 * found.own
-
-
-def test_the_covariance_goes_by_rows_and_columns():
-    model, noise = cells_and_noise(noisy(bare(), 0))
-    correlation = Correlation.of(model, one_patch(model), noise)
-    cell = np.array([0, 1, 80, 82, 4799])
-    matrix = correlation.matrix(model, cell)
-    np.testing.assert_array_equal(matrix, matrix.T)
-    assert np.linalg.eigvalsh(matrix).min() > 0
-    assert matrix[0, 1] == matrix[0, 2] == correlation.covariance(0, 1)
-    assert matrix[1, 3] == correlation.covariance(1, 1)
-    assert matrix[0, 4] == correlation.covariance(59, 79)
-    np.testing.assert_allclose(matrix[0, 0], correlation.smooth + correlation.own, rtol=0.01)
 
 
 @pytest.mark.parametrize(('gap_m', 'least'), [(0.06, 9), (0.08, 12), (0.12, 12)])
@@ -118,7 +55,7 @@ def test_a_crease_is_seen():
 
 @pytest.mark.parametrize('labels', [LEFT, MIDDLE], ids=['halves', 'box'])
 def test_a_border_drawn_on_a_wall_is_none(labels):
-    assert not any(two(noisy(bare(), seed), labels) for seed in SEEDS)
+    assert not any(two(noisy(bare_wall(), seed), labels) for seed in SEEDS)
 
 
 def own_border(depth_m):
@@ -134,7 +71,7 @@ def own_border(depth_m):
 def test_borders_that_the_noise_draws_are_hardly_ever_any(monkeypatch):
     """Rough noise jumps along its own borders: more is asked of it than of blurred noise."""
     blurred, jumping = ([depth(seed) for seed in SEEDS] for depth in (
-        lambda seed: noisy(bare(), seed), lambda seed: rough(0.85, seed)))
+        lambda seed: noisy(bare_wall(), seed), lambda seed: rough_wall(0.85, seed)))
     assert sum(two(depth_m, own_border(depth_m)) for depth_m in blurred) <= 3
     assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) <= 3
     monkeypatch.setattr(seams, 'MIN_GAIN_TIMES_POWER', 0.85 / 2 * seams.MIN_GAIN_TIMES_POWER)
@@ -191,7 +128,7 @@ def test_the_gain_is_that_of_the_likelihood():
 
 
 def test_only_the_cells_nearest_to_a_long_border_are_used():
-    model, _ = cells_and_noise(noisy(bare(), 0))
+    model, _ = cells_and_noise(noisy(bare_wall(), 0))
     cell, small, cut = seams._cells_about(model, LEFT, 0, 1)
     column = cell % 80
     assert len(cell) <= seams.MAX_CELLS
