@@ -21,9 +21,9 @@ from plane_detector.noise import Noise
 from plane_detector.ransac import CellModel, Patches
 from plane_detector.seams import are_two
 
-MAX_JOINT_VARIANCES = 2.5
+MAX_JOINT_VARIANCES = 2.0
 MAX_BULGE_DEVIATIONS = 3.5
-MAX_BULGE_STEP_DEVIATIONS = 2.6
+MAX_BULGE_STEP_DEVIATIONS = 2.0
 MAX_BULGE_SHARE = 0.35
 MIN_BORDER_PAIRS = 2
 # Cells this far apart still touch: between them may lie cells that straddle the border.
