@@ -24,6 +24,11 @@ from plane_detector.tools.benchmark_judging import (
     judge_coverage,
     judge_planes,
 )
+from plane_detector.tools.benchmark_pieces import (
+    LARGE_PLANE_SHARE,
+    NEAR_DEVIATIONS,
+    held_and_holdable,
+)
 from plane_detector.tools.benchmark_report import emit, table, write_sheet
 from plane_detector.tools.benchmark_rooms import SIGMAS
 from plane_detector.tools.metrics import score
@@ -76,9 +81,30 @@ def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
          'the picture, the share of pixels that a predicted plane with IoU > 0.5 covers; pieces: '
          'predicted planes that hold over a tenth of each of them.')
     emit(*(f'Contact sheet: `{path}`' for path in write_sheets(compared, output)))
+    if estimate is not None:
+        _report_pieces(compared, estimate.disparity_noise)
 
 
-def load_network(model: str) -> tuple[Callable[[np.ndarray], np.ndarray] | None, str]:
+def _report_pieces(compared: Sequence[Comparison], noise: float) -> None:
+    """Print how much of the large planes one plane holds, and how much one could hold."""
+    rows = []
+    for name, group in groupby(compared, lambda one: one.frame.set_name):
+        shares = np.array([pair for one in group if one.network for pair in held_and_holdable(
+            one.sensor.labels, one.network.labels, one.network.depth_m, one.frame.intrinsics,
+            noise, np.random.default_rng(0))]).reshape(-1, 2)
+        if len(shares):
+            rows.append([name, str(len(shares)), *(
+                f'{value:.2f}' for value in (*shares.mean(0), *shares.min(0)))])
+    emit('### Real pictures: the floor and the large walls in the depth of the network',
+         table(('set', 'planes', 'one holds', 'one could hold', 'worst holds',
+                'worst could hold'), rows),
+         f'Planes of the sensor over {LARGE_PLANE_SHARE:.0%} of the picture: the share of their '
+         'pixels that the predicted plane with most of them holds, and the share within '
+         f'{NEAR_DEVIATIONS:g} deviations of the noise ({noise:g} 1/m) of the best plane '
+         'through the network\'s depth there, found with the sensor\'s labels at hand.')
+
+
+def load_network(model: str) -> tuple[DepthEstimator | None, str]:
     """
     Return a network and its name; None and the reason when it cannot be fetched.
 
