@@ -95,16 +95,36 @@ class Correlation:
         return np.ascontiguousarray(inverse[middle, middle])
 
 
+def residuals(model: CellModel, planes: np.ndarray, cell: np.ndarray, label: np.ndarray,
+              limit: float) -> np.ndarray:
+    """
+    Return how far cells are off the planes of labels, 0 where that says nothing.
+
+    Parameters
+    ----------
+    model : CellModel
+    planes : (K, 3) float64
+    cell, label : (...) int
+        Broadcast against each other; label -1 is no plane.
+    limit : float
+        Cuts them off, per metre.
+
+    """
+    x, y, d = model.grid.mean.T[:, cell]
+    a, b, c = np.append(planes, np.zeros((1, 3)), axis=0).T[:, label]
+    residual = np.clip(d - (a * x + b * y + c), -limit, limit)
+    return np.where(model.planar[cell] & (label >= 0), residual, 0)
+
+
 def _covariances(model: CellModel, patches: Patches, limit: float) -> list[float]:
     """Return the mean product of the residuals of cells of a patch 0, 1 and 2 cells apart."""
-    labels, (x, y, d) = patches.labels, model.grid.mean.T
+    labels = patches.labels
     size = np.bincount(labels.ravel() + 1, minlength=len(patches.planes) + 1)
     size[0] = 0
     used = (size[labels + 1] > MIN_PATCH_CELLS) & model.planar.reshape(labels.shape)
     labels = np.where(used, labels, -1)
-    a, b, c = np.append(patches.planes, np.zeros((1, 3)), axis=0)[labels.ravel()].T
-    residual = np.clip(d - (a * x + b * y + c), -limit, limit).reshape(labels.shape)
-    return [_mean_product(residual, labels, lag) for lag in range(3)]
+    residual = residuals(model, patches.planes, np.arange(labels.size), labels.ravel(), limit)
+    return [_mean_product(residual.reshape(labels.shape), labels, lag) for lag in range(3)]
 
 
 def _mean_product(residual: np.ndarray, labels: np.ndarray, lag: int) -> float:

@@ -16,7 +16,7 @@ import numpy as np
 
 from plane_detector import cells
 from plane_detector.cells import around
-from plane_detector.correlation import Correlation
+from plane_detector.correlation import Correlation, residuals
 from plane_detector.measurement import without
 from plane_detector.merging import memberships
 from plane_detector.noise import Noise
@@ -56,7 +56,7 @@ def refine_borders(model: CellModel, patches: Patches, noise: Noise) -> Patches:
         return patches
     precision, labels = correlation.precision(REACH_CELLS), patches.labels.copy()
     limit = MAX_RESIDUAL * np.sqrt(correlation.smooth + correlation.own)
-    residual = _residual(model, patches.planes, np.arange(labels.size), labels.ravel(), limit)
+    residual = residuals(model, patches.planes, np.arange(labels.size), labels.ravel(), limit)
     row, column = np.indices(labels.shape)
     # No two cells of one turn are neighbours.
     turns = 2 * (row % 2) + column % 2
@@ -79,22 +79,13 @@ def _move(model: CellModel, planes: np.ndarray, labels: np.ndarray, residual: np
                         borderType=cv2.BORDER_REFLECT).ravel()[cell, None]
     every = around(labels, cell)
     near = every[:, CROSS]
-    moved = _residual(model, planes, cell[:, None], near, limit)
+    moved = residuals(model, planes, cell[:, None], near, limit)
     change = moved - residual[cell, None]
     misfit = change * pull + change**2 * precision[REACH_CELLS, REACH_CELLS] / 2
     votes = (near[:, :, None] == every[:, None, OTHERS]).sum(axis=2)
     best = np.where(near >= 0, misfit - AGREEMENT * votes, np.inf).argmin(axis=1)[:, None]
     labels.ravel()[cell] = np.take_along_axis(near, best, axis=1)[:, 0]
     residual[cell] = np.take_along_axis(moved, best, axis=1)[:, 0]
-
-
-def _residual(model: CellModel, planes: np.ndarray, cell: np.ndarray, label: np.ndarray,
-              limit: float) -> np.ndarray:
-    """Return the residual of cells to the planes of labels, cut off; 0 where it says nothing."""
-    x, y, d = model.grid.mean.T[:, cell]
-    a, b, c = np.append(planes, np.zeros((1, 3)), axis=0).T[:, label]
-    residual = np.clip(d - (a * x + b * y + c), -limit, limit)
-    return np.where(model.planar[cell] & (label >= 0), residual, 0)
 
 
 def _refitted(model: CellModel, patches: Patches) -> Patches:

@@ -10,7 +10,7 @@ import pytest
 from cell_helpers import EXACT, cells_and_noise, fold, hand_made, noisy, rectangle, view, wall
 
 from plane_detector import refinement
-from plane_detector.correlation import Correlation
+from plane_detector.correlation import Correlation, residuals
 from plane_detector.refinement import refine_borders
 
 SIGMA = 0.01
@@ -53,7 +53,7 @@ def test_a_ragged_border_becomes_straight(name, seed):
 
 def energy(model, planes, labels, correlation):
     reach = refinement.REACH_CELLS
-    residual = refinement._residual(model, planes, np.arange(4800), labels.ravel(), np.inf)
+    residual = residuals(model, planes, np.arange(4800), labels.ravel(), np.inf)
     residual = residual.reshape(labels.shape)
     pull = cv2.filter2D(residual, -1, correlation.precision(reach),
                         borderType=cv2.BORDER_REFLECT)
