@@ -34,10 +34,10 @@ lint: $(STAMP)
 	@$(RUN) -m ruff check .
 
 benchmark: $(STAMP)
-	@$(RUN) -m plane_detector.tools.benchmark $(ARGS)
+	@$(RUN) -m plane_detector.evaluation.benchmark $(ARGS)
 
 defaults: $(STAMP)
-	@$(RUN) -m plane_detector.tools.parameters --write
+	@$(RUN) -m plane_detector.tools.defaults --write
 
 clean:
 	rm -rf $(VENV) demo_output benchmark_output

@@ -11,7 +11,9 @@ NAME = 'plane_detector'
 setup(
     name=NAME,
     version='0.1.0',
-    packages=find_packages(include=[NAME, f'{NAME}.*']),
+    packages=find_packages(
+        include=[NAME, f'{NAME}.*'],
+        exclude=[f'{NAME}.evaluation', f'{NAME}.evaluation.*']),
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -36,9 +38,8 @@ setup(
                 'equations from monocular depth.',
     license='Apache-2.0',
     entry_points={'console_scripts': [
-        f'node = {NAME}.ros.__main__:main',
-        f'benchmark = {NAME}.tools.benchmark:main',
-        f'demo = {NAME}.tools.demo:main',
-        f'replay = {NAME}.tools.replay:main',
+        f'node = {NAME}.ros.node:main',
+        f'demo = {NAME}.tools.demo.__main__:main',
+        f'replay = {NAME}.tools.replay.__main__:main',
     ]},
 )

@@ -16,12 +16,12 @@ from typing import Any
 
 _HOMES = {'CameraIntrinsics': 'types', 'Config': 'config', 'Detection': 'types', 'Plane': 'types',
           'PlaneDetector': 'pipeline', 'PlaneSegmentation': 'types',
-          'segment_planes': 'segmentation'}
+          'segment_planes': 'segmentation.segment'}
 __all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is asked for: all of them take a second, see ros/__main__."""
+    """Import a public name when it is asked for: all of them take a second, see ros/node."""
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)

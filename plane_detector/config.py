@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from plane_detector.checked import Checked, setting
+from plane_detector.settings import Checked, setting
 
 
 @dataclass(frozen=True)

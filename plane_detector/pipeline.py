@@ -12,24 +12,24 @@ from functools import partial
 
 import numpy as np
 
-from plane_detector.boundaries import snap_to_picture
 from plane_detector.config import Config
-from plane_detector.damping import DampedDisparity, damp_flicker
-from plane_detector.depth import DepthEstimator
-from plane_detector.gravity import unit_direction
-from plane_detector.lens import lens_factor
-from plane_detector.plane_classes import PlaneClass, classify_planes, refine_gravity
-from plane_detector.scale import COARSE_GRAVITY_DEG, estimate_scale
-from plane_detector.scale_estimate import ScaleEstimate, apply_scale, to_disparity
-from plane_detector.scale_smoothing import ScaleState, update_scale
-from plane_detector.segmentation import (
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.focal_correction import lens_factor
+from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.geometry.gravity import unit_direction
+from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.scale.estimate import ScaleEstimate, apply_scale, to_disparity
+from plane_detector.scale.methods import COARSE_GRAVITY_DEG, estimate_scale
+from plane_detector.scale.temporal_filter import ScaleState, update_scale
+from plane_detector.segmentation.pixels.edge_snapping import snap_to_picture
+from plane_detector.segmentation.segment import (
     Refine,
     disparity_range,
     measure_labels,
     segment_disparity,
     segment_planes,
 )
-from plane_detector.tracking import PlaneTracker
+from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
 EstimateDepth = Callable[[np.ndarray], np.ndarray]

@@ -132,7 +132,8 @@ class Detection(PlaneSegmentation):
         Label of each plane, above 0 and the same from picture to picture; empty when planes are
         not tracked.
     classes : tuple of int
-        :class:`~plane_detector.plane_classes.PlaneClass` of each plane; empty: all unknown.
+        :class:`~plane_detector.planes.classification.PlaneClass` of each plane; empty: all
+        unknown.
     scale_note : str
         What the method found and how sure it is, or why there is none.
     scale_event : str

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plane_detector.tools.scenes import box, camera_rotation, random_room, render
+from plane_detector.evaluation.scenes.rooms import box, camera_rotation, random_room, render
 
 pytest.register_assert_rewrite('node_helpers', 'replay_helpers')
 REPOSITORY = Path(__file__).resolve().parents[1]
@@ -73,7 +73,7 @@ def replay(tmp_path, capsys):
     """Return a function: run the program; return exit code, new bag, what it printed."""
     from replay_helpers import DEPTH
 
-    from plane_detector.tools.replay import main
+    from plane_detector.tools.replay.__main__ import main
 
     def run(source, *options, depth=DEPTH):
         target = tmp_path / 'planes'

@@ -14,7 +14,18 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
-CORE = sorted(PACKAGE.glob('*.py'))
+# A layer imports those before it; the rooms of one layer do not import each other.
+LAYERS = (('settings',), ('config', 'types'), ('geometry',),
+          ('depth', 'segmentation', 'scale', 'tracking'), ('planes',), ('pipeline', 'drawing'),
+          ('ros',), ('tools',), ('evaluation',))
+# The same inside the segmentation, and what planes may know of it.
+SEGMENTATION_LAYERS = (('threads',), ('cells',), ('search',), ('regions',), ('pixels',),
+                       ('fine_pass',), ('baselines',), ('segment',))
+MEASURED_IN_THE_SEGMENTATION = ('plane_detector.segmentation.segment',
+                                'plane_detector.planes.measurement')
+PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
+CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in
+        ('ros', 'tools', 'evaluation')]
 MOST_FILE_LINES, MOST_FUNCTION_LINES = 300, 40
 
 # Third-party imports of the package, and the rosdep key that brings each.
@@ -42,6 +53,40 @@ def modules_imported(path: Path) -> set[str]:
     return names
 
 
+def module_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix('').parts
+    return '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).with_suffix('').parts[0]
+
+
+def imports_of_package(path: Path) -> set[str]:
+    """Return the package's modules that a file imports."""
+    modules = {module_of(source) for source in SOURCES}
+    return {name for name in modules_imported(path) & modules if name.count('.')}
+
+
+def rank(layers: tuple[tuple[str, ...], ...], room: str) -> int:
+    return next(k for k, rooms in enumerate(layers) if room in rooms)
+
+
+def may_import(importer: str, imported: str) -> bool:
+    """Tell whether the layers allow an import."""
+    if importer.count('.') == 0:
+        return False
+    if (importer, imported) == MEASURED_IN_THE_SEGMENTATION:
+        return True
+    (_, a, *deeper_a), (_, b, *deeper_b) = importer.split('.'), imported.split('.')
+    if a == 'planes' and b == 'segmentation':
+        return imported.startswith(PLANES_MAY_IMPORT)
+    if a == b == 'segmentation' and deeper_a and deeper_b:
+        a, b = deeper_a[0], deeper_b[0]
+        return a == b or rank(SEGMENTATION_LAYERS, b) < rank(SEGMENTATION_LAYERS, a)
+    return a == b or rank(LAYERS, b) < rank(LAYERS, a)
+
+
 def packages_imported(path: Path) -> set[str]:
     return {name.split('.')[0] for name in modules_imported(path)}
 
@@ -51,34 +96,23 @@ def is_ros(package: str) -> bool:
             or package.endswith(('_msgs', '_srvs', '_interfaces')))
 
 
-def core_imports(path: Path) -> set[str]:
-    """Return the names of the core's modules that a file imports."""
-    core = {module.stem for module in CORE} - {'__init__'}
-    return {name.split('.')[1] for name in modules_imported(path)
-            if name.startswith('plane_detector.')} & core
-
-
-@pytest.mark.parametrize('path', CORE, ids=lambda path: path.name)
-def test_core_knows_nothing_of_ros_and_of_its_users(path):
+@pytest.mark.parametrize('path', CORE, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_core_knows_nothing_of_ros(path):
     assert not {name for name in packages_imported(path) if is_ros(name)}
-    assert not {name for name in modules_imported(path)
-                if name.startswith(('plane_detector.ros', 'plane_detector.tools'))}
-
-
-def test_ros_part_does_not_import_the_tools():
-    for path in (PACKAGE / 'ros').glob('*.py'):
-        assert not any(name.startswith('plane_detector.tools') for name in modules_imported(path))
 
 
 def test_heavy_packages_stay_in_one_module_each():
-    importers = {package: [path.name for path in [*CORE, *(PACKAGE / 'ros').glob('*.py')]
-                           if package in packages_imported(path)]
+    importers = {package: [str(path.relative_to(PACKAGE)) for path in SOURCES
+                           if room_of(path) != 'evaluation' and package in packages_imported(path)]
                  for package in ('onnxruntime', 'pyransac3d')}
-    assert importers == {'onnxruntime': ['depth.py'], 'pyransac3d': ['paper.py']}
+    assert importers == {'onnxruntime': ['depth/onnx_session.py'],
+                         'pyransac3d': ['segmentation/baselines.py']}
 
 
-def test_core_imports_have_no_cycle():
-    waiting = {path.stem: core_imports(path) - {path.stem} for path in CORE}
+def test_modules_do_not_import_each_other_in_a_circle():
+    modules = {module_of(path) for path in SOURCES}
+    waiting = {module_of(path): modules_imported(path) & modules - {module_of(path)}
+               for path in SOURCES}
     while waiting:
         free = [name for name, imports in waiting.items() if not imports & set(waiting)]
         assert free, f'these import each other in a circle: {sorted(waiting)}'
@@ -86,12 +120,18 @@ def test_core_imports_have_no_cycle():
             del waiting[name]
 
 
-def test_imports_point_from_pipeline_to_stages_to_types():
-    assert core_imports(PACKAGE / 'config.py') == {'checked'}
-    assert core_imports(PACKAGE / 'checked.py') == core_imports(PACKAGE / 'types.py') == set()
-    for path in CORE:
-        if path.stem not in ('pipeline', '__init__'):
-            assert not core_imports(path) & {'pipeline', 'segmentation'}, path.name
+def test_imports_point_one_way():
+    wrong = [f'{path.relative_to(PACKAGE)} imports {name}' for path in SOURCES
+             for name in imports_of_package(path) if not may_import(module_of(path), name)]
+    assert not wrong
+
+
+def test_private_names_stay_in_their_file():
+    wrong = [f'{path.relative_to(PACKAGE)}: {alias.name}' for path in SOURCES
+             for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
+             if isinstance(node, ast.ImportFrom) for alias in node.names
+             if alias.name.startswith('_') and node.module != '__future__']
+    assert not wrong
 
 
 @pytest.mark.parametrize('path', SOURCES, ids=lambda path: str(path.relative_to(PACKAGE)))

@@ -10,13 +10,13 @@ import pytest
 from rclpy.parameter import Parameter
 from ros_helpers import Robot, camera_info_msg, image_msg
 
-from plane_detector.plane_classes import PlaneClass
-from plane_detector.ros.node import PlaneDetectorNode
-from plane_detector.tools.node_client import Received, Timing
-from plane_detector.tools.pictures import Photograph
+from plane_detector.evaluation.scenes.rooms import attic, random_room
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+from plane_detector.tools.demo.node_client import Received, Timing
+from plane_detector.tools.demo.photographs import Photograph
+from plane_detector.tools.demo.report import Outcome, print_outcome, write_files
 from plane_detector.tools.ply import write_ply
-from plane_detector.tools.report import Outcome, print_outcome, write_files
-from plane_detector.tools.scenes import attic, random_room
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)

@@ -7,9 +7,9 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
+from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.pipeline import Stages
-from plane_detector.tools.peers import plane_array
-from plane_detector.tools.scenes import random_room, single_wall
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)

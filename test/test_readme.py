@@ -45,7 +45,7 @@ def test_make_targets_exist():
 
 
 def test_every_output_of_the_node_is_in_the_table():
-    from plane_detector.ros.outputs import OUTPUTS
+    from plane_detector.ros.outputs.topics import OUTPUTS
     for name, output in OUTPUTS.items():
         row, = (line for line in LINES if line.startswith(f'| `~/{name}` |'))
         assert output.msg_type.__name__ in row

@@ -19,7 +19,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.checked import Checked, parameters_of
+from plane_detector.settings import Checked, parameters_of
 
 Settings = TypeVar('Settings', bound=Checked)
 _LARGEST = 1.7e308

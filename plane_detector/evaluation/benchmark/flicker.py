@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Measure what damping the flicker of a network is good for, and where it does harm; Markdown.
+
+    python3 -m plane_detector.evaluation.benchmark.flicker
+    python3 -m plane_detector.evaluation.benchmark.flicker --seeds 20 --keep 0 0.5 0.8
+
+Rendered rooms are seen by a pretended network: true disparity with noise that is new in every
+picture, once metric and once with scale and shift of its own in every picture. Real pictures are
+seen by a real network, with sensor noise that is new every time: what of its planes stays?
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from plane_detector.config import Config
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.evaluation.benchmark.real_images import collect_frames, load_network
+from plane_detector.evaluation.benchmark.tables import emit, provenance, table
+from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.metrics import score
+from plane_detector.evaluation.scenes.rooms import with_disparity_noise
+from plane_detector.evaluation.scenes.sequences import FRAMES, MOTIONS, View, sequence
+from plane_detector.scale.estimate import to_disparity
+from plane_detector.segmentation.segment import disparity_range, segment_disparity
+
+SIGMAS = (0.004, 0.01)
+"""Standard deviations of the pretended network's noise, per metre."""
+SENSOR_NOISES = (2.0, 5.0)
+"""Standard deviations of the noise of real pictures, grey levels."""
+_JUDGED = 4
+
+
+def predictions(views: Sequence[View], sigma: float, seed: int,
+                relative: bool) -> Iterator[tuple[np.ndarray, float, float]]:
+    """Yield what the pretended network gives for each picture: disparity, scale and shift."""
+    rng = np.random.default_rng([seed, 2])
+    for view in views:
+        disparity = 1.0 / with_disparity_noise(view.scene.depth_m, sigma, rng)
+        scale, shift = (rng.uniform(0.5, 2.0), rng.uniform(-0.1, 0.3)) if relative else (1.0, 0.0)
+        yield (disparity * np.float32(scale) + np.float32(shift)), scale, shift
+
+
+def judged(views: Sequence[View], sigma: float, seed: int, relative: bool,
+           keeps: Sequence[float]) -> list[list[float]]:
+    """
+    Return how good the planes of the last picture are, for each value of damping.
+
+    Returns
+    -------
+    list of list of float
+        SC, recall, precision, rms error of 1/z where something has moved and elsewhere (1/m).
+
+    """
+    told = list(predictions(views, sigma, seed, relative))
+    scene, moved = views[-1].scene, views[-1].moved
+    seen = np.isfinite(scene.depth_m)
+    numbers = []
+    for keep in keeps:
+        state: DampedDisparity | None = None
+        for view, (disparity, _, _) in zip(views, told, strict=True):
+            state = damp_flicker(state, disparity, view.scene.rgb, keep, same_scale=not relative)
+        _, scale, shift = told[-1]
+        labels = segment_disparity(state.disparity, Config())
+        found = score(scene.labels, scene.planes, labels, _unknown_planes(labels), seen)
+        error = (state.disparity - shift) / scale - 1.0 / scene.depth_m
+        numbers.append([found.segmentation_covering, found.recall, found.precision,
+                        _rms(error[moved & seen]), _rms(error[~moved & seen])])
+    return numbers
+
+
+def _unknown_planes(labels: np.ndarray) -> np.ndarray:
+    """Return coefficients for scores that only look at the pixels, (N, 4)."""
+    return np.zeros((labels.max() + 1, 4))
+
+
+def _rms(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(known**2))) if known.size else np.nan
+
+
+def report_rooms(seeds: Sequence[int], keeps: Sequence[float]) -> None:
+    """Print a table for each kind of network."""
+    for relative in (False, True):
+        rows = []
+        for motion in MOTIONS:
+            numbers = np.array([[judged(views, sigma, seed, relative, keeps) for sigma in SIGMAS]
+                                for seed in tqdm(seeds, motion.name, leave=False)
+                                for views in [sequence(seed, motion)]])
+            rows += [[motion.name, f'{sigma:g}', f'{keep:g}', *_cells(numbers[:, s, k])]
+                     for s, sigma in enumerate(SIGMAS) for k, keep in enumerate(keeps)]
+        emit(f'### {"Relative" if relative else "Metric"} network, rooms {seeds[0]} to '
+             f'{seeds[-1]}, picture {FRAMES} of each',
+             table(('', 'noise (1/m)', 'depth.damping', 'SC', 'worst SC', 'recall', 'precision',
+                    'error where it moved (1/m)', 'error elsewhere (1/m)'), rows))
+
+
+def _cells(numbers: np.ndarray) -> list[str]:
+    """Return the means over the rooms."""
+    covering, recall, precision, moved, elsewhere = (
+        np.mean(column[np.isfinite(column)]) if np.isfinite(column).any() else np.nan
+        for column in numbers.T)
+    return [f'{covering:.3f}', f'{numbers[:, 0].min():.3f}', f'{recall:.3f}', f'{precision:.3f}',
+            f'{moved:.4f}' if np.isfinite(moved) else '-', f'{elsewhere:.4f}']
+
+
+def report_real(frames: Sequence[Frame], estimate: DepthEstimator, keeps: Sequence[float]) -> None:
+    """Print how well the planes of neighbouring pictures agree, set by set."""
+    sets = list(dict.fromkeys(frame.set_name for frame in frames))
+    rows = []
+    for name in sets:
+        of_set = [frame for frame in frames if frame.set_name == name]
+        for sigma in SENSOR_NOISES:
+            numbers = np.array([agreement(frame.rgb, estimate, sigma, keeps)
+                                for frame in tqdm(of_set, name, leave=False)])
+            rows.append([name, str(len(of_set)), f'{sigma:g}',
+                         *(f'{value:.3f}' for value in numbers.mean(axis=0))])
+    emit(f'### {estimate.name} on real pictures that stand still',
+         table(('set', 'pictures', 'sensor noise (grey levels)',
+                *(f'SC of neighbours, depth.damping {keep:g}' for keep in keeps)), rows),
+         f'Each picture is seen {FRAMES} times; SC between the planes of one time and of the '
+         f'next, mean over the last {_JUDGED}.')
+
+
+def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
+              keeps: Sequence[float]) -> list[float]:
+    """Return the SC between the planes of neighbouring pictures for each value of damping."""
+    rng = np.random.default_rng(0)
+    states: list[DampedDisparity | None] = [None] * len(keeps)
+    labels: list[list[np.ndarray]] = [[] for _ in keeps]
+    for index in range(FRAMES):
+        noisy = np.clip(rgb + rng.normal(0, sigma, rgb.shape), 0, 255).astype(np.uint8)
+        disparity = to_disparity(estimate(noisy), estimate.output)
+        relative = estimate.output == 'relative_disparity'
+        known = estimate.disparity_noise * (disparity_range(disparity) if relative else 1.0)
+        for k, keep in enumerate(keeps):
+            states[k] = damp_flicker(states[k], disparity, noisy, keep, same_scale=not relative)
+            if index >= FRAMES - _JUDGED:
+                labels[k].append(segment_disparity(states[k].disparity, Config(),
+                                                   disparity_noise=known))
+    everywhere = np.ones(rgb.shape[:2], bool)
+    return [float(np.mean([
+        score(one, _unknown_planes(one), other, _unknown_planes(other),
+              everywhere).segmentation_covering
+        for one, other in zip(found[:-1], found[1:], strict=True)])) for found in labels]
+
+
+def parsed() -> argparse.Namespace:
+    """Return the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--seeds', type=int, default=10, help='rooms')
+    parser.add_argument('--keep', type=float, nargs='+', default=[0.0, 0.5, 0.8],
+                        help='values of depth.damping')
+    parser.add_argument('--data', type=Path, default=Path('../shared/data'),
+                        help='folder of real pictures, see evaluation/datasets.py')
+    parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
+    arguments = parser.parse_args()
+    if arguments.seeds < 1 or not all(0 <= keep < 1 for keep in arguments.keep):
+        parser.error('--seeds must be at least 1, --keep from 0 to below 1')
+    return arguments
+
+
+def main() -> None:
+    """Print the command, the machine and the tables."""
+    arguments = parsed()
+    emit(provenance('benchmark_damping'))
+    report_rooms(range(arguments.seeds), arguments.keep)
+    try:
+        estimate, title = load_network(arguments.model)
+        frames = collect_frames(arguments.data)
+    except (ValueError, FileNotFoundError) as error:
+        sys.exit(f'{error}')
+    if estimate is None:
+        emit(f'{arguments.model}: {title}')
+    elif frames:
+        report_real(frames, estimate, arguments.keep)
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,182 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""A camera of constant rate and subscribers that cost little, to see what the node can do."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
+
+from plane_detector.evaluation.scenes.rooms import Scene
+from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.tools.demo.node_client import FRAME_ID, NODE, camera_info_to_msg
+
+_RELIABLE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
+_INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
+_SETTLING_S = 3.0
+_START_TIMEOUT_S = 120.0
+_SPIN_S = 0.05
+
+
+@dataclass(frozen=True)
+class Load:
+    """
+    What a node did while it was fed.
+
+    Attributes
+    ----------
+    rate_hz : float
+        Of ``~/planes``, as received.
+    stage_ms : dict of str to float
+        Median over the seconds of each stage's mean time, as the diagnostics tell it.
+    busy_ms, waiting_ms : float
+        Per frame, all threads of the process together: time on a core; time without one though
+        there was work, because other programs had them.
+
+    """
+
+    rate_hz: float
+    stage_ms: dict[str, float]
+    busy_ms: float
+    waiting_ms: float
+
+
+class CameraLoad:
+    """
+    Feeds the node with one scene at a constant rate, and takes its outputs as bytes.
+
+    Subscribers that take bytes show the node's own limit: what a subscriber in Python needs to
+    make messages of them would be taken from the node's cores.
+
+    Parameters
+    ----------
+    check_running : callable
+        Raises when the node has ended; called while waiting.
+    scene : Scene
+    rate_hz : float
+    with_depth : bool
+        Publish the true depth too.
+    outputs : sequence of str
+        What is subscribed to, ``planes`` among them.
+
+    """
+
+    def __init__(self, check_running: Callable[[], None], scene: Scene, rate_hz: float,
+                 with_depth: bool, outputs: Sequence[str]) -> None:
+        self._check_running = check_running
+        self._scene = scene
+        self._outputs = outputs
+        self._node = rclpy.create_node('plane_detector_load')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._publishers = {
+            name: self._node.create_publisher(msg_type, name, _RELIABLE)
+            for name, msg_type in _INPUTS.items() if with_depth or name != 'depth'}
+        self._received: Counter[str] = Counter()
+        for name in outputs:
+            self._node.create_subscription(
+                OUTPUTS[name].msg_type, f'{NODE}/{name}',
+                lambda _, name=name: self._received.update([name]), _RELIABLE, raw=True)
+        self._statuses: list[dict[str, str]] = []
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+        self._period_s = 1 / rate_hz
+
+    def close(self) -> None:
+        """End the ROS node."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def measure(self, process_id: int, seconds: float) -> Load:
+        """
+        Wait for the node, feed it until it runs evenly, then measure.
+
+        Raises
+        ------
+        RuntimeError
+            The node has ended, or gave nothing.
+
+        """
+        self._wait_for_node()
+        self._node.create_timer(self._period_s, self._publish)
+        self._spin(_SETTLING_S)
+        self._received.clear()
+        self._statuses.clear()
+        before_ms = scheduled_ms(process_id)
+        elapsed_s = self._spin(seconds)
+        busy_ms, waiting_ms = scheduled_ms(process_id) - before_ms
+        frames = self._received['planes']
+        stage_ms = median_stages(self._statuses)
+        if not frames or not stage_ms:
+            last = self._statuses[-1:] or [{}]
+            raise RuntimeError(f'the node gave no planes: {last[0].get("last_error", "")}')
+        return Load(frames / elapsed_s, stage_ms, busy_ms / frames, waiting_ms / frames)
+
+    def _wait_for_node(self) -> None:
+        deadline_s = time.monotonic() + _START_TIMEOUT_S
+        while not self._is_connected():
+            if time.monotonic() > deadline_s:
+                raise RuntimeError(f'the node was not active within {_START_TIMEOUT_S:g} s')
+            self._spin(_SPIN_S)
+
+    def _is_connected(self) -> bool:
+        return (all(p.get_subscription_count() for p in self._publishers.values())
+                and all(self._node.count_publishers(f'{NODE}/{name}') for name in self._outputs))
+
+    def _spin(self, seconds: float) -> float:
+        """Spin for some time; return how long it was in fact."""
+        start_s = time.monotonic()
+        while (elapsed_s := time.monotonic() - start_s) < seconds:
+            self._check_running()
+            self._executor.spin_once(timeout_sec=_SPIN_S)
+        return elapsed_s
+
+    def _publish(self) -> None:
+        header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
+        for name, msg in input_messages(header, self._scene).items():
+            if name in self._publishers:
+                self._publishers[name].publish(msg)
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        self._statuses += [{pair.key: pair.value for pair in status.values}
+                           for status in msg.status if status.name.startswith(NODE)]
+
+
+def input_messages(header: Header, scene: Scene) -> dict[str, CameraInfo | Image]:
+    """Return what a camera publishes of a scene, by topic; the picture comes last."""
+    return {'camera_info': camera_info_to_msg(header, scene.intrinsics),
+            'depth': messages.depth_to_msg(header, scene.depth_m),
+            'image': messages.rgb_to_msg(header, scene.rgb)}
+
+
+def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:
+    """Return the median of each stage's time in milliseconds over the seconds with frames."""
+    told = [{key.removeprefix('latency.').removesuffix('_ms'): float(value)
+             for key, value in status.items() if key.startswith('latency.')}
+            for status in statuses]
+    told = [stages for stages in told if len(stages) > 1]  # without frames there is but a total
+    return {stage: float(np.median([stages[stage] for stages in told]))
+            for stage in (told[-1] if told else {})}
+
+
+def scheduled_ms(process_id: int) -> np.ndarray:
+    """Return how long the threads of a process ran and how long they waited for a core; Linux."""
+    files = Path(f'/proc/{process_id}/task').glob('*/schedstat')
+    nanoseconds = np.zeros(2)
+    for file in files:
+        try:
+            nanoseconds += [float(number) for number in file.read_text().split()[:2]]
+        except OSError:  # a thread that has ended in the meantime
+            continue
+    return nanoseconds / 1e6

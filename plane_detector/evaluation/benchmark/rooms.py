@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of the benchmark: random rendered rooms, where the truth is exact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from tqdm import tqdm
+
+from plane_detector.config import Config
+from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.metrics import (
+    MIN_PIXELS,
+    RECALL_ANGLES_DEG,
+    RECALL_DEPTHS_M,
+    Score,
+    depth_recall,
+    normal_recall,
+    overlap,
+    score,
+)
+from plane_detector.evaluation.peers import Method, Ours
+from plane_detector.evaluation.scenes.rooms import Scene, random_room, with_disparity_noise
+from plane_detector.segmentation.segment import segment_planes
+from plane_detector.types import CameraIntrinsics
+
+SIGMAS = (0.0, 0.004, 0.01)
+"""Standard deviations of the disparity noise, per metre."""
+HELD_OUT = 5000
+"""Rooms from this seed on were not looked at while the method was made."""
+SceneOfSeed = Callable[[int], Scene]
+CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+
+
+@dataclass(frozen=True)
+class RoomSet:
+    """Rooms by their seeds; a slow method is given the first ``slow_count`` of them."""
+
+    name: str
+    seeds: range
+    slow_count: int
+
+    def for_method(self, method: Method) -> range:
+        """Return the seeds that a method is tried on."""
+        return self.seeds[:self.slow_count] if method.slow else self.seeds
+
+
+def room_sets(count: int, slow_count: int) -> tuple[RoomSet, RoomSet]:
+    """Return the rooms that the settings were tuned on and the ones that they were not."""
+    return (RoomSet('tuning', range(count), slow_count),
+            RoomSet('held-out', range(HELD_OUT, HELD_OUT + count), slow_count))
+
+
+@lru_cache(maxsize=64)
+def room(seed: int) -> Scene:
+    """Return one room."""
+    return random_room(np.random.default_rng(seed))
+
+
+def noisy_depth(scene: Scene | Frame, sigma: float, seed: int) -> np.ndarray:
+    """Return a scene's depth with disparity noise that depends on the seed only."""
+    if sigma == 0:
+        return scene.depth_m
+    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng([seed, 1]))
+
+
+def report_rooms(methods: Sequence[Method], count: int, slow_count: int) -> None:
+    """Print the tables of all rooms."""
+    report_sets('Rendered rooms', room, methods, count, slow_count)
+    report_ours(count)
+
+
+def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], count: int,
+                slow_count: int) -> None:
+    """Print the tables of the scenes that some function makes of the seeds."""
+    for rooms in room_sets(count, slow_count):
+        rows = [row(method, rooms.for_method(method), sigma, scene_of)
+                for method in tqdm(methods, f'{title}, {rooms.name}', leave=False)
+                if not method.absent for sigma in SIGMAS]
+        emit(f'### {title}, {rooms.name} seeds {rooms.seeds[0]} to {rooms.seeds[-1]}',
+             table(columns('rooms', 'seed'), rows))
+    emit(f'Seeds up to {HELD_OUT - 1} were used for tuning, the others were not. Means over the '
+         f'rooms; recall counts true planes of more than {MIN_PIXELS} pixels, both it and '
+         'precision matches of IoU > 0.5; errors are medians over the matched planes of a room. '
+         'Slow methods are tried on the first rooms only.')
+    emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
+
+
+def columns(counted: str, named: str) -> tuple[str, ...]:
+    """Return the header of a table of methods: what is counted, and what names the worst."""
+    return ('method', 'noise (1/m)', counted, 'SC', f'worst SC ({named})', 'VOI', 'RI', 'recall',
+            'worst recall', 'precision', 'worst precision', 'normal error (deg)',
+            'offset error (cm)')
+
+
+def row(method: Method, seeds: Sequence[int], sigma: float, scene_of: SceneOfSeed) -> list[str]:
+    """Return a line of the table: the means over some rooms."""
+    scores = [room_score(method, seed, sigma, scene_of) for seed in seeds]
+    return [method.name, f'{sigma:g}', *score_cells(scores, seeds)]
+
+
+def score_cells(scores: Sequence[Score], names: Sequence[object]) -> list[str]:
+    """Return what the columns after the second say of some pictures' scores."""
+    def column(name: str) -> np.ndarray:
+        return np.array([getattr(one, name) for one in scores], float)
+
+    covering, recall, precision = (
+        column(name) for name in ('segmentation_covering', 'recall', 'precision'))
+    cells = [str(len(scores)), f'{covering.mean():.3f}',
+             f'{covering.min():.2f} ({names[covering.argmin()]})',
+             f'{column("variation_of_information").mean():.2f}',
+             f'{column("rand_index").mean():.3f}']
+    for values in (recall, precision):
+        cells += [f'{_mean(values):.3f}', f'{np.nanmin(values, initial=1):.2f}']
+    return [*cells, f'{_mean(column("normal_error_deg")):.2f}',
+            f'{100 * _mean(column("offset_error_m")):.1f}']
+
+
+def room_score(method: Method, seed: int, sigma: float, scene_of: SceneOfSeed) -> Score:
+    """Return how good a method is on one room."""
+    scene = scene_of(seed)
+    labels, planes = method(noisy_depth(scene, sigma, seed), scene.intrinsics)
+    return score(scene.labels, scene.planes, labels, planes, np.isfinite(scene.depth_m))
+
+
+def report_ours(count: int) -> None:
+    """Print what is measured on ours alone, over the held-out rooms."""
+    seeds = room_sets(count, 0)[1].seeds
+    emit('### Ours on the held-out rooms: recall by depth error and by angle')
+    rows = []
+    for sigma in SIGMAS:
+        found = [_recalls(seed, sigma) for seed in tqdm(seeds, 'recall', leave=False)]
+        planes, pixels, angles = (np.mean([one[k] for one in found], axis=0) for k in range(3))
+        rows.append([f'{sigma:g}', *(f'{a:.2f} / {b:.2f}' for a, b in
+                                     zip(planes, pixels, strict=True)),
+                     *(f'{a:.2f}' for a in angles)])
+    emit(table(['noise (1/m)', *(f'{depth:g} m' for depth in RECALL_DEPTHS_M),
+                *(f'{angle:g} deg' for angle in RECALL_ANGLES_DEG)], rows),
+         'Planes / pixels of true planes of any size that a plane with IoU > 0.5 matches within '
+         'that depth or angle.')
+    report_confidence(seeds)
+
+
+def _recalls(seed: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    scene = room(seed)
+    labels, planes = Ours()(noisy_depth(scene, sigma, seed), scene.intrinsics)
+    seen = np.isfinite(scene.depth_m)
+    depth_m = plane_depth(labels, planes, scene.intrinsics)
+    return (*depth_recall(scene.labels, scene.depth_m, labels, depth_m, seen),
+            normal_recall(scene.labels, scene.planes, labels, planes, seen))
+
+
+def plane_depth(labels: np.ndarray, planes: np.ndarray,
+                intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return the depth (H, W) at which each pixel's ray meets its plane, NaN where none."""
+    if not len(planes):
+        return np.full(labels.shape, np.nan)
+    x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
+    y = (np.arange(intrinsics.height)[:, None] - intrinsics.cy) / intrinsics.fy
+    a, b, c, d = np.moveaxis(planes[labels], -1, 0)
+    with np.errstate(divide='ignore', invalid='ignore'):
+        return np.where(labels >= 0, -d / (a * x + b * y + c), np.nan)
+
+
+def report_confidence(seeds: Sequence[int]) -> None:
+    """Print how often planes of a confidence are true ones, over all noises."""
+    pairs = np.array([pair for sigma in SIGMAS for seed in tqdm(seeds, 'confidence', leave=False)
+                      for pair in _confidences(seed, sigma)]).reshape(-1, 2)
+    rows = []
+    for low, high in zip(CONFIDENCE_EDGES[:-1], CONFIDENCE_EDGES[1:], strict=True):
+        inside = pairs[(pairs[:, 0] >= low) & ((pairs[:, 0] < high) | (high == 1.0))]
+        rows.append([f'{low:g} to {high:g}', str(len(inside)),
+                     *(f'{value:.2f}' if len(inside) else '-'
+                       for value in (inside.mean(0) if len(inside) else (0, 0)))])
+    emit('### Ours on the held-out rooms: what the confidence says',
+         table(('confidence', 'planes', 'mean confidence', 'share that match'), rows))
+
+
+def _confidences(seed: int, sigma: float) -> Iterator[tuple[float, bool]]:
+    """Yield the confidence of each plane and whether it matches a true one."""
+    scene = room(seed)
+    found = segment_planes(noisy_depth(scene, sigma, seed), scene.intrinsics, Config())
+    shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
+    for plane, iou in zip(found.planes, shared.iou.T, strict=True):
+        yield plane.confidence, bool((iou > 0.5).any())
+
+
+def _mean(values: np.ndarray) -> float:
+    """Return the mean of what is known, NaN when nothing is."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float('nan')

@@ -1,0 +1,280 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How right angles and distances are after each way to find the scale; prints Markdown tables.
+
+Pictures are seen by a pretended relative network: true depth becomes disparity with noise, of
+random scale and shift. Its planes are found, scale and shift are estimated from them, and the
+planes' angles and distances compared with those of the true depth on the same pixels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plane_detector.config import Config, ScaleConfig
+from plane_detector.evaluation.scenes import rooms as scenes
+from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.scale.disparity_planes import fit_disparity_planes
+from plane_detector.scale.methods import ScaleEstimate, estimate_scale
+from plane_detector.segmentation.segment import segment_disparity, segment_planes
+from plane_detector.types import CameraIntrinsics
+
+SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
+NOISE_PER_M = 0.004
+MIN_PLANE_SHARE = 0.02
+CLASS_TOLERANCE_DEG = 8.0
+# What a user's knowledge may be off by.
+GRAVITY_ERROR_DEG, HEIGHT_ERROR_SHARE = 1.0, 0.02
+COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG = 10.0, 20.0
+SPARSE_POINTS, WRONG_POINT_SHARE = 200, 0.1
+# Real pictures are few: each is seen by this many pretended networks.
+DRAWS_PER_PICTURE = 10
+BENT_DEG = 6.0
+UP_TO_A_FACTOR = ' (up to one factor)'
+
+
+@dataclass(frozen=True)
+class View:
+    """What the pretended network makes of a picture, its planes, and the truth."""
+
+    disparity: np.ndarray
+    labels: np.ndarray
+    true_depth_m: np.ndarray
+    intrinsics: CameraIntrinsics
+    down_camera: np.ndarray
+    height_m: float
+    true_scale: ScaleConfig
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class Errors:
+    """
+    Of one estimate.
+
+    Attributes
+    ----------
+    angle_deg : (n,) float64
+        Of each wall to the floor.
+    distance_share : (m,) float64
+        Of each plane's distance along the ray of its middle.
+    bend_deg : float
+        The most that scale and shift alone, without noise, change an angle between two planes.
+
+    """
+
+    angle_deg: np.ndarray
+    distance_share: np.ndarray
+    bend_deg: float
+
+
+def look(depth_m: np.ndarray, intrinsics: CameraIntrinsics, down_camera: np.ndarray,
+         height_m: float, rng: np.random.Generator) -> View:
+    """Return what a network of random scale and shift makes of a picture, and its planes."""
+    scale = np.exp(rng.uniform(*np.log(SCALE_RANGE)))
+    shift = rng.uniform(*SHIFT_RANGE_PER_M)
+    noisy_m = scenes.with_disparity_noise(depth_m, NOISE_PER_M, rng)
+    disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
+    truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
+    labels = segment_disparity(disparity, Config())
+    return View(disparity, labels, depth_m, intrinsics, down_camera, height_m, truth, rng)
+
+
+def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
+    """Render scenes."""
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        scene = make(rng)
+        yield look(scene.depth_m, scene.intrinsics, scene.down_camera, scene.height_m, rng)
+
+
+def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
+    """Read a set of real pictures; gravity and height are those of the sensor's floor."""
+    facts = json.loads((folder / 'intrinsics.json').read_text())
+    intrinsics = CameraIntrinsics(*(facts[k] for k in ('fx', 'fy', 'cx', 'cy', 'width', 'height')))
+    for path in sorted(folder.glob('*_depth.png')):
+        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
+        depth_m = np.where(raw == facts['invalid'], np.nan, raw * facts['depth_unit_m'])
+        planes = segment_planes(depth_m, intrinsics).planes
+        down_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
+        floors = [plane for plane, kind in zip(planes, classify_planes(planes, down_camera),
+                                               strict=True) if kind == PlaneClass.FLOOR]
+        if not floors:
+            print(f'{path.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
+            continue
+        for _ in range(DRAWS_PER_PICTURE):
+            yield look(depth_m, intrinsics, -floors[0].normal, floors[0].offset_m, rng)
+
+
+def measure(view: View, estimate: ScaleEstimate) -> Errors:
+    """Compare the planes at the estimated scale with those of the true depth."""
+    planes = fit_disparity_planes(view.disparity, view.labels, view.intrinsics)
+    true = fit_disparity_planes(1.0 / view.true_depth_m, view.labels, view.intrinsics)
+    _, mine, theirs = np.intersect1d(planes.labels, true.labels, return_indices=True)
+    mine, theirs = planes.take(mine), true.take(theirs)
+    large = theirs.pixel_share * np.mean(view.labels >= 0) >= MIN_PLANE_SHARE
+    got = mine.scaled(estimate.scale, estimate.shift)[large]
+    want = theirs.coefficients[large]
+    rays = np.column_stack([theirs.centers[large], np.ones(large.sum())])
+    ratio = (rays * got).sum(1) / (rays * want).sum(1)
+    if not estimate.is_metric:
+        ratio /= np.median(ratio)
+    true_deg = _angles_deg(want, want)
+    bent = _rescaled(want, view.true_scale, estimate)
+    bend_deg = np.abs(_angles_deg(bent, bent) - true_deg).max(initial=0.0)
+    return Errors(_wall_to_floor(np.abs(_angles_deg(got, got) - true_deg), want, view.down_camera),
+                  np.abs(1.0 / ratio - 1.0), float(bend_deg))
+
+
+def _rescaled(planes: np.ndarray, truth: ScaleConfig, estimate: ScaleEstimate) -> np.ndarray:
+    """Return what the estimate makes of true planes (N, 3) seen without noise."""
+    gain = estimate.scale / truth.disparity_scale
+    return gain * planes + [0.0, 0.0, estimate.shift - gain * truth.disparity_shift]
+
+
+def _wall_to_floor(pair_deg: np.ndarray, planes: np.ndarray, down: np.ndarray) -> np.ndarray:
+    down_deg = _angles_deg(planes, down[None])[:, 0]
+    walls = np.flatnonzero(np.abs(down_deg - 90.0) <= CLASS_TOLERANCE_DEG)
+    level = np.flatnonzero(down_deg <= CLASS_TOLERANCE_DEG)
+    if not len(level):
+        return np.zeros(0)
+    floor = level[np.linalg.norm(planes[level], axis=1).argmin()]
+    return pair_deg[floor, walls]
+
+
+def _angles_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(first, axis=1)[:, None] * np.linalg.norm(second, axis=1)
+    return np.degrees(np.arccos((first @ second.T / length).clip(-1, 1)))
+
+
+def _tilted(direction: np.ndarray, angle_deg: float, rng: np.random.Generator) -> np.ndarray:
+    """Return a unit vector the angle away, to a random side."""
+    aside = np.cross(direction, rng.standard_normal(3))
+    return (np.cos(np.radians(angle_deg)) * direction
+            + np.sin(np.radians(angle_deg)) * aside / np.linalg.norm(aside))
+
+
+def _none(view: View) -> ScaleEstimate:
+    return estimate_scale(view.disparity, view.labels, view.intrinsics, ScaleConfig(method='none'))
+
+
+def _truth(view: View) -> ScaleEstimate:
+    return estimate_scale(view.disparity, view.labels, view.intrinsics, view.true_scale)
+
+
+def _sparse_depth(view: View) -> ScaleEstimate:
+    """Give some points of measured depth, a share of them wrong."""
+    index = view.rng.choice(np.flatnonzero(np.isfinite(view.true_depth_m)), SPARSE_POINTS)
+    points_m = np.full(view.true_depth_m.shape, np.nan)
+    points_m.flat[index] = view.true_depth_m.flat[index]
+    wrong = index[:int(WRONG_POINT_SHARE * SPARSE_POINTS)]
+    points_m.flat[wrong] = view.rng.uniform(0.5, 8.0, len(wrong))
+    return estimate_scale(view.disparity, view.labels, view.intrinsics,
+                          ScaleConfig(method='depth_topic'), sensor_depth_m=points_m)
+
+
+def _manhattan(view: View) -> ScaleEstimate:
+    return estimate_scale(view.disparity, view.labels, view.intrinsics,
+                          ScaleConfig(method='manhattan'))
+
+
+def _height(view: View, method: str, gravity_error_deg: float, tolerance_deg: float,
+            height_error: float) -> ScaleEstimate:
+    sign = view.rng.choice([-1.0, 1.0])
+    config = ScaleConfig(method=method, camera_height=view.height_m * (1 + sign * height_error),
+                         gravity=tuple(_tilted(view.down_camera, gravity_error_deg, view.rng)),
+                         gravity_tolerance=tolerance_deg)
+    return estimate_scale(view.disparity, view.labels, view.intrinsics, config)
+
+
+WAYS: dict[str, Callable[[View], ScaleEstimate]] = {
+    'none (uncorrected)': _none,
+    'fixed, the truth: what noise alone leaves': _truth,
+    f'depth_topic, {SPARSE_POINTS} points, {WRONG_POINT_SHARE:.0%} wrong': _sparse_depth,
+    'camera_height, exact': lambda view: _height(view, 'camera_height', 0.0, 0.5, 0.0),
+    f'camera_height, {GRAVITY_ERROR_DEG:.0f} deg and {HEIGHT_ERROR_SHARE:.0%} off':
+        lambda view: _height(view, 'camera_height', GRAVITY_ERROR_DEG, 2.0, HEIGHT_ERROR_SHARE),
+    'manhattan': _manhattan,
+    f'manhattan + height, gravity {COARSE_ERROR_DEG:.0f} deg off':
+        lambda view: _height(view, 'manhattan', COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG, 0.0),
+}
+
+
+def accuracy_table(title: str, views: list[View]) -> str:
+    """Return the Markdown table of all ways on some views."""
+    lines = [f'### {title}', '', '| scale by | answered | wall to floor, deg: median | worst '
+             '| distance, %: median | worst |', '|---|---|---|---|---|---|']
+    for name, way in WAYS.items():
+        estimates = [(view, way(view)) for view in views]
+        answered = [(view, estimate) for view, estimate in estimates
+                    if estimate.has_true_angles or way is _none]
+        lines.append(f'| {name} | {len(answered)}/{len(views)} | {_accuracy(answered)} |')
+    return '\n'.join([*lines, ''])
+
+
+def _accuracy(answered: list[tuple[View, ScaleEstimate]]) -> str:
+    """Return the last four cells of a row; distances in metres where any estimate has them."""
+    metric = any(estimate.is_metric for _, estimate in answered)
+    errors = [(measure(view, estimate), estimate) for view, estimate in answered]
+    angles_deg = [error.angle_deg for error, _ in errors]
+    distances = [error.distance_share for error, estimate in errors
+                 if estimate.is_metric == metric]
+    return (f'{_summary(angles_deg, 1.0, 2)} | {_summary(distances, 100.0, 1)}'
+            f'{"" if metric else UP_TO_A_FACTOR}')
+
+
+def _summary(values: list[np.ndarray], factor: float, digits: int) -> str:
+    pooled = factor * np.concatenate([np.zeros(0), *values])
+    if not len(pooled):
+        return '- | -'
+    return f'{np.median(pooled):.{digits}f} | {pooled.max():.{digits}f}'
+
+
+def refusal_row(name: str, views: Iterable[View]) -> str:
+    """Return the row of one kind of room: what the vote of right angles says of it."""
+    estimates = [(view, _manhattan(view)) for view in views]
+    accepted = [(v, e) for v, e in estimates if e.has_true_angles]
+    bent = sum(measure(v, e).bend_deg > BENT_DEG for v, e in accepted)
+    return (f'| {name} | {len(estimates)} | {len(estimates) - len(accepted)} | '
+            f'{len(accepted) - bent} | {bent} |')
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Print all tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--rooms', type=int, default=50, help='rendered scenes of each kind')
+    parser.add_argument('--first-seed', type=int, default=1000)
+    parser.add_argument('--data', type=Path, help='folder of the real pictures',
+                        default=Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')))
+    options = parser.parse_args(arguments)
+    seeds = range(options.first_seed, options.first_seed + options.rooms)
+    print(f'`python -m plane_detector.evaluation.benchmark.scale --rooms {options.rooms} '
+          f'--first-seed {options.first_seed}`\n')
+    print(accuracy_table(f'{options.rooms} rendered rooms',
+                         list(rendered_views(scenes.random_room, seeds))))
+    for name in ('kinect', 'nyu'):
+        if (options.data / name).is_dir():
+            views = list(real_views(options.data / name, np.random.default_rng(seeds.start)))
+            title = (f'Real pictures, {name}: {len(views) // DRAWS_PER_PICTURE} with a floor, '
+                     f'each seen by {DRAWS_PER_PICTURE} networks')
+            print(accuracy_table(title, views))
+        else:
+            print(f'{options.data / name} is not there: no table of it', file=sys.stderr)
+    print('### The vote of right angles\n\n| room | pictures | refused | right | bent by more '
+          f'than {BENT_DEG:.0f} deg |\n|---|---|---|---|---|')
+    for make in (scenes.random_room, scenes.attic, scenes.hexagon_room):
+        print(refusal_row(make.__name__, rendered_views(make, seeds)))
+
+
+if __name__ == '__main__':
+    main()

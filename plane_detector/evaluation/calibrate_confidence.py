@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Fit the confidence of planes on rendered rooms, of boxes and lived in, and check it on others.
+
+    python3 -m plane_detector.evaluation.calibrate_confidence
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from sklearn.linear_model import LogisticRegression
+from tqdm import tqdm
+
+from plane_detector.evaluation.metrics import overlap
+from plane_detector.evaluation.scenes.living_rooms import living_room
+from plane_detector.evaluation.scenes.rooms import Scene, random_room, with_disparity_noise
+from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, confidence_features
+from plane_detector.segmentation.segment import segment_planes
+
+SCENES = (random_room, living_room)
+FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(1200, 1250)
+NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+
+
+def samples(make_scene: Callable[[np.random.Generator], Scene],
+            seeds: range) -> tuple[np.ndarray, np.ndarray]:
+    """Return features (n, 3) of the planes found in scenes, and whether each is true (n,)."""
+    features, matched = [], []
+    for seed in tqdm(seeds, make_scene.__name__, leave=False):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng)
+        for noise in NOISES:
+            depth_m = with_disparity_noise(scene.depth_m, noise, rng, rng.uniform(0.2, 0.8),
+                                           rng.uniform(6, 20)) if noise else scene.depth_m
+            found = segment_planes(depth_m, scene.intrinsics)
+            shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
+            matched += list((shared.iou > 0.5).any(axis=0))
+            shares = np.array([plane.inlier_count for plane in found.planes]) / found.labels.size
+            covariances = np.array([plane.covariance for plane in found.planes])
+            features.append(confidence_features(shares, covariances.reshape(-1, 4, 4)))
+    return np.concatenate(features), np.array(matched)
+
+
+def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
+    """Return a Markdown table: of the planes of each confidence, the share that is true."""
+    lines = ['| confidence | planes | mean confidence | true |', '|---|---|---|---|']
+    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
+        inside = (confidence > low) & (confidence <= high)
+        if inside.any():
+            lines.append(f'| {low:g} to {high:g} | {inside.sum()} | '
+                         f'{confidence[inside].mean():.2f} | {matched[inside].mean():.2f} |')
+    return '\n'.join(lines)
+
+
+def main() -> None:
+    """Print the fitted weights and how reliable the ones in use are on unseen scenes."""
+    features, matched = (np.concatenate(part) for part in zip(
+        *(samples(make_scene, FIT_SEEDS) for make_scene in SCENES), strict=True))
+    fit = LogisticRegression(C=10.0, fit_intercept=False).fit(features, matched)
+    print('fitted weights', np.round(fit.coef_[0], 2), 'in use', CONFIDENCE_WEIGHTS)
+    for make_scene in SCENES:
+        features, matched = samples(make_scene, CHECK_SEEDS)
+        confidence = 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
+        print(f'\n{make_scene.__name__}, seeds {CHECK_SEEDS[0]} to {CHECK_SEEDS[-1]}\n')
+        print(reliability(confidence, matched))
+
+
+if __name__ == '__main__':
+    main()

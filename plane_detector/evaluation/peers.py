@@ -1,0 +1,240 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Ways to segment a depth image into planes: ours and others', behind one interface.
+
+The others are extras, not dependencies: one that is not installed says so (`Method.absent`).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import Any
+
+import cv2
+import numpy as np
+
+from plane_detector.config import Config, PaperConfig, SegmentationConfig
+from plane_detector.geometry.projection import depth_to_points
+from plane_detector.segmentation.segment import segment_planes
+from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+
+MIN_PIXELS = 1500
+"""Smallest plane of the peers, at 640 x 480; as a share of the picture at other sizes."""
+MIN_THICKNESS_M = 0.04
+"""Open3D's patches are boxes; on exact depth they are too thin to hold their own points."""
+
+Segments = tuple[np.ndarray, np.ndarray]
+"""Labels (H, W) int32, -1 none, and planes (K, 4): unit normal towards the camera, offset."""
+
+
+class Method:
+    """
+    A way to segment planes, in three steps of which the second is timed.
+
+    Attributes
+    ----------
+    name : str
+        For the tables.
+    absent : str
+        Why it cannot run here; empty when it can.
+    slow : bool
+        Takes seconds a picture.
+
+    """
+
+    name = ''
+    absent = ''
+    slow = False
+
+    def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
+        """Return what :meth:`run` wants."""
+        return depth_m, intrinsics
+
+    def run(self, prepared: Any) -> Any:
+        """Segment."""
+        raise NotImplementedError
+
+    def result(self, raw: Any) -> Segments:
+        """Return what :meth:`run` gave as labels and planes."""
+        raise NotImplementedError
+
+    def __call__(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Segments:
+        """Take all three steps."""
+        return self.result(self.run(self.prepare(depth_m, intrinsics)))
+
+
+class Ours(Method):
+    """`segment_planes` as it comes."""
+
+    name = 'plane_detector'
+
+    def __init__(self, config: Config | None = None) -> None:
+        self.config = config or Config()
+
+    def run(self, prepared: Any) -> PlaneSegmentation:
+        """Segment; from depth to labels of all pixels and measured planes."""
+        return segment_planes(*prepared, self.config)
+
+    def result(self, raw: PlaneSegmentation) -> Segments:
+        """Take labels and planes out of a segmentation."""
+        return raw.labels, plane_array(raw)
+
+
+class Paper(Ours):
+    """The paper's method: pyRANSAC-3D plane by plane, then DBSCAN."""
+
+    slow = True
+
+    def __init__(self, max_points: int = PaperConfig.max_points) -> None:
+        super().__init__(Config(segmentation=SegmentationConfig(method='paper'),
+                                paper=PaperConfig(max_points=max_points)))
+        self.name = f'paper, {max_points} points'
+        self.absent = _missing('pyransac3d')
+
+
+class OpenCv(Method):
+    """OpenCV 5's RgbdNormals and findPlanes."""
+
+    def __init__(self, threshold_m: float) -> None:
+        self.threshold_m = threshold_m
+        self.name = f'OpenCV findPlanes, {100 * threshold_m:g} cm'
+        if not (hasattr(cv2, 'findPlanes') and hasattr(cv2, 'RgbdNormals')):
+            self.absent = f'OpenCV {cv2.__version__} has no findPlanes, OpenCV 5 has'
+        self._normals: tuple[CameraIntrinsics, Any] | None = None
+
+    def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
+        """Return the points, four floats each, and the estimator of normals."""
+        points = np.zeros((*depth_m.shape, 4), np.float32)
+        points[..., :3] = depth_to_points(depth_m, intrinsics)
+        return points, self._estimator(intrinsics)
+
+    def run(self, prepared: Any) -> Any:
+        """Estimate the normals and segment."""
+        points, estimator = prepared
+        least = round(MIN_PIXELS * points.shape[0] * points.shape[1] / (640 * 480))
+        return cv2.findPlanes(points, estimator.apply(points), block_size=20, min_size=least,
+                              threshold=self.threshold_m)
+
+    def result(self, raw: Any) -> Segments:
+        """Turn the mask, 255 for no plane, into labels."""
+        mask, planes = raw
+        labels = mask.astype(np.int32)
+        labels[mask == 255] = -1
+        planes = np.zeros((0, 4)) if planes is None else planes.reshape(-1, 4).astype(float)
+        return labels, _towards_camera(planes)
+
+    def _estimator(self, intrinsics: CameraIntrinsics) -> Any:
+        """Return the estimator of normals, made once for a camera: it keeps tables."""
+        if self._normals is None or self._normals[0] != intrinsics:
+            matrix = np.array([[intrinsics.fx, 0, intrinsics.cx],
+                               [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]], np.float32)
+            self._normals = intrinsics, cv2.RgbdNormals.create(
+                intrinsics.height, intrinsics.width, cv2.CV_32F, matrix, 5, 50.0,
+                cv2.RgbdNormals_RGBD_NORMALS_METHOD_FALS)
+        return self._normals[1]
+
+
+class Open3dCloud(Method):
+    """What the two methods of Open3D share: they take a point cloud of every valid pixel."""
+
+    slow = True
+
+    def __init__(self) -> None:
+        self.absent = _missing('open3d')
+
+    def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
+        """Return the cloud and which pixels are in it."""
+        import open3d
+        points_m = depth_to_points(depth_m, intrinsics).astype(float)
+        seen = np.isfinite(points_m[..., 2])
+        vector = open3d.utility.Vector3dVector(points_m[seen])
+        return open3d.geometry.PointCloud(vector), seen
+
+    def result(self, raw: Any) -> Segments:
+        """Turn the indices of each plane's points into labels."""
+        seen, indices, planes = raw
+        flat = np.full(int(seen.sum()), -1, np.int32)
+        for k, index in enumerate(indices):
+            flat[index] = k
+        labels = np.full(seen.shape, -1, np.int32)
+        labels[seen] = flat
+        return labels, _towards_camera(np.array(planes).reshape(-1, 4))
+
+
+class Open3dPatches(Open3dCloud):
+    """Open3D's detect_planar_patches with the settings of its documentation."""
+
+    name = 'Open3D detect_planar_patches'
+
+    def run(self, prepared: Any) -> Any:
+        """Estimate the normals, find the patches and the points in them."""
+        import open3d
+        cloud, seen = prepared
+        cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=0.1, max_nn=30))
+        boxes = cloud.detect_planar_patches(
+            normal_variance_threshold_deg=60, coplanarity_deg=75, outlier_ratio=0.75,
+            min_plane_edge_length=0, min_num_points=0,
+            search_param=open3d.geometry.KDTreeSearchParamKNN(knn=30))
+        thick = [open3d.geometry.OrientedBoundingBox(
+            box.center, box.R, np.maximum(box.extent, [0, 0, MIN_THICKNESS_M])) for box in boxes]
+        indices = [box.get_point_indices_within_bounding_box(cloud.points) for box in thick]
+        return seen, indices, [_through(box.center, box.R[:, 2]) for box in boxes]
+
+
+class Open3dRansac(Open3dCloud):
+    """Open3D's segment_plane, peeled plane by plane."""
+
+    def __init__(self, threshold_m: float = 0.02) -> None:
+        super().__init__()
+        self.threshold_m = threshold_m
+        self.name = f'Open3D segment_plane, peeled, {100 * threshold_m:g} cm'
+
+    def run(self, prepared: Any) -> Any:
+        """Take the best plane off the cloud until the best one is too small."""
+        import open3d
+        open3d.utility.random.seed(0)
+        cloud, seen = prepared
+        left, indices, planes = np.arange(len(cloud.points)), [], []
+        least = MIN_PIXELS * seen.size / (640 * 480)
+        while len(left) > max(least, 3) and len(planes) < SegmentationConfig.max_planes:
+            plane, inliers = cloud.segment_plane(self.threshold_m, 3, 1000)
+            if len(inliers) < least:
+                break
+            planes.append(plane)
+            indices.append(left[inliers])
+            left = np.delete(left, inliers)
+            cloud = cloud.select_by_index(inliers, invert=True)
+        return seen, indices, planes
+
+
+def all_methods() -> list[Method]:
+    """Return ours first, then every peer, installed or not."""
+    return [Ours(), Paper(), OpenCv(0.03), OpenCv(0.05), Open3dPatches(), Open3dRansac()]
+
+
+def plane_array(segmentation: PlaneSegmentation) -> np.ndarray:
+    """Return normals and offsets of the planes, (K, 4)."""
+    return np.array([np.append(plane.normal, plane.offset_m)
+                     for plane in segmentation.planes]).reshape(-1, 4)
+
+
+def _missing(module: str) -> str:
+    """Return why a module cannot be used, empty when it can."""
+    if importlib.util.find_spec(module) is None:
+        return f'{module} is not installed'
+    try:
+        importlib.import_module(module)
+    except ImportError as error:
+        return f'{module} does not load: {error}'
+    return ''
+
+
+def _through(point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    return np.append(normal, -np.dot(normal, point_m))
+
+
+def _towards_camera(planes: np.ndarray) -> np.ndarray:
+    """Return the planes with unit normals and offsets of 0 or more."""
+    length = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+    return planes / np.maximum(length, 1e-12) * np.where(planes[:, 3:] < 0, -1.0, 1.0)

@@ -1,0 +1,280 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Labels of the flat surfaces in exact depth, to judge the detector by; it shares no code with it.
+
+Region growing, as Poppinga, Vaskevicius, Birk and Pathak do it in "Fast plane detection and
+polygonalization in noisy 3D range images" (IROS 2008), with the time that exact depth is worth:
+pixel by pixel, from the flattest place on, and grown anew after each fit until nothing changes.
+
+What is curved is told from a plane by a second tolerance. On a plane nearly all that lies within
+four times the tolerance lies within the tolerance; on a curved surface the region goes on.
+
+A plane is affine in disparity, 1/z = a x/z + b y/z + c, and is worked with as (a, b, c).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plane_detector.geometry.projection import check_depth, pixel_rays, valid_depth
+from plane_detector.types import CameraIntrinsics
+
+TOLERANCE_M = 0.0015
+"""Depth that a plane's pixels may be off: three times the most that rounding to 1 mm does."""
+LOOSE_TOLERANCE_M = 4 * TOLERANCE_M
+"""A strip along a cylinder is as wide as the root of the tolerance: nearly twice, by this."""
+FLAT_RATIO = 1.15
+"""What the loose tolerance makes at most this many times larger is a plane; edges are bevelled."""
+UNCLEAR_RATIO = 1.5
+"""What it makes larger than this is curved; in between it is neither called a plane nor not."""
+WINDOW_PX = 9
+"""Side of the windows that regions start from: rounding averages out, narrow faces hold one."""
+ROUGHEST_START_M = 0.0005
+"""Root mean square error of a window to start from; rounding to 1 mm alone gives 0.0003."""
+MERGE_M = 0.002
+"""Two pieces are one plane when most of the smaller one's pixels fit the larger's this well."""
+MERGE_SHARE = 0.9
+MIN_PIXELS = 300
+"""Smaller regions are no planes; the metrics only miss planes of more than 1500 pixels."""
+Pixel = tuple[int, int]
+_MOST_REFITS = 12
+_SETTLED_SHARE = 0.001  # of the region's pixels may still change
+_LEAST_TO_FIT = WINDOW_PX**2 // 2
+
+
+@dataclass(frozen=True)
+class ExactLabels:
+    """
+    The flat surfaces of a picture, largest first.
+
+    Attributes
+    ----------
+    labels : (H, W) int32
+        Index into ``planes``, -1 for none.
+    planes : (K, 4) float64
+        Unit normal towards the camera and offset, 0 or more, in metres: n.p + d = 0.
+    unclear : (H, W) bool
+        Pixels without a label that may be on a plane: on surfaces that are flat within the loose
+        tolerance and not within the other, like the faces of a curtain's folds, on narrow faces
+        with bevelled edges, and on the ends of curved surfaces, which go on to one side only.
+
+    """
+
+    labels: np.ndarray
+    planes: np.ndarray
+    unclear: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """Rays x/z and y/z, depth and its inverse, (H, W) float64; depth is 1 where not valid."""
+
+    ray_x: np.ndarray
+    ray_y: np.ndarray
+    depth_m: np.ndarray
+    disparity: np.ndarray
+    valid: np.ndarray
+
+    def error_m(self, plane: np.ndarray) -> np.ndarray:
+        """Return how far each pixel's depth is off a plane, to first order, (H, W)."""
+        error = plane[0] * self.ray_x + plane[1] * self.ray_y
+        error += plane[2]
+        error -= self.disparity
+        return np.abs(error, out=error) * self.depth_m**2
+
+    def fit(self, region: np.ndarray) -> np.ndarray:
+        """Return the plane (3,) with the least squared depth error over a region."""
+        weight = self.depth_m[region]**2
+        rays = weight * np.stack([self.ray_x[region], self.ray_y[region], np.ones(len(weight))])
+        return np.linalg.lstsq(rays @ rays.T, rays @ (weight * self.disparity[region]),
+                               rcond=None)[0]
+
+
+def label_exact_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                       min_pixels: int = MIN_PIXELS) -> ExactLabels:
+    """
+    Label the flat surfaces in depth without noise; takes a second or two.
+
+    Coplanar surfaces have one label, also where something stands between them.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Exact up to rounding to millimetres; not finite or not positive is invalid.
+    intrinsics : CameraIntrinsics
+    min_pixels : int
+        A piece with fewer pixels is not labelled.
+
+    Returns
+    -------
+    ExactLabels
+
+    Raises
+    ------
+    ValueError
+        Depth and intrinsics do not fit together.
+
+    """
+    check_depth(depth_m, intrinsics)
+    picture = _picture(depth_m, intrinsics)
+    pieces, unclear = _grow_all(picture, min_pixels)
+    regions = sorted(_merged(picture, pieces), key=np.count_nonzero, reverse=True)
+    labels = np.full(depth_m.shape, -1, np.int32)
+    for k, region in enumerate(regions):
+        labels[region] = k
+    planes = np.array([picture.fit(region) for region in regions]).reshape(-1, 3)
+    return ExactLabels(labels, _normal_and_offset(planes), unclear & (labels < 0))
+
+
+def _picture(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> _Picture:
+    valid = valid_depth(depth_m)
+    ray_x, ray_y = (ray.astype(float) for ray in pixel_rays(intrinsics))
+    depth_m = np.where(valid, depth_m, 1.0).astype(float)
+    return _Picture(np.broadcast_to(ray_x, depth_m.shape).copy(),
+                    np.broadcast_to(ray_y[:, None], depth_m.shape).copy(),
+                    depth_m, 1 / depth_m, valid)
+
+
+def _grow_all(picture: _Picture, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the regions (H, W) that are planes, and the pixels of those that may be."""
+    free = picture.valid.copy()
+    regions, doubtful = [], []
+    for start, plane in _candidates(picture, free, min_pixels):
+        region, ratio, _ = _growth(picture, plane, start, free)
+        if ratio <= FLAT_RATIO:
+            regions.append(region)
+            free &= ~region
+        else:
+            doubtful.append((start, plane))
+    late, unclear = _second_look(picture, doubtful, free, min_pixels)
+    return regions + late, unclear
+
+
+def _candidates(picture: _Picture, free: np.ndarray, min_pixels: int
+                ) -> Iterator[tuple[Pixel, np.ndarray]]:
+    """Yield a pixel and the plane of each region, flattest first; free may change in between."""
+    planes, rms_m = _windows(picture)
+    while (start := _flattest(rms_m)) is not None:
+        region, plane = _grown(picture, planes[start], start, free)
+        rms_m[region] = np.inf
+        rms_m[_window(start)] = np.inf
+        if np.count_nonzero(region) >= min_pixels:
+            yield start, plane
+
+
+def _second_look(picture: _Picture, doubtful: Sequence[tuple[Pixel, np.ndarray]],
+                 free: np.ndarray, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Judge again, as :func:`_grow_all`, now that nothing grows into the planes beside it."""
+    free, unclear = free.copy(), np.zeros(free.shape, bool)
+    regions = []
+    for start, plane in doubtful:
+        region, ratio, loose = _growth(picture, plane, start, free)
+        if np.count_nonzero(region) < min_pixels:
+            continue
+        if ratio <= FLAT_RATIO:
+            regions.append(region)
+            free &= ~region
+        elif ratio <= UNCLEAR_RATIO:
+            unclear |= loose
+    return regions, unclear
+
+
+def _growth(picture: _Picture, plane: np.ndarray, start: Pixel, free: np.ndarray
+            ) -> tuple[np.ndarray, float, np.ndarray]:
+    """Return a region, how much larger the loose tolerance makes it, and that larger region."""
+    region, loose = (_around(picture, plane, tolerance_m, start, free)
+                     for tolerance_m in (TOLERANCE_M, LOOSE_TOLERANCE_M))
+    return region, np.count_nonzero(loose) / max(np.count_nonzero(region), 1), loose
+
+
+def _windows(picture: _Picture) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Fit a plane to the window around each pixel, by least squares in disparity.
+
+    Returns
+    -------
+    planes : (H, W, 3) float64
+    rms_m : (H, W) float64
+        Root mean square depth error; inf where not all pixels of the window are valid.
+
+    """
+    x, y, disparity = picture.ray_x, picture.ray_y, picture.disparity
+    mean = _mean(disparity)
+    # Over a whole window x and y are a grid: their variances are known, and they are uncorrelated.
+    variance_x, variance_y = (
+        (WINDOW_PX**2 - 1) / 12 * step**2 for step in (x[0, 1] - x[0, 0], y[1, 0] - y[0, 0]))
+    slope_x = (_mean(x * disparity) - x * mean) / variance_x
+    slope_y = (_mean(y * disparity) - y * mean) / variance_y
+    rest = (_mean(disparity**2) - mean**2
+            - slope_x**2 * variance_x - slope_y**2 * variance_y)
+    rms_m = np.sqrt(np.maximum(rest, 0)) * picture.depth_m**2
+    whole = cv2.erode(picture.valid.astype(np.uint8), np.ones((WINDOW_PX, WINDOW_PX)),
+                      borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
+    return (np.stack([slope_x, slope_y, mean - slope_x * x - slope_y * y], axis=-1),
+            np.where(whole, rms_m, np.inf))
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    """Return the mean over the window around each pixel."""
+    return cv2.blur(values, (WINDOW_PX, WINDOW_PX))
+
+
+def _flattest(rms_m: np.ndarray) -> Pixel | None:
+    """Return row and column of the flattest window, None when all that are left are rough."""
+    row, column = divmod(int(rms_m.argmin()), rms_m.shape[1])
+    return (row, column) if rms_m[row, column] <= ROUGHEST_START_M else None
+
+
+def _window(pixel: Pixel) -> tuple[slice, slice]:
+    """Return the middle of the window around a pixel: what would start much the same."""
+    row, column = (slice(max(0, k - WINDOW_PX // 4), k + WINDOW_PX // 4 + 1) for k in pixel)
+    return row, column
+
+
+def _grown(picture: _Picture, plane: np.ndarray, start: Pixel, free: np.ndarray
+           ) -> tuple[np.ndarray, np.ndarray]:
+    """Grow the region around a pixel and fit its plane, by turns; return both."""
+    region = _around(picture, plane, TOLERANCE_M, start, free)
+    for _ in range(_MOST_REFITS):
+        if np.count_nonzero(region) < _LEAST_TO_FIT:
+            break
+        plane, before = picture.fit(region), region
+        region = _around(picture, plane, TOLERANCE_M, start, free)
+        if np.count_nonzero(region != before) <= _SETTLED_SHARE * np.count_nonzero(region):
+            break
+    return region, plane
+
+
+def _around(picture: _Picture, plane: np.ndarray, tolerance_m: float, start: Pixel,
+            free: np.ndarray) -> np.ndarray:
+    """Return the connected free pixels around one that are within a tolerance of a plane."""
+    near = (picture.error_m(plane) <= tolerance_m) & free
+    filled = near.astype(np.uint8)
+    if near[start]:
+        cv2.floodFill(filled, None, start[::-1], 2, flags=4)
+    return filled == 2
+
+
+def _merged(picture: _Picture, pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return the regions with those joined that lie on one plane, wherever they are."""
+    regions: list[np.ndarray] = []
+    for piece in sorted(pieces, key=np.count_nonzero, reverse=True):
+        for k, region in enumerate(regions):
+            error_m = picture.error_m(picture.fit(region))[piece]
+            if (error_m <= MERGE_M).mean() >= MERGE_SHARE:
+                regions[k] = region | piece
+                break
+        else:
+            regions.append(piece)
+    return regions
+
+
+def _normal_and_offset(planes: np.ndarray) -> np.ndarray:
+    """Return planes (K, 3) in disparity, (a, b, c).p = 1, as normals and offsets (K, 4)."""
+    length = np.linalg.norm(planes, axis=1, keepdims=True)
+    return np.hstack([-planes, np.ones_like(length)]) / length

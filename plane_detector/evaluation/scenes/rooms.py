@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered scenes with exact depth, labels and plane coefficients, and noise for them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from plane_detector.evaluation.scenes.rendering import (
+    VGA,
+    Rectangle,
+    Scene,
+    box,
+    camera_rotation,
+    colour,
+    render,
+)
+from plane_detector.types import CameraIntrinsics
+
+
+def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return a furnished room: boxes on the floor, and cupboards and pictures on the walls."""
+    return render(*furnished_room(rng), intrinsics, rng)
+
+
+def furnished_room(rng: np.random.Generator) -> tuple[list[Rectangle], np.ndarray, np.ndarray]:
+    """Return the rectangles of a room, and rotation (3, 3) and position (3,) of a camera in it."""
+    size = rng.uniform([3.5, 4.0, 2.3], [7.0, 8.0, 3.2])
+    position = np.append(rng.uniform(0.1, 0.9, 2) * size[:2], rng.uniform(0.9, 1.8))
+    to_x, to_y = rng.uniform(0.3, 0.7, 2) * size[:2] - position[:2]
+    rotation = camera_rotation(np.degrees(np.arctan2(-to_x, to_y)), rng.uniform(-25, 5),
+                               rng.uniform(-4, 4))
+    furniture: list[Rectangle] = []
+    for _ in range(rng.integers(6, 16)):
+        furniture += _furniture(rng, size, position)
+    return box(size / 2, size) + furniture, rotation, position
+
+
+def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -> list[Rectangle]:
+    """Return one box clear of the camera: free on the floor, at a wall, or hung on a wall."""
+    while True:
+        kind = rng.integers(3)
+        side, end = rng.integers(2), rng.integers(2)
+        size = rng.uniform([0.3, 0.3, 0.25], [1.4, 1.0, 1.4])
+        center = np.append(rng.uniform(0.1, 0.9, 2) * room[:2], size[2] / 2)
+        yaw_deg = rng.uniform(0, 90)
+        if kind == 2:
+            size[side], center[2] = rng.uniform(0.02, 0.4), rng.uniform(1.2, 1.7)
+        if kind > 0:
+            yaw_deg, center[side] = 0.0, size[side] / 2 + end * (room[side] - size[side])
+        clear = np.linalg.norm(center[:2] - camera[:2]) > 0.6 + np.linalg.norm(size[:2]) / 2
+        if clear:
+            return box(center, size, yaw_deg)
+
+
+def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
+    """Return stairs seen from the front: treads 0.3 m deep and risers 0.18 m high."""
+    rise, run, width = np.array([0, 0, 0.18]), np.array([0, 0.3, 0]), np.array([4.0, 0, 0])
+    floor = Rectangle(np.array([-2.0, -3.0, 0.0]), width, np.array([0, 5.0, 0]))
+    faces = [floor]
+    for k in range(steps):
+        foot = np.array([-2.0, 2.0, 0.0]) + k * (rise + run)
+        faces += [Rectangle(foot, width, rise), Rectangle(foot + rise, width, run)]
+    return render(faces, camera_rotation(0, -20, 0), np.array([0, 0, 1.6]), intrinsics,
+                  np.random.default_rng(0))
+
+
+def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
+                distance_m: float = 3.0) -> Scene:
+    """Return one wall that fills the picture, turned away by the yaw."""
+    wall = Rectangle(np.array([-500.0, distance_m, -500.0]), np.array([1000.0, 0, 0]),
+                     np.array([0, 0, 1000.0]))
+    return render([wall], camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
+                  np.random.default_rng(0))
+
+
+def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return a scene without any plane: everything in it is strongly curved."""
+    v, u = np.mgrid[0:intrinsics.height, 0:intrinsics.width] / intrinsics.width * 640.0
+    depth_m = 2.0 + 0.6 * np.sin(u / 9.0) * np.cos(v / 11.0) + 0.3 * np.sin(v / 4.0)
+    labels = np.full(depth_m.shape, -1, np.int32)
+    planes = np.zeros((0, 4))
+    return Scene(colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
+                 labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]), np.zeros(0, int))
+
+
+def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Generator,
+                         smooth_share: float = 0.5, correlation_px: float = 12.0) -> np.ndarray:
+    """
+    Add noise of constant standard deviation to 1/depth, as stereo and depth networks have it.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+    sigma : float
+        Standard deviation of the sum, per metre.
+    rng : numpy.random.Generator
+    smooth_share : float
+        Share of the variance that is smooth over the picture; the rest is grain.
+    correlation_px : float
+        Standard deviation of the Gaussian that the smooth part is blurred with.
+
+    Returns
+    -------
+    (H, W) float32
+        NaN where the disparity would not be positive.
+
+    """
+    grain, smooth = rng.standard_normal((2, *depth_m.shape)).astype(np.float32)
+    smooth = cv2.GaussianBlur(smooth, (0, 0), correlation_px)
+    smooth /= max(float(smooth.std()), 1e-12)
+    disparity = 1.0 / depth_m + sigma * (
+        np.sqrt(1.0 - smooth_share) * grain + np.sqrt(smooth_share) * smooth)
+    with np.errstate(divide='ignore'):
+        return np.where(disparity > 0, 1.0 / disparity, np.nan).astype(np.float32)
+
+
+def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return the empty space under a gable roof: a floor, two slopes of 30 to 55 degrees."""
+    half_width, length = rng.uniform(2.0, 3.5), rng.uniform(4.0, 8.0)
+    ridge = half_width * np.tan(np.radians(rng.uniform(30.0, 55.0)))
+    along, up = np.array([0.0, length, 0.0]), np.array([0.0, 0.0, ridge])
+    width = np.array([2 * half_width, 0.0, 0.0])
+    faces = [Rectangle(np.zeros(3), width, along), Rectangle(np.zeros(3), width, up),
+             Rectangle(along, width, up), Rectangle(np.zeros(3), along, width / 2 + up),
+             Rectangle(width, along, up - width / 2)]
+    position = np.array([rng.uniform(0.7, 1.3) * half_width, rng.uniform(0.15, 0.5) * length,
+                         rng.uniform(0.3, 0.6) * ridge])
+    rotation = camera_rotation(rng.uniform(-180, 180), rng.uniform(-15, 15), rng.uniform(-4, 4))
+    return render(faces, rotation, position, intrinsics, rng)
+
+
+def hexagon_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
+    """Return an empty room on a regular hexagon: its walls meet at 120 degrees."""
+    radius, height = rng.uniform(2.5, 4.5), np.array([0.0, 0.0, rng.uniform(2.3, 3.2)])
+    angles = np.radians(60.0 * np.arange(7))
+    corners = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(7)], axis=1)
+    faces = [Rectangle(corners[k], corners[k + 1] - corners[k], height) for k in range(6)]
+    floor = (np.array([-radius, -radius, 0]), 2 * radius * np.eye(3)[0], 2 * radius * np.eye(3)[1])
+    faces += [Rectangle(*floor), Rectangle(floor[0] + height, *floor[1:])]
+    position = np.append(rng.uniform(-0.4, 0.4, 2) * radius, rng.uniform(0.3, 1.8))
+    rotation = camera_rotation(rng.uniform(-180, 180), rng.uniform(-25, 5), rng.uniform(-4, 4))
+    return render(faces, rotation, position, intrinsics, rng)

@@ -1,0 +1,103 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""One frame from messages to messages: convert, call, and make what is wanted. No DDS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from plane_detector.config import NodeConfig
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros.inputs.frame_conversion import PictureConverter
+from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.topics import OUTPUTS, Result
+from plane_detector.types import Detection
+
+
+@dataclass(frozen=True)
+class Processed:
+    """
+    What became of a frame.
+
+    Attributes
+    ----------
+    messages : mapping of str to message
+        By the name of the output: of those that were wanted, those that there are now.
+    result : Result
+        What they are made of.
+    stage_seconds : mapping of str to float
+        Time of each stage, conversion and messages included.
+
+    """
+
+    messages: Mapping[str, Any]
+    result: Result
+    stage_seconds: Mapping[str, float]
+
+
+class FrameProcessor:
+    """
+    What the node does with a frame, and the replay too.
+
+    Parameters
+    ----------
+    detector : PlaneDetector
+        The pipeline.
+    settings : NodeConfig
+        Of the conversion and the outputs.
+    image_topic : str
+        Where the pictures come from; a name that ends in rectified says that they are.
+
+    """
+
+    def __init__(self, detector: PlaneDetector, settings: NodeConfig, image_topic: str):
+        self.detector = detector
+        self.settings = settings
+        self._converter = PictureConverter(image_topic)
+        self._shown: frozenset[int] = frozenset()
+        self._epoch = 0
+
+    @property
+    def output(self) -> str:
+        """What the network gives; metres without one."""
+        return getattr(self.detector.estimate_depth, 'output', 'metric_depth')
+
+    def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> Processed:
+        """
+        Find the planes of a frame and make the messages of the wanted outputs.
+
+        Raises
+        ------
+        ValueError
+            The messages of the frame are not valid, or do not fit together.
+
+        """
+        start_s = time.perf_counter()
+        if frame.epoch != self._epoch:
+            self.reset()
+            self._epoch = frame.epoch
+        picture = self._converter.convert(frame, self.settings)
+        converted_s = time.perf_counter()
+        detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m,
+                                         frame.down_camera, picture.covered)
+        detected_s = time.perf_counter()
+        result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
+                        self.settings, self._shown)
+        made = {name: msg for name in wanted
+                if (msg := OUTPUTS[name].make(result)) is not None}
+        self._remember_markers(detection, made)
+        return Processed(made, result, {
+            'convert': converted_s - start_s, **detection.stage_seconds,
+            'messages': time.perf_counter() - detected_s})
+
+    def reset(self) -> None:
+        """Forget the past: what is held from picture to picture starts anew."""
+        self.detector.reset()
+
+    def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
+        if 'markers' in made:
+            self._shown = frozenset(messages.plane_labels(detection).tolist())

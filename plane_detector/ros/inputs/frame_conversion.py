@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""From the messages of a frame to what the pipeline takes: rectified picture, camera, depth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, CompressedImage
+
+from plane_detector.config import NodeConfig
+from plane_detector.geometry.depth_resizing import resize_depth
+from plane_detector.geometry.rectification import Rectification, make_rectification
+from plane_detector.ros.inputs import image_decoding as encodings
+from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.outputs import messages
+from plane_detector.types import CameraIntrinsics
+
+_TRANSPORTS = ('compressed',)
+_RECTIFIED_NAMES = {'rect', 'rectified'}
+_ASPECT_TOLERANCE = 0.02
+
+
+@dataclass(frozen=True)
+class Picture:
+    """
+    What the pipeline takes.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+        Rectified.
+    intrinsics : CameraIntrinsics
+        Of it.
+    depth_m : (H, W) float32 or None
+        Measured depth, metres, NaN invalid.
+    covered : (H, W) bool or None
+        Where the original picture had pixels; None: everywhere.
+
+    """
+
+    rgb: np.ndarray
+    intrinsics: CameraIntrinsics
+    depth_m: np.ndarray | None
+    covered: np.ndarray | None = None
+
+
+class PictureConverter:
+    """
+    Converts frames; the maps of the rectification are kept until the calibration changes.
+
+    Parameters
+    ----------
+    image_topic : str
+        Its name tells whether the picture is rectified already.
+
+    """
+
+    def __init__(self, image_topic: str):
+        self._named_rectified = is_rectified_name(image_topic)
+        self._calibration: tuple[Any, ...] = ()
+        self._rectification: Rectification | None = None
+
+    def convert(self, frame: Frame, settings: NodeConfig) -> Picture:
+        """
+        Decode and rectify the messages of a frame.
+
+        Raises
+        ------
+        ValueError
+            A message is not what it says, or they do not fit together.
+
+        """
+        info = frame.camera_info
+        rectify = self._is_to_rectify(info, settings.rectify)
+        intrinsics = messages.intrinsics_from_msg(info, rectify or self._named_rectified)
+        rgb = _decode(frame)
+        _check_size(rgb, intrinsics)
+        depth_m = None
+        if frame.depth is not None:
+            depth_m = _fit_depth(encodings.depth_from_msg(frame.depth), intrinsics)
+        if not rectify:
+            return Picture(rgb, intrinsics, depth_m)
+        rectification = self._rectification_of(info)
+        depth_m = None if depth_m is None else rectification.depth(depth_m)
+        return Picture(rectification.picture(rgb), intrinsics, depth_m, rectification.inside())
+
+    def _is_to_rectify(self, info: CameraInfo, rectify: str) -> bool:
+        if rectify == 'auto':
+            return bool(np.any(info.d)) and not self._named_rectified
+        return rectify == 'true'
+
+    def _rectification_of(self, info: CameraInfo) -> Rectification:
+        calibration = (info.distortion_model, *info.d, *info.k, *info.r, *info.p,
+                       info.binning_x, info.binning_y, info.width, info.height, info.roi.x_offset,
+                       info.roi.y_offset, info.roi.width, info.roi.height)
+        if self._rectification is None or calibration != self._calibration:
+            self._rectification = _rectification_from_msg(info)
+            self._calibration = calibration
+        return self._rectification
+
+
+def is_rectified_name(topic: str) -> bool:
+    """Return whether the end of a topic's name says rectified: image_rect, rect/image, ..."""
+    parts = [part for part in topic.split('/') if part not in _TRANSPORTS]
+    words = [word for part in parts[-2:] for word in part.split('_')]
+    return not _RECTIFIED_NAMES.isdisjoint(words)
+
+
+def _rectification_from_msg(info: CameraInfo) -> Rectification:
+    model = info.distortion_model or 'plumb_bob'
+    no_distortion = np.zeros(4 if model == 'equidistant' else 5)
+    camera_matrix = messages.crop_and_bin(np.reshape(info.k, (3, 3)), info)
+    rectified_matrix = messages.crop_and_bin(messages.projection_from_msg(info), info)
+    return make_rectification(
+        model, np.asarray(info.d) if np.any(info.d) else no_distortion, camera_matrix,
+        np.reshape(info.r, (3, 3)), rectified_matrix, messages.picture_size(info))
+
+
+def _decode(frame: Frame) -> np.ndarray:
+    if isinstance(frame.image, CompressedImage):
+        return encodings.rgb_from_compressed_msg(frame.image)
+    return encodings.rgb_from_msg(frame.image)
+
+
+def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
+    height, width = rgb.shape[:2]
+    if (width, height) != (intrinsics.width, intrinsics.height):
+        raise ValueError(f'the image is {width} x {height}, its CameraInfo is for '
+                         f'{intrinsics.width} x {intrinsics.height} (after region of interest '
+                         'and binning)')
+
+
+def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """A registered depth image has the picture's field of view, so the same aspect."""
+    height, width = depth_m.shape
+    aspect = (width * intrinsics.height) / (height * intrinsics.width)
+    if abs(aspect - 1) > _ASPECT_TOLERANCE:
+        raise ValueError(f'the depth image is {width} x {height}, which is not the shape of the '
+                         f'{intrinsics.width} x {intrinsics.height} image: it must be registered '
+                         'to it')
+    return resize_depth(depth_m, (intrinsics.width, intrinsics.height))

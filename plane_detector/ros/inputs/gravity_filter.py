@@ -1,0 +1,49 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The direction of gravity from the readings of an accelerometer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
+
+_SILENT_S = 1.0
+
+
+class GravityFilter:
+    """
+    Smooths readings over time; readings of a jolt are left out.
+
+    Parameters
+    ----------
+    imu_to_camera : (4,) float
+        Quaternion x y z w that turns vectors of the IMU's frame into the optical frame.
+
+    """
+
+    def __init__(self, imu_to_camera: Sequence[float]):
+        self._imu_to_camera = imu_to_camera
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all readings."""
+        self._down_camera: np.ndarray | None = None
+        self._stamp_s = -np.inf
+
+    def add(self, stamp_s: float, acceleration: Sequence[float]) -> None:
+        """Take a reading (x, y, z) in m/s^2."""
+        reading = gravity_from_acceleration(acceleration, self._imu_to_camera)
+        if reading is None:
+            return
+        if stamp_s < self._stamp_s - _SILENT_S:
+            self.reset()
+        interval_s = min(stamp_s - self._stamp_s, 1e3)
+        self._down_camera = smooth_gravity(self._down_camera, reading, interval_s)
+        self._stamp_s = stamp_s
+
+    def down_camera(self, stamp_s: float) -> np.ndarray | None:
+        """Return the unit direction (3,) in the optical frame; None without recent readings."""
+        return self._down_camera if stamp_s - self._stamp_s <= _SILENT_S else None

@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which messages belong together.
+
+The same code pairs the messages of live topics and those of a bag: what goes with what depends
+on the stamps and on the order within each topic, not on how the topics interleave.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+
+from plane_detector.config import Config
+from plane_detector.ros.inputs.gravity_filter import GravityFilter
+from plane_detector.ros.outputs.messages import picture_size
+
+_CACHED = 16
+_JUMP_NS = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    The messages of one picture.
+
+    Attributes
+    ----------
+    image : sensor_msgs.msg.Image or CompressedImage
+        The picture.
+    camera_info : sensor_msgs.msg.CameraInfo
+        With the same stamp where there is one, else the latest. A picture of another size waits
+        for the next one, while they keep coming.
+    depth : sensor_msgs.msg.Image or None
+        Measured depth, where it is used.
+    down_camera : (3,) float64 or None
+        Direction of gravity in the optical frame, where an IMU tells it.
+    epoch : int
+        Grows when time jumps back: frames of two epochs have no common past.
+
+    """
+
+    image: Image | CompressedImage
+    camera_info: CameraInfo
+    depth: Image | None
+    down_camera: np.ndarray | None
+    epoch: int
+
+
+def depth_use(config: Config, output: str) -> str:
+    """
+    Return whether measured depth is ``required``, ``optional`` or ``unused``.
+
+    Parameters
+    ----------
+    config : Config
+        Where depth and its unit come from.
+    output : str
+        What the network gives: only relative disparity has use for the unit of measured depth.
+
+    """
+    if config.depth.source == 'topic':
+        return 'required'
+    if config.scale.method == 'depth_topic':
+        return 'optional'
+    relative = output == 'relative_disparity'
+    return 'optional' if relative and config.scale.method == 'auto' else 'unused'
+
+
+class FrameAssembler:
+    """
+    Puts pictures, calibrations, depth images and gravity together by their stamps.
+
+    Parameters
+    ----------
+    depth : str
+        ``unused``; ``required``: a picture without depth is dropped; ``optional``: it is used
+        where there is one, and waited for no longer than until the next picture.
+    stamp_slop_s : float
+        A depth image with exactly the picture's stamp is taken; else, once a later one shows
+        that there is none, the nearest within this time.
+    imu_to_camera : (4,) float
+        Quaternion x y z w of the mounting of the IMU.
+
+    """
+
+    def __init__(self, depth: str = 'unused', stamp_slop_s: float = 0.0,
+                 imu_to_camera: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)):
+        self._depth_use = depth
+        self.stamp_slop_s = stamp_slop_s
+        self._images = _StampedCache()
+        self._infos = _StampedCache()
+        self._depths = _StampedCache()
+        self._gravity = GravityFilter(imu_to_camera)
+        self._dropped = 0
+        self.epoch = 0
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What has not been received yet, of what a frame needs."""
+        needed = {'image': self._images, 'camera_info': self._infos}
+        if self._depth_use == 'required':
+            needed['depth'] = self._depths
+        return tuple(name for name, cache in needed.items() if cache.latest is None)
+
+    def take_dropped(self) -> int:
+        """Return how many pictures were dropped for want of a partner since the last call."""
+        count, self._dropped = self._dropped, 0
+        return count
+
+    def add_image(self, msg: Image | CompressedImage) -> list[Frame]:
+        """Take a picture; return the frames that are complete now, oldest first."""
+        if self._images.add(msg):
+            self.epoch += 1
+            self._depths.forget_after(_stamp_ns(msg) + _JUMP_NS)
+            self._gravity.reset()
+        self._dropped += self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
+        return self._complete()
+
+    def add_camera_info(self, msg: CameraInfo) -> list[Frame]:
+        """Take a calibration; return the frames that are complete now, oldest first."""
+        first = self._infos.latest is None
+        self._infos.add(msg)
+        self._infos.shrink_to(_CACHED)
+        if first:  # of the pictures from before any calibration only its own is of any use
+            self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == _stamp_ns(msg))
+        return self._complete()
+
+    def add_depth(self, msg: Image) -> list[Frame]:
+        """Take a depth image; return the frames that are complete now, oldest first."""
+        self._depths.add(msg)
+        self._depths.shrink_to(_CACHED)
+        return self._complete()
+
+    def finish(self) -> list[Frame]:
+        """Return the frames that only waited for a better partner: nothing more will come."""
+        return self._complete(at_end=True)
+
+    def add_imu(self, msg: Imu) -> None:
+        """Take a reading of the accelerometer; it goes with the frames that are complete later."""
+        force = msg.linear_acceleration
+        self._gravity.add(_stamp_ns(msg) * 1e-9, (force.x, force.y, force.z))
+
+    def _complete(self, at_end: bool = False) -> list[Frame]:
+        frames = []
+        for stamp_ns, image in self._images.items() if self._infos.latest else ():
+            decided, depth = self._depth_for(stamp_ns, at_end)
+            info = self._infos.exact(stamp_ns) or self._infos.latest
+            if not decided or (not at_end and self._has_overtaken(image, info)):
+                continue
+            self._images.keep(lambda _, other, done=image: other is not done)
+            if depth is None and self._depth_use == 'required':
+                self._dropped += 1
+                continue
+            gravity = self._gravity.down_camera(stamp_ns * 1e-9)
+            frames.append(Frame(image, info, depth, gravity, self.epoch))
+        return frames
+
+    def _has_overtaken(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
+        """Whether a picture does not fit its calibration, and a later one may still come."""
+        if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
+            return False
+        can_come = (self._infos.is_alive(_stamp_ns(self._images.latest))
+                    and not self._infos.is_past(_stamp_ns(image)))
+        return can_come and picture_size(info) != (image.width, image.height)
+
+    def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
+        """Return whether it is decided which depth image a picture gets, and which."""
+        exact = self._depths.exact(stamp_ns)
+        if exact is not None or self._depth_use == 'unused':
+            return True, exact
+        can_wait = not at_end and (self._depth_use == 'required' or (
+            self._depths.is_alive(stamp_ns) and not self._images.is_past(stamp_ns)))
+        if can_wait and not self._depths.is_past(stamp_ns):
+            return False, None
+        return True, self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))
+
+
+class _StampedCache:
+    """The last messages of one topic by stamp; emptied when time jumps back."""
+
+    def __init__(self) -> None:
+        self._messages: deque[tuple[int, Any]] = deque()
+        self._latest_ns = 0
+        self.latest: Any = None
+
+    def add(self, msg: Any) -> bool:
+        """Add a message; return whether time has jumped back."""
+        stamp_ns = _stamp_ns(msg)
+        jumped = self.latest is not None and stamp_ns < self._latest_ns - _JUMP_NS
+        if jumped:
+            self._messages.clear()
+        self._messages.append((stamp_ns, msg))
+        self._latest_ns, self.latest = stamp_ns, msg
+        return jumped
+
+    def shrink_to(self, count: int) -> int:
+        """Remove the oldest messages beyond a count; return how many."""
+        removed = max(len(self._messages) - count, 0)
+        for _ in range(removed):
+            self._messages.popleft()
+        return removed
+
+    def keep(self, condition: Callable[[int, Any], bool]) -> int:
+        """Remove what does not meet a condition on stamp and message; return how many."""
+        before = len(self._messages)
+        self._messages = deque(entry for entry in self._messages if condition(*entry))
+        return before - len(self._messages)
+
+    def forget_after(self, stamp_ns: int) -> None:
+        """Forget what is later: it is from before a jump back in time."""
+        self.keep(lambda other_ns, _: other_ns <= stamp_ns)
+        self._latest_ns = min(self._latest_ns, stamp_ns) if self._messages else 0
+
+    def items(self) -> list[tuple[int, Any]]:
+        """Return stamp and message of each, in the order of arrival."""
+        return list(self._messages)
+
+    def exact(self, stamp_ns: int) -> Any:
+        """Return the last message with this stamp, or None."""
+        return next((msg for other_ns, msg in reversed(self._messages) if other_ns == stamp_ns),
+                    None)
+
+    def is_past(self, stamp_ns: int) -> bool:
+        """Whether a later message has come, so that none with this stamp will."""
+        return self._latest_ns > stamp_ns
+
+    def is_alive(self, stamp_ns: int) -> bool:
+        """Whether messages came shortly before a stamp."""
+        return self.latest is not None and self._latest_ns > stamp_ns - _JUMP_NS
+
+    def nearest(self, stamp_ns: int, slop_ns: int) -> Any:
+        """Return the message nearest in time within the slop, or None."""
+        if not self._messages:
+            return None
+        other_ns, msg = min(self._messages, key=lambda entry: abs(entry[0] - stamp_ns))
+        return msg if abs(other_ns - stamp_ns) <= slop_ns else None
+
+
+def _stamp_ns(msg: Any) -> int:
+    return msg.header.stamp.sec * 1_000_000_000 + msg.header.stamp.nanosec

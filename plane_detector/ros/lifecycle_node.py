@@ -1,0 +1,280 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The lifecycle node: subscribe, convert, call, publish, log.
+
+The executor's thread receives messages and answers services, a worker thread processes frames:
+see frame_worker.py.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from plane_detector.config import Config, NodeConfig
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros import parameters, qos
+from plane_detector.ros.diagnostics import (
+    DiagnosticsPublisher,
+    Report,
+    Statistics,
+    model_facts,
+)
+from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_worker import FrameWorker
+from plane_detector.ros.inputs.subscriptions import Inputs, image_topic
+from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.spinning import answer_impossible_transitions, interruptible
+from plane_detector.types import Detection
+
+_WARN_PERIOD_S = 5.0
+
+
+class PlaneDetectorNode(LifecycleNode):
+    """
+    The node ``plane_detector``.
+
+    Parameters
+    ----------
+    estimate_depth : callable, optional
+        Takes the place of the network: rgb (H, W, 3) uint8 to depth (H, W) float32.
+    **node_options
+        Of rclpy.node.Node.
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        A parameter has a value that is not possible.
+
+    """
+
+    def __init__(self, estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None,
+                 **node_options: Any):
+        super().__init__('plane_detector', **node_options)
+        self._estimate_depth = estimate_depth
+        self._config = parameters.declare(self, Config())
+        self._settings = parameters.declare(self, NodeConfig())
+        parameters.warn_of_unknown(self)
+        self.add_on_set_parameters_callback(self._check_parameters)
+        self.add_post_set_parameters_callback(self._take_parameters)
+        self._statistics = Statistics()
+        self._processor: FrameProcessor | None = None
+        self._worker: FrameWorker | None = None
+        self._inputs: Inputs | None = None
+        self._outputs: dict[str, Any] = {}
+        self._frame_requested = self._reset_requested = False
+        self._failure = ''
+        self._warned_s: dict[str, float] = {}
+        self._scale_facts: dict[str, str] = {}
+        self.create_service(Trigger, '~/detect', self._on_detect)
+        self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
+        self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
+        answer_impossible_transitions(self)
+        if self._settings.autostart:
+            self._autostart = self.create_timer(  # runs though a simulation may stand still
+                0.0, self._start, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def destroy_node(self) -> None:
+        """Wait for the frame that is worked on, then end the node."""
+        self._stop_work()
+        super().destroy_node()
+
+    @property
+    def state(self) -> str:
+        """The lifecycle state: unconfigured, inactive, active, ..."""
+        return self._state_machine.current_state[1]
+
+    # Lifecycle
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Load the network and create the outputs; fail with the reason if one cannot."""
+        try:
+            with interruptible():
+                detector = PlaneDetector(self._config, self._estimate_depth)
+            self._create_outputs()
+        except Exception as error:  # whatever a model file may provoke: the node stays
+            self._release()
+            return self._fail(f'cannot be configured: {error}')
+        self._failure = ''
+        self._processor = FrameProcessor(
+            detector, self._settings, self.resolve_topic_name(image_topic(self._settings)))
+        facts = model_facts(self._config.depth.source, detector.estimate_depth)
+        self.get_logger().info('; '.join(f'{name}: {fact}' for name, fact in facts.items()))
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Subscribe and start the worker."""
+        try:
+            self._inputs = Inputs(self, self._config, self._settings, self._processor.output,
+                                  self._accept, self._statistics.add_dropped)
+        except Exception as error:  # a wrong qos_overrides parameter
+            return self._fail(f'cannot be activated: {error}')
+        self._failure = ''
+        self._worker = FrameWorker(self._work_on)
+        return super().on_activate(state)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the subscriptions and the worker."""
+        self._stop_work()
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Free the network and the outputs."""
+        return self._release()
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop and free everything."""
+        return self._release()
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Return to where the node can be configured again."""
+        return self._release()
+
+    # Frames
+
+    def _accept(self, frame: Frame) -> None:
+        """Leave a frame to the worker; called in the executor's thread."""
+        if self._settings.mode == 'on_demand' and not self._frame_requested:
+            return
+        self._frame_requested = False
+        if self._worker.put(frame):
+            self._statistics.add_dropped(1)
+
+    def _work_on(self, frame: Frame) -> None:
+        """Convert, call, publish; called in the worker's thread."""
+        try:
+            self._apply_changes()
+            wanted = [n for n, output in self._outputs.items() if output.get_subscription_count()]
+            processed = self._processor.process(frame, wanted)
+            start_s = time.perf_counter()
+            for name, msg in processed.messages.items():
+                self._outputs[name].publish(msg)
+            self._tell_scale(processed.result.detection)
+            self._statistics.add_processed({**processed.stage_seconds,
+                                            'publish': time.perf_counter() - start_s})
+        except ValueError as error:
+            self._skip(str(error))
+        except Exception:  # one frame must not end the node
+            if self.context.ok():
+                self._skip(traceback.format_exc())
+
+    def _skip(self, reason: str) -> None:
+        self._statistics.add_skipped(reason)
+        now_s = time.monotonic()
+        self._warned_s = {told: told_s for told, told_s in self._warned_s.items()
+                          if now_s - told_s < _WARN_PERIOD_S}
+        if reason not in self._warned_s:
+            self._warned_s[reason] = now_s
+            self.get_logger().warning(f'frame skipped: {reason}')
+
+    def _apply_changes(self) -> None:
+        """Take over, between two frames, what was asked for in the meantime."""
+        processor = self._processor
+        processor.settings = self._settings
+        if processor.detector.config is not self._config:
+            processor.detector.config = self._config
+        if self._reset_requested:
+            self._reset_requested = False
+            processor.reset()
+
+    # Parameters and services
+
+    def _check_parameters(self, changed: list[Parameter]) -> SetParametersResult:
+        try:
+            parameters.updated(self._config, changed)
+            parameters.updated(self._settings, changed)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _take_parameters(self, changed: list[Parameter]) -> None:
+        self._config = parameters.updated(self._config, changed)
+        self._settings = parameters.updated(self._settings, changed)
+        if self._inputs is not None:
+            self._inputs.set_stamp_slop(self._settings.stamp_slop)
+
+    def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
+        response.success = self._frame_requested = self._worker is not None
+        response.message = ('the next frame will be processed' if response.success
+                            else 'the node is not active')
+        return response
+
+    def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
+        response.success = self._reset_requested = self._processor is not None
+        response.message = ('tracking starts anew with the next frame' if response.success
+                            else 'the node is not configured')
+        return response
+
+    # What the node tells of itself
+
+    def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
+        """Return level, message and facts for the diagnostics."""
+        facts = {'state': self.state, 'mode': self._settings.mode, **self._scale_facts}
+        if self._processor is not None:
+            facts.update(model_facts(self._config.depth.source,
+                                     self._processor.detector.estimate_depth))
+        if self._failure:
+            return DiagnosticStatus.ERROR, self._failure, facts
+        if self._worker is None:
+            return DiagnosticStatus.OK, facts['state'], facts
+        missing = self._inputs.warn_of_missing()
+        if missing:
+            return DiagnosticStatus.WARN, missing, facts
+        if report.skipped_lately:
+            return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}', facts
+        if not report.stage_seconds and self._settings.mode == 'continuous':
+            return DiagnosticStatus.WARN, 'no frame lately', facts
+        return DiagnosticStatus.OK, 'active', facts
+
+    def _tell_scale(self, detection: Detection) -> None:
+        """Keep what fixes the unit of depth for the diagnostics; log every change of it."""
+        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note}
+        if detection.scale_event:
+            self.get_logger().info(detection.scale_event)
+
+    # Parts of the transitions
+
+    def _start(self) -> None:
+        """Go to the active state without a lifecycle manager."""
+        self.destroy_timer(self._autostart)
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    def _create_outputs(self) -> None:
+        for name, output in OUTPUTS.items():
+            self._outputs[name] = self.create_lifecycle_publisher(
+                output.msg_type, f'~/{name}', qos.output_profile(),
+                qos_overriding_options=qos.overriding_options())
+
+    def _fail(self, reason: str) -> TransitionCallbackReturn:
+        self._failure = reason
+        self._statistics.set_error(reason)
+        self.get_logger().error(reason)
+        return TransitionCallbackReturn.FAILURE
+
+    def _stop_work(self) -> None:
+        if self._inputs is not None:
+            self._inputs.destroy()
+        if self._worker is not None:
+            self._worker.stop()
+        self._inputs = self._worker = None
+
+    def _release(self) -> TransitionCallbackReturn:
+        self._stop_work()
+        for publisher in self._outputs.values():
+            self.destroy_lifecycle_publisher(publisher)
+        self._outputs = {}
+        self._processor = None
+        return TransitionCallbackReturn.SUCCESS

@@ -1,0 +1,98 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes as markers: outline, normal and caption of each; those of planes gone are deleted."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+
+import numpy as np
+from geometry_msgs.msg import Point
+from rclpy.duration import Duration
+from std_msgs.msg import ColorRGBA, Header
+from visualization_msgs.msg import Marker, MarkerArray
+
+from plane_detector.drawing import label_colours
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.planes.outline import plane_outline
+from plane_detector.ros.outputs.messages import plane_labels
+from plane_detector.scale.estimate import RELATIVE
+from plane_detector.types import CameraIntrinsics, Detection, Plane
+
+_NAMESPACES = ('outline', 'normal', 'caption')
+# Sizes as a share of the distance from the camera: they look alike near and far, and need no
+# unit where the scale is not known.
+_LINE_WIDTH, _ARROW_LENGTH, _TEXT_HEIGHT = 0.006, 0.15, 0.05
+
+
+def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntrinsics,
+                   shown: Collection[int], lifetime_s: float) -> MarkerArray:
+    """
+    Return the markers of all planes; a marker's id is the label of its plane.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the picture.
+    detection : Detection
+        The planes.
+    intrinsics : CameraIntrinsics
+        Of the picture.
+    shown : collection of int
+        Labels of the markers published before; those that are not here again are deleted.
+    lifetime_s : float
+        Seconds after which a marker vanishes by itself, 0 for never.
+
+    """
+    labels = plane_labels(detection)
+    markers = [_delete(header, name, label) for label in sorted(set(shown) - set(labels.tolist()))
+               for name in _NAMESPACES]
+    lifetime = Duration(seconds=lifetime_s).to_msg()
+    shares = (label_colours(labels) / 255.0).tolist()
+    for index, (plane, label, share) in enumerate(zip(detection.planes, labels, shares,
+                                                      strict=True)):
+        corners_m = plane_outline(detection.labels == index, detection.depth_m, intrinsics, plane)
+        caption = f'{label}: {_description(detection, index)}'
+        colour = ColorRGBA(**dict(zip('rgb', share, strict=True)), a=1.0)
+        for marker in _plane_markers(header, plane, corners_m, caption):
+            marker.id, marker.color, marker.lifetime = int(label), colour, lifetime
+            markers.append(marker)
+    return MarkerArray(markers=markers)
+
+
+def _plane_markers(header: Header, plane: Plane, corners_m: np.ndarray,
+                   caption: str) -> Iterable[Marker]:
+    distance = float(np.linalg.norm(plane.centroid_m))
+    tip_m = plane.centroid_m + _ARROW_LENGTH * distance * plane.normal
+    outline = _marker(header, 'outline', Marker.LINE_STRIP, [*corners_m, corners_m[0]])
+    outline.scale.x = _LINE_WIDTH * distance
+    normal = _marker(header, 'normal', Marker.ARROW, [plane.centroid_m, tip_m])
+    normal.scale.x, normal.scale.y = _LINE_WIDTH * distance, 3 * _LINE_WIDTH * distance
+    text = _marker(header, 'caption', Marker.TEXT_VIEW_FACING, [])
+    text.text, text.scale.z = caption, _TEXT_HEIGHT * distance
+    text.pose.position = _point(tip_m)
+    return outline, normal, text
+
+
+def _description(detection: Detection, index: int) -> str:
+    """Class, where it is known, and distance; without a unit where that is not known."""
+    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
+    name = '' if kind == PlaneClass.UNKNOWN else kind.name.lower().replace('_', ' ') + ' '
+    unit = '' if detection.scale_method == RELATIVE else ' m'
+    return f'{name}{detection.planes[index].offset_m:.2f}{unit}'
+
+
+def _marker(header: Header, name: str, kind: int, points_m: Iterable[np.ndarray]) -> Marker:
+    marker = Marker(header=header, ns=name, type=kind, action=Marker.ADD,
+                    points=[_point(point_m) for point_m in points_m])
+    marker.pose.orientation.w = 1.0
+    return marker
+
+
+def _delete(header: Header, name: str, label: int) -> Marker:
+    return Marker(header=header, ns=name, id=int(label), action=Marker.DELETE)
+
+
+def _point(point_m: np.ndarray) -> Point:
+    x, y, z = point_m.tolist()
+    return Point(x=x, y=y, z=z)

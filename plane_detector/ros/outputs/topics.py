@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The table of outputs: name of the topic, type, and how its message is made.
+
+The node publishes them, the replay writes them into a bag; what is in them is decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import PoseArray
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Header
+from visualization_msgs.msg import MarkerArray
+
+from plane_detector.config import NodeConfig
+from plane_detector.drawing import overlay
+from plane_detector.geometry.projection import depth_to_points
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.scale.estimate import RELATIVE
+from plane_detector.types import CameraIntrinsics, Detection
+
+
+@dataclass(frozen=True)
+class Result:
+    """
+    A processed picture.
+
+    Attributes
+    ----------
+    header : std_msgs.msg.Header
+        Of the image message.
+    rgb : (H, W, 3) uint8
+        The rectified picture.
+    intrinsics : CameraIntrinsics
+        Of it.
+    detection : Detection
+        What the pipeline found.
+    settings : NodeConfig
+        At the time.
+    shown : frozenset of int
+        Labels of the markers that were published last.
+
+    """
+
+    header: Header
+    rgb: np.ndarray
+    intrinsics: CameraIntrinsics
+    detection: Detection
+    settings: NodeConfig
+    shown: frozenset[int] = frozenset()
+
+    @cached_property
+    def labels(self) -> np.ndarray:
+        """The label of each pixel in the messages, (H, W) uint32, 0 for none."""
+        return messages.pixel_labels(self.detection)
+
+
+    @cached_property
+    def points_m(self) -> np.ndarray:
+        """The point of each pixel, (H, W, 3) float32."""
+        return depth_to_points(self.detection.depth_m, self.intrinsics)
+
+    @property
+    def thinned(self) -> tuple[slice, slice]:
+        """The rows and columns that the clouds hold."""
+        return (slice(None, None, self.settings.points_decimation),) * 2
+
+
+class Output(NamedTuple):
+    """Type of a topic's messages, and how one is made of a result; None: there is none now."""
+
+    msg_type: Any
+    make: Callable[[Result], Any]
+
+
+def _points(result: Result) -> PointCloud2:
+    thinned = result.thinned
+    return messages.points_to_msg(result.header, result.points_m[thinned],
+                                  np.ascontiguousarray(result.rgb[thinned]),
+                                  result.labels[thinned])
+
+
+def _points_without_floor(result: Result) -> PointCloud2 | None:
+    """Obstacles: nothing rather than all or no points while the floor or the unit is not known."""
+    detection = result.detection
+    if not any(detection.classes) or detection.scale_method == RELATIVE:
+        return None
+    is_floor = np.append([kind == PlaneClass.FLOOR for kind in detection.classes], False)
+    points_m, labels = result.points_m[result.thinned], detection.labels[result.thinned]
+    return messages.obstacles_to_msg(
+        result.header, points_m[~is_floor[labels] & np.isfinite(points_m[..., 2])])
+
+
+def _planes(result: Result) -> PointCloud2:
+    return messages.planes_to_msg(result.header, result.detection.planes,
+                                  messages.plane_labels(result.detection),
+                                  result.detection.classes)
+
+
+def _poses(result: Result) -> PoseArray:
+    return messages.poses_to_msg(result.header, result.detection.planes)
+
+
+def _markers(result: Result) -> MarkerArray:
+    return markers_to_msg(result.header, result.detection, result.intrinsics, result.shown,
+                          result.settings.marker_lifetime)
+
+
+def _labels(result: Result) -> Image:
+    return messages.labels_to_msg(result.header, result.labels)
+
+
+def _depth(result: Result) -> Image:
+    return messages.depth_to_msg(result.header, result.detection.depth_m)
+
+
+def _overlay(result: Result) -> Image:
+    return messages.rgb_to_msg(result.header, overlay(result.rgb, result.labels))
+
+
+OUTPUTS: dict[str, Output] = {
+    'points': Output(PointCloud2, _points),
+    'points_without_floor': Output(PointCloud2, _points_without_floor),
+    'planes': Output(PointCloud2, _planes),
+    'plane_poses': Output(PoseArray, _poses),
+    'markers': Output(MarkerArray, _markers),
+    'labels': Output(Image, _labels),
+    'depth': Output(Image, _depth),
+    'overlay': Output(Image, _overlay),
+}

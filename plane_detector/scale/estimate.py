@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What scale and shift of a disparity are, 1/z = scale * disparity + shift, and their use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector.geometry.projection import valid_depth
+
+RELATIVE = 'relative'
+# Depths beyond this multiple of the picture's own unit are invalid where metres are unknown.
+MAX_RELATIVE_DEPTH = 1000.0
+
+
+@dataclass(frozen=True)
+class ScaleEstimate:
+    """
+    1/z = scale * disparity + shift, and where it comes from.
+
+    Attributes
+    ----------
+    scale, shift : float
+        1/metres, or 1/unit where the unit is unknown: then the middle depth of the picture
+        that the unit was chosen on is 1.
+    method : str
+        ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
+    is_metric : bool
+        Whether depth is in metres. False for ``relative``, and for ``manhattan`` without a
+        height.
+    has_true_angles : bool
+        Whether the angles between planes are those of the scene. False for ``relative``.
+    uncertainty : float
+        Standard deviation of depth by that of scale and shift, as a share of depth, at the far
+        tenth of the picture; NaN where it is not known.
+    note : str
+        What the method found, or why the others refused; for the log and the diagnostics.
+    span : (3,) tuple of float
+        Disparity of the far tenth, the middle and the near tenth of the picture.
+
+    """
+
+    scale: float
+    shift: float
+    method: str
+    is_metric: bool
+    has_true_angles: bool
+    uncertainty: float
+    note: str
+    span: tuple[float, float, float]
+
+    @property
+    def unit_method(self) -> str:
+        """What fixes the unit: the method, or ``relative`` where nothing does."""
+        return self.method if self.is_metric else RELATIVE
+
+    def with_covariance(self, covariance: np.ndarray) -> ScaleEstimate:
+        """Return the estimate with the uncertainty that a covariance (2, 2) means."""
+        far = np.array([self.span[0], 1.0])
+        inverse_depth = far @ [self.scale, self.shift]
+        sigma = np.sqrt(max(far @ covariance @ far, 0.0))
+        return replace(self, uncertainty=float(sigma / inverse_depth)
+                       if inverse_depth > 0 else np.nan)
+
+    def __str__(self) -> str:
+        sigma = f', +-{self.uncertainty:.1%}' if np.isfinite(self.uncertainty) else ''
+        unit = '' if self.is_metric else ', unit unknown'
+        return f'{self.method}{unit}{sigma}: {self.note}'
+
+
+def to_disparity(prediction: np.ndarray, output: str) -> np.ndarray:
+    """
+    Return what a network gave as something affine in 1/z.
+
+    Parameters
+    ----------
+    prediction : (H, W) floating
+    output : str
+        ``metric_depth`` is inverted, NaN where it is not positive; ``disparity`` and
+        ``relative_disparity`` stay as they are.
+
+    Returns
+    -------
+    (H, W) floating
+
+    """
+    if output != 'metric_depth':
+        return prediction
+    return _reciprocal(prediction, valid_depth(prediction))
+
+
+def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
+                max_depth_m: float = np.inf) -> np.ndarray:
+    """
+    Return depth, (H, W) float32, NaN where invalid or farther than the largest depth.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+    estimate : ScaleEstimate
+    max_depth_m : float
+        Holds only where the unit is the metre.
+
+    """
+    farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
+    inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)
+    valid = (inverse > 0) & (inverse >= 1.0 / farthest) & np.isfinite(inverse)
+    return _reciprocal(inverse, valid)
+
+
+def _reciprocal(inverse: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    return np.divide(1.0, inverse, out=np.full(inverse.shape, np.nan, np.float32), where=valid)

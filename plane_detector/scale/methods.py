@@ -1,0 +1,202 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+From a disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift.
+
+A method fixes both, or refuses and says why. ``auto`` takes the first that gives metres, in this
+order: the network's own, measured depth, the camera's height above the floor, right angles with
+that height, the given numbers. Right angles alone fix the shift only: angles are then true and the
+unit stays unknown. Where nothing helps both are: ``relative``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from plane_detector.config import ScaleConfig
+from plane_detector.geometry.gravity import unit_direction
+from plane_detector.scale.disparity_planes import DisparityPlanes, fit_disparity_planes
+from plane_detector.scale.estimate import RELATIVE, ScaleEstimate, apply_scale, to_disparity
+from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
+from plane_detector.scale.manhattan import ManhattanVote, vote_shift
+from plane_detector.scale.sensor_depth import fit_measured_depth
+from plane_detector.types import CameraIntrinsics
+
+__all__ = ['METHODS', 'ScaleEstimate', 'apply_scale', 'estimate_scale', 'to_disparity']
+
+COARSE_GRAVITY_DEG = 5.0
+# The farthest pixels are judged by this quantile, so that noise at the horizon does not count.
+FAR_QUANTILE = 0.01
+SPAN_QUANTILES = (0.1, 0.5, 0.9)
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """What the methods look at."""
+
+    disparity: np.ndarray
+    labels: np.ndarray
+    intrinsics: CameraIntrinsics
+    config: ScaleConfig
+    output: str
+    down_camera: np.ndarray | None
+    sensor_depth_m: np.ndarray | None
+    lowest: float
+    span: tuple[float, float, float]
+
+    @cached_property
+    def planes(self) -> DisparityPlanes:
+        return fit_disparity_planes(self.disparity, self.labels, self.intrinsics)
+
+
+def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
+                   config: ScaleConfig | None = None, *, output: str = 'relative_disparity',
+                   gravity_camera: np.ndarray | None = None,
+                   sensor_depth_m: np.ndarray | None = None) -> ScaleEstimate:
+    """
+    Find scale and shift of one picture by the method that the settings ask for.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        Affine in 1/z (see :func:`to_disparity`); not finite where invalid.
+    labels : (H, W) int
+        Plane of each pixel, -1 none; planes are the same pixels at any scale and shift.
+    intrinsics : CameraIntrinsics
+    config : ScaleConfig, optional
+    output : str
+        What the network gives: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    gravity_camera : (3,) floating, optional
+        Direction down in the optical frame; by default ``config.gravity``.
+    sensor_depth_m : (H, W) floating, optional
+        Measured depth, sparse or dense.
+
+    Returns
+    -------
+    ScaleEstimate
+        ``relative`` when no method has an answer; its note says why.
+
+    """
+    config = config or ScaleConfig()
+    picture = _picture(disparity, labels, intrinsics, config, output, gravity_camera,
+                       sensor_depth_m)
+    refusals, unitless = [], None
+    for method in _methods(config):
+        estimate = METHODS[method](picture)
+        if isinstance(estimate, str):
+            refusals.append(f'{method}: {estimate}')
+        elif estimate.is_metric:
+            return estimate
+        else:
+            unitless = unitless or estimate
+    return unitless or _relative(picture, '; '.join(refusals) or 'asked for by scale.method')
+
+
+def _methods(config: ScaleConfig) -> tuple[str, ...]:
+    if config.method == 'auto':
+        return tuple(METHODS)
+    return () if config.method == 'none' else (config.method,)
+
+
+def _picture(disparity, labels, intrinsics, config, output, gravity_camera,
+             sensor_depth_m) -> _Picture:
+    finite = disparity[::4, ::4]
+    finite = finite[np.isfinite(finite)]
+    lowest, *span = (np.quantile(finite, (FAR_QUANTILE, *SPAN_QUANTILES)) if finite.size
+                     else (0.0, 0.0, 0.0, 0.0))
+    gravity = config.gravity if gravity_camera is None else gravity_camera
+    return _Picture(disparity, labels, intrinsics, config, output, unit_direction(gravity),
+                    sensor_depth_m, float(lowest), tuple(float(value) for value in span))
+
+
+def _relative(picture: _Picture, note: str) -> ScaleEstimate:
+    """Leave the shift as it is, unless disparity is negative somewhere."""
+    return _unitless(picture, max(0.0, -1.01 * picture.lowest), RELATIVE, False, np.nan, note)
+
+
+def _unitless(picture: _Picture, tau: float, method: str, has_true_angles: bool,
+              tau_sigma: float, note: str) -> ScaleEstimate:
+    """Choose the unit so that the middle depth of the picture is 1."""
+    middle = picture.span[1] + tau
+    scale = 1.0 / middle if middle > 0 else 1.0
+    estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
+                             picture.span)
+    return estimate.with_covariance(np.diag([0.0, (scale * tau_sigma) ** 2]))
+
+
+def _metric(picture: _Picture) -> ScaleEstimate | str:
+    if picture.output == 'relative_disparity':
+        return 'the network gives no metres'
+    return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, 'the network\'s metres',
+                         picture.span)
+
+
+def _depth_topic(picture: _Picture) -> ScaleEstimate | str:
+    if picture.sensor_depth_m is None:
+        return 'no measured depth'
+    fit = fit_measured_depth(picture.disparity, picture.sensor_depth_m)
+    if fit.refusal:
+        return fit.refusal
+    estimate = ScaleEstimate(fit.scale, fit.shift, 'depth_topic', True, True, np.nan,
+                             f'{fit.point_count} points of measured depth', picture.span)
+    return estimate.with_covariance(fit.covariance)
+
+
+def _camera_height(picture: _Picture) -> ScaleEstimate | str:
+    config, down = picture.config, picture.down_camera
+    if config.camera_height == 0 or down is None:
+        return 'scale.camera_height and the direction of gravity are not both known'
+    if config.gravity_tolerance > COARSE_GRAVITY_DEG:
+        return 'gravity is known too coarsely'
+    fit = fit_floor(picture.planes, picture.lowest, down, config.camera_height,
+                    config.gravity_tolerance)
+    if fit is None:
+        return 'no plane can be the floor'
+    note = f'floor {config.camera_height:.4g} m below'
+    vote = vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    if not vote.refusal:
+        fit, note = with_right_angles(fit, vote.tau, vote.sigma), f'{note}, right angles'
+    return _from_floor(picture, fit, 'camera_height', note)
+
+
+def _from_floor(picture: _Picture, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
+    estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan, note, picture.span)
+    return estimate.with_covariance(fit.covariance)
+
+
+def _manhattan(picture: _Picture) -> ScaleEstimate | str:
+    config, down = picture.config, picture.down_camera
+    vote = vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    if vote.refusal:
+        return vote.refusal
+    return _manhattan_metric(picture, vote) or _unitless(
+        picture, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
+
+
+def _manhattan_metric(picture: _Picture, vote: ManhattanVote) -> ScaleEstimate | None:
+    height_m, down = picture.config.camera_height, picture.down_camera
+    if height_m == 0 or down is None:
+        return None
+    fit = fit_floor_of_frame(picture.planes, vote.tau, vote.sigma, vote.axes, down, height_m)
+    if fit is None:
+        return None
+    return _from_floor(picture, fit, 'manhattan',
+                       f'right angles between the planes, floor {height_m:.4g} m below')
+
+
+def _fixed(picture: _Picture) -> ScaleEstimate | str:
+    config = picture.config
+    if config.disparity_scale == 0:
+        return 'scale.disparity_scale is not given'
+    return ScaleEstimate(config.disparity_scale, config.disparity_shift, 'fixed', True, True,
+                         np.nan, 'scale and shift as given', picture.span)
+
+
+# In the order of auto.
+METHODS: dict[str, Callable[[_Picture], ScaleEstimate | str]] = {
+    'metric': _metric, 'depth_topic': _depth_topic, 'camera_height': _camera_height,
+    'manhattan': _manhattan, 'fixed': _fixed}

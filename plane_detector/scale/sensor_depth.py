@@ -1,0 +1,125 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Scale and shift of a disparity by measured depth of the same camera, sparse or dense.
+
+D = alpha / z + beta is fit with the measured 1/z as the exact side, since the error is the
+network's: median of slopes over far-apart pairs (Siegel's and Theil and Sen's idea; holds with a
+quarter of wrong points), then least squares with Tukey's weights.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.geometry.projection import valid_depth
+
+MIN_POINTS = 5
+MAX_POINTS = 20_000
+TUKEY_SIGMAS = 4.685
+ITERATIONS = 10
+# Errors of a depth map are alike nearby: more points than these add nothing to the precision.
+INDEPENDENT_POINTS = 300
+# Scale and shift need near and far points; all at one depth leave the scale more uncertain.
+MAX_SCALE_SIGMA_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class DepthFit:
+    """
+    1/z = scale * D + shift by measured depth.
+
+    Attributes
+    ----------
+    scale, shift : float
+        NaN when refused.
+    covariance : (2, 2) float64
+        Of scale and shift.
+    point_count : int
+        Points that agree.
+    refusal : str
+        Why there is no answer; empty when there is.
+
+    """
+
+    scale: float
+    shift: float
+    covariance: np.ndarray
+    point_count: int
+    refusal: str
+
+
+def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> DepthFit:
+    """
+    Fit scale and shift robustly to measured depth.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        Of unknown scale and shift; not finite where invalid.
+    sensor_depth_m : (H, W) floating
+        Metres; not finite or not positive where there is none.
+
+    Returns
+    -------
+    DepthFit
+        Refused with too few points, or all at one depth, or where they disagree.
+
+    """
+    both = valid_depth(sensor_depth_m) & np.isfinite(disparity)
+    index = np.flatnonzero(both)
+    if len(index) < MIN_POINTS:
+        return _refused(f'{len(index)} points of measured depth, {MIN_POINTS} are needed')
+    index = index[::-(-len(index) // MAX_POINTS)]
+    inverse_m = 1.0 / sensor_depth_m.ravel()[index].astype(np.float64)
+    values = disparity.ravel()[index].astype(np.float64)
+    alpha, beta = _median_line(inverse_m, values)
+    for _ in range(ITERATIONS):
+        weights, sigma = _tukey(values - alpha * inverse_m - beta)
+        alpha, beta, covariance = _weighted_line(inverse_m, values, weights, sigma)
+    agree = weights > 0.1
+    covariance = covariance * max(agree.sum() / INDEPENDENT_POINTS, 1.0)
+    if agree.sum() < max(MIN_POINTS, 0.5 * len(index)):
+        return _refused('more than half of the measured depth disagrees with the network')
+    if not np.sqrt(covariance[0, 0]) < MAX_SCALE_SIGMA_SHARE * alpha:
+        return _refused('measured depth is too much alike to tell scale from shift')
+    jacobian = np.array([[-1.0, 0.0], [beta, -alpha]]) / alpha**2
+    return DepthFit(1.0 / alpha, -beta / alpha, jacobian @ covariance @ jacobian.T,
+                    int(agree.sum()), '')
+
+
+def _refused(reason: str) -> DepthFit:
+    return DepthFit(np.nan, np.nan, np.full((2, 2), np.nan), 0, reason)
+
+
+def _median_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
+    """Return slope and intercept by the median over pairs half the order apart."""
+    order = np.argsort(x, kind='stable')
+    x, y = x[order], y[order]
+    half = len(x) // 2
+    run = x[half:] - x[:-half]
+    apart = run > 0
+    if not apart.any():
+        return 0.0, float(np.median(y))
+    slope = np.median((y[half:] - y[:-half])[apart] / run[apart])
+    return float(slope), float(np.median(y - slope * x))
+
+
+def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return Tukey's biweights and the standard deviation of the residual."""
+    sigma = 1.4826 * float(np.median(np.abs(residual)))
+    sigma = max(sigma, 1e-9 * float(np.abs(residual).max()), 1e-12)
+    ratio = residual / (TUKEY_SIGMAS * sigma)
+    return np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0), sigma
+
+
+def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, sigma: float):
+    design = np.stack([x, np.ones_like(x)], axis=1)
+    normal_matrix = design.T @ (weights[:, None] * design)
+    # All at one depth is singular: then the variance becomes huge, and the fit is refused.
+    normal_matrix += 1e-12 * (1.0 + np.trace(normal_matrix)) * np.eye(2)
+    inverse = np.linalg.inv(normal_matrix)
+    alpha, beta = inverse @ (design.T @ (weights * y))
+    return float(alpha), float(beta), sigma**2 * inverse

@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Scale and shift over time: smoothed, held while nothing fixes them, unmoved by an outlier.
+
+What a frame measures is compared by what it does to depth. A small change is blended in; a large
+one is ignored until some frames in a row agree on it: then the scene is a new one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector.config import ScaleConfig
+from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
+from plane_detector.scale.methods import METHODS
+
+# These are measured frame by frame; what the others say holds at once.
+MEASURED = ('depth_topic', 'camera_height', 'manhattan')
+
+
+@dataclass(frozen=True)
+class ScaleState:
+    """
+    The scale in use, and what is remembered for the next frame.
+
+    Attributes
+    ----------
+    estimate : ScaleEstimate
+        In use.
+    outliers : tuple of ScaleEstimate
+        The last frames in a row that disagree with it and agree with each other.
+    missed : int
+        Frames since the method in use had an answer.
+    event : str
+        What changed at this frame, for the log; empty when nothing did.
+
+    """
+
+    estimate: ScaleEstimate
+    outliers: tuple[ScaleEstimate, ...] = ()
+    missed: int = 0
+    event: str = ''
+
+
+def update_scale(state: ScaleState | None, measured: ScaleEstimate,
+                 config: ScaleConfig) -> ScaleState:
+    """
+    Take one more frame into account.
+
+    Parameters
+    ----------
+    state : ScaleState or None
+        None at the start, or to forget everything (time jumped back).
+    measured : ScaleEstimate
+        Of the new frame alone.
+    config : ScaleConfig
+
+    Returns
+    -------
+    ScaleState
+
+    """
+    if state is None:
+        return ScaleState(measured, event=f'scale: {measured}')
+    current = state.estimate
+    if _kind(measured) == _kind(current):
+        if measured.method not in MEASURED:
+            return ScaleState(measured)
+        return _blend(state, _in_same_unit(measured, current), config)
+    held = current.method in MEASURED and _rank(measured) > _rank(current)
+    if held and measured.method in (*MEASURED, RELATIVE) and state.missed < config.hold_frames:
+        event = '' if state.missed else f'scale held from {current.method}: {measured.note}'
+        return ScaleState(current, (), state.missed + 1, event)
+    return ScaleState(measured, event=f'scale: {measured}, no longer {current.method}')
+
+
+def depth_change(estimate: ScaleEstimate, other: ScaleEstimate) -> float:
+    """Return the largest change of depth between two scales, as a share, over other's span."""
+    disparity = np.array(other.span)
+    inverse = estimate.scale * disparity + estimate.shift
+    other_inverse = other.scale * disparity + other.shift
+    if min(inverse.min(), other_inverse.min()) <= 0:
+        return np.inf
+    return float(np.expm1(np.abs(np.log(other_inverse / inverse)).max()))
+
+
+def _kind(estimate: ScaleEstimate) -> tuple[str, bool]:
+    return estimate.method, estimate.is_metric
+
+
+def _rank(estimate: ScaleEstimate) -> tuple[bool, int]:
+    """Return a smaller value for a better kind of estimate."""
+    order = (*METHODS, RELATIVE)
+    return not estimate.is_metric, order.index(estimate.method)
+
+
+def _in_same_unit(measured: ScaleEstimate, current: ScaleEstimate) -> ScaleEstimate:
+    """Keep the unit of the first frame where it is not the metre: only the shift is measured."""
+    if measured.is_metric:
+        return measured
+    middle = measured.span[1]
+    factor = ((current.scale * middle + current.shift)
+              / (measured.scale * middle + measured.shift))
+    if not (np.isfinite(factor) and factor > 0):
+        return measured
+    return replace(measured, scale=factor * measured.scale, shift=factor * measured.shift)
+
+
+def _blend(state: ScaleState, measured: ScaleEstimate, config: ScaleConfig) -> ScaleState:
+    current = state.estimate
+    change = depth_change(current, measured)
+    if change <= config.max_jump:
+        keep = config.smoothing
+        return ScaleState(replace(
+            measured, scale=keep * current.scale + (1 - keep) * measured.scale,
+            shift=keep * current.shift + (1 - keep) * measured.shift))
+    agrees = state.outliers and depth_change(state.outliers[-1], measured) <= config.max_jump
+    outliers = (*state.outliers, measured) if agrees else (measured,)
+    if len(outliers) >= config.reset_after:
+        return ScaleState(measured, event=f'scale reset, depth changes by {change:.0%}: '
+                          f'{len(outliers)} frames in a row agree on a new scene')
+    event = '' if agrees else f'outlier frame ignored, it would change depth by {change:.0%}'
+    return ScaleState(current, outliers, 0, event)

@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The noise as the largest planes show it.
+
+A window of cells takes curved things for noise, and sees only that noise which varies within it.
+How cells stray from the largest planes of the picture tells both apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from plane_detector.segmentation.cells.grid import median
+from plane_detector.segmentation.cells.model import CellModel, Patches
+from plane_detector.segmentation.cells.noise import GRAIN_PER_NOISE, Noise
+
+# A small plane fits itself to the noise and says too little of it.
+MIN_CELLS = 100
+SIGMA_PER_MEDIAN = 1.4826
+# More cells than these only cost time.
+MAX_SAMPLES = 1500
+# The noise is as good as known when it would change by less than this factor, down and up.
+TOLERANCE = (0.75, 1.1)
+
+
+def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
+    """
+    Return the noise that the cells of the given planes show, by median absolute deviation.
+
+    Parameters
+    ----------
+    model : CellModel
+    patches : Patches
+        The largest planes; small ones are left out.
+    noise : Noise
+        What the planes were found with.
+
+    Returns
+    -------
+    Noise
+        The given one when the planes are too small to tell.
+
+    """
+    labels = patches.labels.ravel()
+    size = np.bincount(labels + 1, minlength=len(patches.planes) + 1)
+    size[0] = 0
+    members = np.flatnonzero(size[labels + 1] > MIN_CELLS)
+    if not len(members):
+        return noise
+    members = members[::len(members) // MAX_SAMPLES + 1]
+    plane, (x, y, d) = patches.planes[labels[members]].T, model.grid.mean[members].T
+    residual = d - (plane[0] * x + plane[1] * y) - plane[2]
+    tilt = (model.grid.slope[members].T - plane[:2]).ravel()
+    grain = max(median(model.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.known)
+    return replace(noise, grain=min(noise.grain, grain)).with_smooth_part(
+        SIGMA_PER_MEDIAN * median(np.abs(residual)), SIGMA_PER_MEDIAN * median(np.abs(tilt)))
+
+
+def is_settled(model: CellModel, before: Noise, after: Noise) -> bool:
+    """Say whether a search with the noise ``after`` would find the same as with ``before``."""
+    floor = np.sqrt(before.floor(model.grid.typical_disparity))
+    ratio = max(after.mean, floor) / max(before.mean, floor, np.finfo(float).tiny)
+    return TOLERANCE[0] <= ratio <= TOLERANCE[1]

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The parameters as a yaml file and as README tables, made from config.py.
+
+    python -m plane_detector.tools.defaults --write
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import textwrap
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from plane_detector.config import Config, NodeConfig
+from plane_detector.settings import parameters_of
+
+_HEADER = """\
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+#
+# Every parameter with its default; made from plane_detector/config.py by `make defaults`.
+"""
+_BEGIN = '<!-- parameters: made by `make defaults` -->'
+_END = '<!-- end of parameters -->'
+_ROOT = Path(__file__).resolve().parents[2]
+
+
+def yaml_text() -> str:
+    """Return the content of config/plane_detector.yaml."""
+    lines = [_HEADER.rstrip(), '/**:', '  ros__parameters:']
+    for group, settings in _groups():
+        indent = 4
+        if group:
+            lines.append(f'    {group}:')
+            indent = 6
+        for name, meta, value in settings:
+            lines += textwrap.wrap(
+                _description(meta), width=99, initial_indent=' ' * indent + '# ',
+                subsequent_indent=' ' * indent + '# ', break_on_hyphens=False)
+            lines.append(f'{" " * indent}{name}: {_yaml(value)}')
+    return '\n'.join(lines) + '\n'
+
+
+def readme_table() -> str:
+    """Return the parameters as a Markdown table."""
+    lines = ['| parameter | default | unit | range | meaning |', '|---|---|---|---|---|']
+    for group, settings in _groups():
+        for name, meta, value in settings:
+            cells = (f'`{group}.{name}`' if group else f'`{name}`', f'`{_yaml(value)}`',
+                     meta['unit'], _range(meta),
+                     meta['doc'] + ('; fixed at start' if meta['read_only'] else ''))
+            lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
+    return '\n'.join(lines) + '\n'
+
+
+def with_table(readme: str) -> str:
+    """
+    Return the README with its table of parameters made anew.
+
+    Raises
+    ------
+    ValueError
+        The two comments that enclose the table are not there.
+
+    """
+    head, begin, rest = readme.partition(_BEGIN)
+    _, end, tail = rest.partition(_END)
+    if not (begin and end):
+        raise ValueError(f'the README lacks the lines {_BEGIN} and {_END}')
+    return f'{head}{_BEGIN}\n\n{readme_table()}\n{_END}{tail}'
+
+
+def _groups() -> Iterator[tuple[str, list[tuple[str, Any, Any]]]]:
+    """Yield prefix and (name, metadata, default) of the settings; those without prefix first."""
+    settings = [(*name.rpartition('.')[::2], field.metadata, value)
+                for part in (NodeConfig(), Config())
+                for name, field, value in parameters_of(part)]
+    for group, members in groupby(settings, key=lambda setting: setting[0]):
+        yield group, [member[1:] for member in members]
+
+
+def _description(meta: Any) -> str:
+    notes = [f'in {meta["unit"]}' if meta['unit'] else '', _range(meta),
+             'fixed at start' if meta['read_only'] else '']
+    known = '; '.join(note for note in notes if note)
+    return meta['doc'] + (f' ({known})' if known else '')
+
+
+def _range(meta: Any) -> str:
+    if meta['choices']:
+        return 'one of ' + ', '.join(meta['choices'])
+    low, high = (limit if limit is None else str(limit) if isinstance(limit, int) else f'{limit:g}'
+                 for limit in (meta['low'], meta['high']))
+    if low and high:
+        return f'{low} to {high}'
+    return f'from {low}' if low else f'to {high}' if high else ''
+
+
+def _yaml(value: Any) -> str:
+    """Return the value as YAML; JSON is YAML, but a float needs its point: 1e-06 has none."""
+    if isinstance(value, tuple):
+        return '[' + ', '.join(_yaml(item) for item in value) + ']'
+    if isinstance(value, float):
+        text = repr(value)
+        return text if '.' in text or 'e' not in text else text.replace('e', '.0e')
+    return json.dumps(value)
+
+
+def main() -> None:
+    """Print the yaml file and the table, or write them to where they belong."""
+    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--write', action='store_true',
+                        help='write config/plane_detector.yaml and the table in README.md')
+    if parser.parse_args().write:
+        readme = _ROOT / 'README.md'
+        (_ROOT / 'config' / 'plane_detector.yaml').write_text(yaml_text(), encoding='utf-8')
+        readme.write_text(with_table(readme.read_text(encoding='utf-8')), encoding='utf-8')
+    else:
+        print(yaml_text())
+        print(readme_table())
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Planes on real pictures through the real node: starts it, feeds it, draws what it publishes.
+
+Without --images: two photographs that come inside libraries. One has a true depth; it is shown
+a second time with that depth on the depth topic, as a depth camera would give it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import rclpy
+from tqdm import tqdm
+
+from plane_detector.depth.model_zoo import NETWORKS, choose, fetch
+from plane_detector.segmentation.segment import ransac_alone
+from plane_detector.tools.demo.node_client import NodeClient
+from plane_detector.tools.demo.node_process import NodeProcess, use_private_domain
+from plane_detector.tools.demo.photographs import (
+    Lens,
+    Photograph,
+    folder_pictures,
+    library_pictures,
+)
+from plane_detector.tools.demo.report import Outcome, print_outcome, write_files
+
+_MEASURED_S = 4.0
+_START_TIMEOUT_S = 120.0
+_FRAME_TIMEOUT_S = 60.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demo; return the exit code."""
+    options = _parser().parse_args(arguments)
+    try:
+        _run(options)
+    except KeyboardInterrupt:
+        return 130
+    except (OSError, RuntimeError, ValueError, ModuleNotFoundError) as error:
+        print(f'\ndemo: {error}', file=sys.stderr)
+        return 1
+    return 0
+
+
+def _run(options: argparse.Namespace) -> None:
+    lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
+    if options.images and options.without_network:
+        raise ValueError('pictures of a folder have no measured depth: they need the network')
+    if lens != Lens() and not options.images:
+        raise ValueError('a calibration or a field of view is for your own pictures: name their '
+                         'folder by --images (make demo IMAGES=...)')
+    photographs = (folder_pictures(options.images, lens) if options.images
+                   else library_pictures())
+    options.output.mkdir(parents=True, exist_ok=True)
+    network = '' if options.without_network else _fetched(options.model)
+    use_private_domain()
+    rclpy.init()
+    try:
+        if network:
+            _show(photographs, {'depth.model': network}, network, options.output)
+        measured = [photograph for photograph in photographs
+                    if photograph.true_depth_m is not None]
+        if measured:
+            _show(measured, {'depth.source': 'topic'}, 'depth topic', options.output)
+    finally:
+        rclpy.try_shutdown()
+    print(f'\nThe pictures are in {options.output}/')
+
+
+def _fetched(model: str) -> str:
+    """Return the name of the depth network, its file in the cache now."""
+    if model == 'auto':
+        network, path, reason = choose()
+    else:
+        network, path, reason = NETWORKS[model], fetch(model), f'{model} as asked for'
+    print(f'Depth network: {reason}.\n  {path}\n  {network.output}, {network.trained_on}')
+    return network.name
+
+
+def _show(photographs: Sequence[Photograph], parameters: dict[str, str], source: str,
+          folder: Path) -> None:
+    """Start the node, let it see each photograph, and report."""
+    from_topic = source == 'depth topic'
+    inputs = ['image', 'camera_info', *(['depth'] if from_topic else [])]
+    log_path = folder / ('node_depth_topic.log' if from_topic else 'node.log')
+    with NodeProcess(parameters, log_path) as process:
+        client = NodeClient(process.check_running, inputs)
+        try:
+            with _progress('starting the node') as tick:
+                client.wait_until_ready(_START_TIMEOUT_S, tick)
+            for photograph in photographs:
+                outcome = _outcome(client, photograph, source)
+                print_outcome(outcome, write_files(outcome, folder))
+        except TimeoutError as error:
+            raise RuntimeError(f'{error}.\n{process.last_words()}') from error
+        finally:
+            client.close()
+
+
+def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome:
+    """Let the node see the picture: once for the results, then for the time it takes."""
+    with _progress(f'{photograph.name}: frames') as tick:
+        received = client.process(photograph, _FRAME_TIMEOUT_S)
+        timing = client.measure(photograph, _MEASURED_S, _FRAME_TIMEOUT_S, tick)
+    with _progress(f'{photograph.name}: RANSAC alone, for comparison') as tick:
+        tick()
+        ransac_labels = ransac_alone(received.depth_m, photograph.intrinsics) + 1
+    return Outcome(photograph, source, received, timing, ransac_labels)
+
+
+@contextmanager
+def _progress(what: str) -> Iterator[Callable[[], object]]:
+    """Show what is going on and for how long, on a line that vanishes in the end."""
+    with tqdm(desc=what, bar_format='{desc} {n_fmt} [{elapsed}]', leave=False) as bar:
+        yield bar.update
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('--images', type=Path, help='folder of your own pictures')
+    for name in ('fx', 'fy', 'cx', 'cy'):
+        parser.add_argument(f'--{name}', type=float, help='calibration of these pictures, pixels')
+    parser.add_argument('--fov', type=float,
+                        help='horizontal field of view in degrees, instead of a calibration')
+    parser.add_argument('--model', default='auto', choices=['auto', *NETWORKS],
+                        help='depth network (default: %(default)s)')
+    parser.add_argument('--without-network', action='store_true',
+                        help='only show pictures with measured depth')
+    parser.add_argument('--output', type=Path, default=Path('demo_output'),
+                        help='folder of the results (default: %(default)s)')
+    return parser
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node as a process of its own, on a private ROS domain of this machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+_STOP_TIMEOUT_S = 10.0
+_LOG_LINES_SHOWN = 15
+
+
+def use_private_domain() -> None:
+    """
+    Set the environment, of this process and its children, for large messages on this machine.
+
+    To be called before rclpy.init(). Other ROS nodes, here or in the network, neither see nor
+    disturb what follows. What the user has set for Fast DDS is kept.
+    """
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)  # above 101 ports may clash
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ.setdefault('FASTRTPS_DEFAULT_PROFILES_FILE', str(_profile()))
+
+
+def _profile() -> Path:
+    """Return the Fast DDS profile: beside the sources, or where colcon installs it."""
+    name = 'fastdds_large_messages.xml'
+    beside = Path(__file__).resolve().parents[3] / 'config' / name
+    if beside.is_file():
+        return beside
+    from ament_index_python.packages import get_package_share_directory
+    return Path(get_package_share_directory('plane_detector')) / 'config' / name
+
+
+class NodeProcess:
+    """
+    The running node; a context manager that ends it with SIGINT.
+
+    Parameters
+    ----------
+    parameters : mapping of str to str
+        Names and values in YAML.
+    log_path : Path
+        What the node prints goes there.
+
+    """
+
+    def __init__(self, parameters: Mapping[str, str], log_path: Path) -> None:
+        self._log_path = log_path
+        command = [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args']
+        for name, value in parameters.items():
+            command += ['-p', f'{name}:={value}']
+        with open(log_path, 'wb') as log:
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                start_new_session=True)  # Ctrl-C reaches the demo alone, which ends the node
+
+    def __enter__(self) -> NodeProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def process_id(self) -> int:
+        """Of the operating system."""
+        return self._process.pid
+
+    def check_running(self) -> None:
+        """
+        Check that the node lives.
+
+        Raises
+        ------
+        RuntimeError
+            It does not; says what it printed last.
+
+        """
+        if self._process.poll() is not None:
+            raise RuntimeError(f'the node ended with exit code {self._process.returncode}.\n'
+                               f'{self.last_words()}')
+
+    def last_words(self) -> str:
+        """Return the end of what the node printed."""
+        lines = self._log_path.read_text(errors='replace').splitlines()[-_LOG_LINES_SHOWN:]
+        return '\n'.join([f'The end of {self._log_path}:', *lines])
+
+    def stop(self) -> int:
+        """End the node, by force when it does not answer; return its exit code."""
+        if self._process.poll() is None:
+            self._process.send_signal(signal.SIGINT)
+            try:
+                self._process.wait(_STOP_TIMEOUT_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+        return self._process.wait()

@@ -1,0 +1,151 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the demo tells of a picture: figure, cloud and table as files, numbers on the screen."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plane_detector import drawing
+from plane_detector.tools.demo.node_client import Received, Timing
+from plane_detector.tools.demo.photographs import Photograph
+from plane_detector.tools.demo.sensor_comparison import depth_error, plane_errors
+from plane_detector.tools.ply import write_ply
+
+_ROWS_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    A picture and what the node made of it.
+
+    Attributes
+    ----------
+    photograph : Photograph
+    source : str
+        Where the depth is from: a network, or the depth topic.
+    received : Received
+        What the node published.
+    timing : Timing
+        Of many frames of this picture.
+    ransac_labels : (H, W) integer
+        Label of each pixel when RANSAC works without clustering, 0 for none.
+
+    """
+
+    photograph: Photograph
+    source: str
+    received: Received
+    timing: Timing
+    ransac_labels: np.ndarray
+
+    @property
+    def name(self) -> str:
+        """Of the result files."""
+        suffix = '_depth_topic' if self.source == 'depth topic' else ''
+        return self.photograph.name + suffix
+
+    @property
+    def depth_title(self) -> str:
+        """Where the depth is from, for people."""
+        return ('measured depth' if self.source == 'depth topic'
+                else f'depth from {self.source}')
+
+    @property
+    def unit(self) -> str:
+        """Of lengths: metres only where the node's diagnostics say where they come from."""
+        scales = [status.get('scale', '') for status in self.timing.statuses] or ['']
+        return 'm' if scales[-1] not in ('', 'relative') else 'units'
+
+
+def write_files(outcome: Outcome, folder: Path) -> list[Path]:
+    """Write figure, cloud and table; return their paths."""
+    paths = [folder / f'{outcome.name}.{suffix}' for suffix in ('png', 'ply', 'csv')]
+    cv2.imwrite(str(paths[0]), cv2.cvtColor(_figure(outcome), cv2.COLOR_RGB2BGR))
+    points, rgb = outcome.received.points, outcome.photograph.rgb
+    xyz_m = np.stack([points['x'], points['y'], points['z']], axis=-1)
+    write_ply(paths[1], xyz_m, drawing.tint(rgb, points['label']), points['label'],
+              in_metres=outcome.unit == 'm')
+    _write_csv(paths[2], outcome.received.planes)
+    return paths
+
+
+def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
+    """Print table, rate, time of each stage and the distance from the truth."""
+    photograph, timing = outcome.photograph, outcome.timing
+    size = photograph.intrinsics
+    print(f'\n{outcome.name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
+          f'{photograph.calibration}')
+    _print_planes(outcome.received.planes, outcome.unit)
+    stages = ', '.join(f'{stage} {ms:.1f}' for stage, ms in timing.stage_ms().items())
+    print(f'  {timing.rate_hz:.1f} frames per second through the topics; ms per frame in the '
+          f'node: {stages or "not told"}')
+    if photograph.true_depth_m is not None:
+        _print_truth(outcome)
+    print('  ' + ', '.join(str(path) for path in paths))
+
+
+def _figure(outcome: Outcome) -> np.ndarray:
+    """Return the paper's Figure 2: picture, depth, planes of RANSAC alone, planes in the end."""
+    received = outcome.received
+    near, far = drawing.depth_range(received.depth_m)
+    alone = len(np.unique(outcome.ransac_labels[outcome.ransac_labels > 0]))
+    return drawing.figure([
+        ('picture', outcome.photograph.rgb),
+        (f'{outcome.depth_title}, red {near:.1f} {outcome.unit} to blue {far:.1f} '
+         f'{outcome.unit}', drawing.colour_depth(received.depth_m)),
+        (f'RANSAC alone: {alone} planes',
+         drawing.overlay(outcome.photograph.rgb, outcome.ransac_labels)),
+        (f'after clustering: {len(received.planes)} planes', received.overlay),
+    ])
+
+
+def _write_csv(path: Path, planes: np.ndarray) -> None:
+    with open(path, 'w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow(planes.dtype.names)
+        for plane in planes:
+            writer.writerow([f'{value:.6g}' if isinstance(value, np.floating) else value
+                             for value in plane])
+
+
+def _print_planes(planes: np.ndarray, unit: str) -> None:
+    if not len(planes):
+        print('  no plane found')
+        return
+    columns = ('label', 'normal x', 'y', 'z', f'd [{unit}]', 'pixels', f'rms [{unit}]',
+               f'area [{unit}2]')
+    print('  ' + ''.join(f'{column:>12}' for column in columns))
+    for plane in planes[:_ROWS_SHOWN]:
+        print(f'  {plane["label"]:12d}' + ''.join(
+            f'{plane[name]:12.{digits}f}' for name, digits in (
+                ('normal_x', 3), ('normal_y', 3), ('normal_z', 3), ('d', 3), ('num_inliers', 0),
+                ('rms', 4), ('area', 3))))
+    if len(planes) > _ROWS_SHOWN:
+        print(f'  {"...":>12}  and {len(planes) - _ROWS_SHOWN} smaller ones, in the table')
+
+
+def _print_truth(outcome: Outcome) -> None:
+    if outcome.unit != 'm':
+        print('  the depth has no known scale: it is not compared with the truth in metres')
+        return
+    received, photograph = outcome.received, outcome.photograph
+    relative, ratio = depth_error(received.depth_m, photograph.true_depth_m)
+    print(f'  against the true depth: relative error of the depth {relative:.3f}, its median '
+          f'{ratio:.2f} times the true one')
+    errors = plane_errors(received.planes, received.points['label'], photograph.true_depth_m,
+                          photograph.intrinsics)
+    columns = ('label', 'distance cm', 'normal deg', 'd cm', 'purity %')
+    print('  ' + ''.join(f'{column:>12}' for column in columns))
+    for error in errors[:_ROWS_SHOWN]:
+        print(f'  {error.label:12d}{100 * error.distance_m:12.1f}{error.normal_deg:12.1f}'
+              f'{100 * error.offset_m:12.1f}{100 * error.purity:12.0f}')
+    print('  (distance: median from the true points of its pixels; normal and d: against the '
+          'best plane\n  through these points; purity: share of them within max(3 cm, 1.5 % of '
+          'z) of that plane)')

@@ -1,0 +1,175 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which topics of a bag are the inputs: those asked for, or those that only can be meant."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+
+from plane_detector.tools.replay.bag_reader import BagError, BagReader, Topic, to_message
+
+_CLASSES = {'sensor_msgs/msg/Image': Image, 'sensor_msgs/msg/CompressedImage': CompressedImage,
+            'sensor_msgs/msg/CameraInfo': CameraInfo, 'sensor_msgs/msg/Imu': Imu}
+_ROLES = {'image': (Image, CompressedImage), 'camera_info': (CameraInfo,), 'depth': (Image,),
+          'imu': (Imu,)}
+_DEPTH_ENCODINGS = ('16uc1', '32fc1')
+_GREY_ENCODINGS = ('mono8', 'mono16')
+_RECTIFIED_WORD = 'rect'
+
+
+@dataclass(frozen=True)
+class InputTopics:
+    """
+    Names of the topics that are read; empty for what is not.
+
+    Attributes
+    ----------
+    image, camera_info, depth, imu : str
+
+    """
+
+    image: str
+    camera_info: str
+    depth: str = ''
+    imu: str = ''
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that are read."""
+        return tuple(name for f in fields(self) if (name := getattr(self, f.name)))
+
+
+def input_class(bag: BagReader, topic: str) -> Any:
+    """Return the class of an input topic's messages."""
+    return _CLASSES[bag.connection(topic).msgtype]
+
+
+def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
+    """
+    Choose picture and calibration.
+
+    Parameters
+    ----------
+    bag : BagReader
+    wanted : mapping of str to str
+        Topics asked for, by ``image``, ``camera_info``, ``depth`` and ``imu``. A picture is
+        looked for among all topics, its ``camera_info`` beside it.
+
+    Raises
+    ------
+    BagError
+        A topic is missing, has another type, or several may be meant; with what is there.
+
+    """
+    for role, name in wanted.items():
+        _check(bag, role, name)
+    image = wanted.get('image') or _find_image(bag)
+    return InputTopics(image, wanted.get('camera_info') or _find_camera_info(bag, image))
+
+
+def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, str],
+                    depth_use: str, use_imu: bool) -> InputTopics:
+    """
+    Choose depth and IMU, as far as they are used.
+
+    Parameters
+    ----------
+    bag : BagReader
+    camera : InputTopics
+        Picture and calibration.
+    wanted : mapping of str to str
+        As for :func:`find_camera`. Depth is looked for among the images of the picture's
+        frame_id: others are not registered to it.
+    depth_use : str
+        ``required``, ``optional`` or ``unused``.
+    use_imu : bool
+
+    Raises
+    ------
+    BagError
+        What is needed is missing, or several may be meant; with what is there.
+
+    """
+    depth = wanted.get('depth', '') if depth_use != 'unused' else ''
+    if depth_use != 'unused' and not depth:
+        depth = _find_depth(bag, camera.image, depth_use == 'required')
+    imu = (wanted.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))) if use_imu else ''
+    return replace(camera, depth=depth, imu=imu)
+
+
+def _check(bag: BagReader, role: str, name: str) -> None:
+    """Check that a topic that is asked for is there and can be what it shall be."""
+    types = {topic.name: topic.msg_type for topic in bag.topics}
+    option = '--' + role.replace('_', '-')
+    if name not in types:
+        raise BagError(f'there is no topic {name}, as {option} says. {bag.describe()}')
+    if _CLASSES.get(types[name]) not in _ROLES[role]:
+        expected = ' or '.join(f'sensor_msgs/msg/{c.__name__}' for c in _ROLES[role])
+        raise BagError(f'{name} is of type {types[name]}, but {option} must be {expected}. '
+                       f'{bag.describe()}')
+
+
+def _of_role(bag: BagReader, role: str) -> list[Topic]:
+    """Return the topics that have messages and a type that fits."""
+    return [topic for topic in bag.topics
+            if topic.count and _CLASSES.get(topic.msg_type) in _ROLES[role]]
+
+
+def _find_image(bag: BagReader) -> str:
+    """Prefer colour, then rectified, then not compressed; of two cameras none is better."""
+    candidates = [topic for topic in _of_role(bag, 'image')
+                  if not topic.name.endswith(('/compressedDepth', '/theora'))
+                  and _encoding(bag, topic) not in _DEPTH_ENCODINGS]
+    preferences = (lambda topic: _calibrations(bag, topic.name) != [],
+                   lambda topic: _encoding(bag, topic) not in _GREY_ENCODINGS,
+                   lambda topic: _RECTIFIED_WORD in topic.name,
+                   lambda topic: topic.msg_type == 'sensor_msgs/msg/Image')
+    for preferred in preferences:
+        candidates = [topic for topic in candidates if preferred(topic)] or candidates
+    return _only(bag, 'image', candidates)
+
+
+def _find_camera_info(bag: BagReader, image: str) -> str:
+    beside = _calibrations(bag, image)
+    return beside[0] if beside else _only(bag, 'camera_info', _of_role(bag, 'camera_info'))
+
+
+def _calibrations(bag: BagReader, image: str) -> list[str]:
+    """Return the CameraInfo topics beside a picture's topic or one of its compressed form."""
+    names = [topic.name for topic in _of_role(bag, 'camera_info')]
+    folders = [image.rsplit('/', depth)[0] for depth in (1, 2) if image.count('/') >= depth]
+    return [f'{folder}/camera_info' for folder in folders if f'{folder}/camera_info' in names]
+
+
+def _find_depth(bag: BagReader, image: str, required: bool) -> str:
+    """Registered depth is in the frame of the picture."""
+    frame_id = _first(bag, image).header.frame_id
+    candidates = [topic for topic in _of_role(bag, 'depth')
+                  if topic.name != image and _encoding(bag, topic) in _DEPTH_ENCODINGS
+                  and _first(bag, topic.name).header.frame_id == frame_id]
+    if not candidates and not required:
+        return ''
+    return _only(bag, 'depth', candidates)
+
+
+def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
+    if len(candidates) == 1:
+        return candidates[0].name
+    option = '--' + role.replace('_', '-')
+    if not candidates:
+        raise BagError(f'no topic for {option} was found. {bag.describe()}')
+    names = ', '.join(topic.name for topic in candidates)
+    raise BagError(f'{names} may all be meant: say which by {option}. {bag.describe()}')
+
+
+def _encoding(bag: BagReader, topic: Topic) -> str:
+    """Return the encoding of the first picture, in lower case; empty when compressed."""
+    return getattr(_first(bag, topic.name), 'encoding', '').lower()
+
+
+def _first(bag: BagReader, topic: str) -> Any:
+    return to_message(next(bag.read([topic])), input_class(bag, topic))

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Results as a rosbag2, which `ros2 bag`, RViz and Foxglove open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rclpy.serialization import serialize_message
+from rosbags.interfaces import (
+    Connection,
+    MessageDefinitionFormat,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
+
+STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
+# Chunks of an mcap file are compressed inside it; sqlite3 has no chunks.
+_COMPRESSIONS = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
+_FOREVER = QosTime(2147483647, 4294967295)
+# As the node offers its outputs: see ros/qos.py.
+_OUTPUT_QOS = Qos(QosHistory.KEEP_LAST, 2, QosReliability.RELIABLE, QosDurability.VOLATILE,
+                  _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
+# The last one whose quality of service rosbag2 before Jazzy reads too.
+_VERSION = 8
+
+
+class BagWriter:
+    """
+    A new rosbag2; a context manager, which closes it so that it can be read, come what may.
+
+    Parameters
+    ----------
+    path : Path
+        The folder; it must not be there yet.
+    storage : str
+        ``mcap`` or ``sqlite3``.
+    compressed : bool
+        Whether messages are compressed by zstd.
+
+    Raises
+    ------
+    FileExistsError
+        There is something at this path.
+
+    """
+
+    def __init__(self, path: Path, storage: str = 'mcap', compressed: bool = False):
+        if path.exists():
+            raise FileExistsError(f'{path} is there already: choose another name')
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._writer = Writer(path, version=_VERSION, storage_plugin=STORAGES[storage])
+        if compressed:
+            self._writer.set_compression(_COMPRESSIONS[storage], CompressionFormat.ZSTD)
+        self._writer.open()
+        self._connections: dict[str, Connection] = {}
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.close()
+
+    def add_outputs(self, classes: Mapping[str, Any]) -> None:
+        """Announce topics whose messages are of these classes."""
+        for topic, message_class in classes.items():
+            package, kind = message_class.__module__.split('.')[0], message_class.__name__
+            self._connections[topic] = self._writer.add_connection(
+                topic, f'{package}/msg/{kind}', typestore=self._types,
+                offered_qos_profiles=[_OUTPUT_QOS])
+
+    def add_copies(self, bag: BagReader, topics: tuple[str, ...]) -> None:
+        """
+        Announce topics of another bag.
+
+        Raises
+        ------
+        BagError
+            The definition of a topic's type is neither in that bag nor known here.
+
+        """
+        for topic in topics:
+            self._connections[topic] = self._copied(bag, bag.connection(topic))
+
+    def write(self, topic: str, time_ns: int, msg: Any) -> None:
+        """Write a message of an announced topic."""
+        self._writer.write(self._connections[topic], time_ns, serialize_message(msg))
+
+    def copy(self, recorded: Recorded) -> None:
+        """Write a recorded message of an announced topic."""
+        self._writer.write(self._connections[recorded.topic], recorded.time_ns, recorded.cdr)
+
+    def _copied(self, bag: BagReader, source: Connection) -> Connection:
+        qos = [] if bag.is_ros1 else source.ext.offered_qos_profiles
+        if source.msgtype in self._types.fielddefs:
+            return self._writer.add_connection(source.topic, source.msgtype,
+                                               typestore=self._types, offered_qos_profiles=qos)
+        if bag.is_ros1 or source.msgdef.format == MessageDefinitionFormat.NONE:
+            raise BagError(f'{source.topic} cannot be copied: its type {source.msgtype} is not '
+                           f'known here. {bag.describe()}')
+        return self._writer.add_connection(
+            source.topic, source.msgtype, msgdef=source.msgdef.data, rihs01=source.digest,
+            offered_qos_profiles=qos)

@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay leaves for people and tables: a figure and a cloud per frame, one table of all."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plane_detector import drawing
+from plane_detector.geometry.projection import depth_to_points
+from plane_detector.ros.frame_processor import Processed
+from plane_detector.ros.outputs.messages import PLANE_DTYPE
+from plane_detector.ros.outputs.topics import Result
+from plane_detector.scale.estimate import RELATIVE
+from plane_detector.tools.ply import write_ply
+
+
+class ReplayFiles:
+    """
+    Writes the files of each frame; a context manager, which closes the table.
+
+    Parameters
+    ----------
+    figures, ply : Path, optional
+        Folders, made if need be, of a picture (.jpg) and of a labelled cloud of each frame.
+    table : Path, optional
+        CSV file of all planes of all frames, replaced when it is there.
+
+    """
+
+    def __init__(self, figures: Path | None = None, ply: Path | None = None,
+                 table: Path | None = None):
+        self._figures, self._ply, self._table = figures, ply, table
+        self._opened = ExitStack()
+        self._rows = None
+
+    def __enter__(self) -> ReplayFiles:
+        for folder in (self._figures, self._ply):
+            if folder is not None:
+                folder.mkdir(parents=True, exist_ok=True)
+        if self._table is not None:
+            file = open(self._table, 'w', newline='', encoding='utf-8')
+            self._rows = csv.writer(self._opened.enter_context(file))
+            self._rows.writerow(['frame', 'stamp', *PLANE_DTYPE.names])
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    @property
+    def is_wanted(self) -> bool:
+        """Whether anything is written at all."""
+        return any((self._figures, self._ply, self._table))
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the outputs that these files are made of."""
+        return ('planes',) if self._table is not None else ()
+
+    def write(self, index: int, processed: Processed) -> None:
+        """Write the files of a frame, whose number is in their names."""
+        result = processed.result
+        if self._figures is not None:
+            bgr = cv2.cvtColor(_figure(result), cv2.COLOR_RGB2BGR)
+            cv2.imwrite(str(self._figures / f'{index:06d}.jpg'), bgr)
+        if self._ply is not None:
+            points_m = depth_to_points(result.detection.depth_m, result.intrinsics)
+            write_ply(self._ply / f'{index:06d}.ply', points_m,
+                      drawing.tint(result.rgb, result.labels), result.labels,
+                      in_metres=result.detection.scale_method != RELATIVE)
+        if self._rows is not None:
+            self._rows.writerows(_rows(index, processed))
+
+
+def _figure(result: Result) -> np.ndarray:
+    """Return picture, depth and planes side by side."""
+    detection = result.detection
+    near, far = drawing.depth_range(detection.depth_m)
+    unit = 'units' if detection.scale_method == RELATIVE else 'm'
+    stamp = result.header.stamp
+    return drawing.figure([
+        (f'picture of {stamp.sec}.{stamp.nanosec:09d}', result.rgb),
+        (f'depth, red {near:.1f} {unit} to blue {far:.1f} {unit}',
+         drawing.colour_depth(detection.depth_m)),
+        (f'{len(detection.planes)} planes', drawing.overlay(result.rgb, result.labels)),
+    ], columns=3)
+
+
+def _rows(index: int, processed: Processed) -> Iterator[list[object]]:
+    """Yield what is in the message of the planes, a row per plane."""
+    stamp = processed.result.header.stamp
+    for plane in np.frombuffer(processed.messages['planes'].data, PLANE_DTYPE):
+        yield [index, f'{stamp.sec}.{stamp.nanosec:09d}',
+               *(f'{value:.6g}' if isinstance(value, np.floating) else value for value in plane)]

@@ -1,0 +1,219 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The same plane keeps its label from picture to picture, without odometry.
+
+The planes that lie on each other in two pictures tell how the camera moved; known planes are
+moved along. A known plane and a found one are the same as far as they share pixels, or lie at
+the same place, and their coefficients agree within their uncertainty; the Hungarian method
+assigns them one to one. Labels are taken anew only once their plane is forgotten.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import count
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from plane_detector.config import TrackingConfig
+from plane_detector.tracking.camera_motion import estimate_motion
+from plane_detector.tracking.matching import (
+    Overlap,
+    measure_overlap,
+    places_agree,
+    squared_deviation,
+)
+from plane_detector.types import Plane, PlaneSegmentation
+
+# Overlap is measured on about this many rows.
+_ROWS = 120
+_MIN_SCORE = 0.05
+# Of two known planes that a found one may be, the one of the picture before comes first.
+_MISSED = 0.3
+# And one found only once comes last: it may be a part of an older one that broke for a picture.
+_YOUTH = 0.9
+_MOTION_MIN_OVERLAP = 0.3
+_MOTION_MAX_TURN_RAD = np.radians(30.0)
+# Coefficients that change by more are not noise, and are not smoothed.
+_NOISE_DEVIATIONS, _NOISE_ANGLE_DEG, _NOISE_OFFSET = 3.0, 0.3, 0.003
+
+
+@dataclass(frozen=True)
+class Track:
+    """
+    A plane that has been seen.
+
+    Attributes
+    ----------
+    label : int
+        Above 0.
+    plane : Plane
+        Its coefficients in the latest camera frame.
+    pixels : (M,) int
+        Indices into the thinned picture where it was seen last.
+    streak : int
+        Pictures in a row that it was found in, up to when it was found last.
+    missed : int
+        Pictures since it was found last.
+
+    """
+
+    label: int
+    plane: Plane
+    pixels: np.ndarray
+    streak: int = 1
+    missed: int = 0
+
+
+class PlaneTracker:
+    """
+    Gives planes their labels; call it with every picture in order.
+
+    Parameters
+    ----------
+    config : TrackingConfig, optional
+        May be replaced between two pictures.
+
+    """
+
+    def __init__(self, config: TrackingConfig | None = None) -> None:
+        self.config = config or TrackingConfig()
+        self._tracks: tuple[Track, ...] = ()
+        self._shape: tuple[int, int] | None = None
+
+    def update(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
+        """
+        Take the planes of the next picture.
+
+        Parameters
+        ----------
+        found : PlaneSegmentation
+            In any unit, which may change from picture to picture. A picture of another size
+            starts anew.
+
+        Returns
+        -------
+        PlaneSegmentation
+            The same planes, their coefficients smoothed when the settings say so.
+        tuple of int
+            Label of each plane, above 0, no label twice.
+
+        """
+        if found.labels.shape != self._shape:
+            self.reset()
+            self._shape = found.labels.shape
+        self._tracks, seen = update_tracks(self._tracks, found, self.config)
+        planes = tuple(track.plane for track in seen)
+        return replace(found, planes=planes), tuple(track.label for track in seen)
+
+    def reset(self) -> None:
+        """Forget all planes."""
+        self._tracks = ()
+
+
+def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: TrackingConfig
+                  ) -> tuple[tuple[Track, ...], tuple[Track, ...]]:
+    """
+    Match the planes of a picture with the known ones.
+
+    Parameters
+    ----------
+    tracks : tuple of Track
+        Known planes.
+    found : PlaneSegmentation
+        Of the next picture.
+    config : TrackingConfig
+
+    Returns
+    -------
+    known : tuple of Track
+        What is known now: planes of this picture and those missed for a while.
+    seen : tuple of Track
+        The track of each plane of this picture, in its order.
+
+    """
+    pixels = _pixels_of_planes(found)
+    overlap = measure_overlap([track.pixels for track in tracks], pixels)
+    moved = _move_along(tracks, found.planes, pixels, overlap)
+    match = _match(moved, found.planes, overlap, config)
+    gone = [replace(track, missed=track.missed + 1) for index, track in enumerate(moved)
+            if index not in match.values() and track.missed < config.keep_frames]
+    kept = {track.label for track in gone} | {tracks[index].label for index in match.values()}
+    new_labels = _free_labels(kept)
+    seen = []
+    for index, (plane, where) in enumerate(zip(found.planes, pixels, strict=True)):
+        if index in match:
+            old = tracks[match[index]]
+            seen.append(Track(old.label, _smoothed(old, plane, config.smoothing), where,
+                              1 if old.missed else old.streak + 1))
+        else:
+            seen.append(Track(next(new_labels), plane, where))
+    return (*seen, *gone), tuple(seen)
+
+
+def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
+    """Return the indices of each plane's pixels in the thinned picture."""
+    step = max(1, min(found.labels.shape) // _ROWS)
+    labels = found.labels[::step, ::step].ravel()
+    order = np.argsort(labels, kind='stable')
+    ends = np.searchsorted(labels[order], np.arange(-1, len(found.planes)), side='right')
+    return [order[begin:end] for begin, end in zip(ends, ends[1:], strict=False)]
+
+
+def _move_along(tracks: Sequence[Track], planes: Sequence[Plane], pixels: Sequence[np.ndarray],
+                overlap: Overlap) -> list[Track]:
+    """Move known planes as the camera's motion moves those that surely are in both pictures."""
+    if not tracks:
+        return []
+    share = overlap.of_union
+    pairs = [(int(best), index) for index, best in enumerate(share.argmax(axis=0))
+             if _is_sure(tracks[best], planes[index], share[best, index])]
+    motion = estimate_motion([tracks[t].plane for t, _ in pairs], [planes[p] for _, p in pairs],
+                             np.array([share[t, p] * np.sqrt(len(pixels[p])) for t, p in pairs]))
+    return [replace(track, plane=motion.move(track.plane)) for track in tracks]
+
+
+def _is_sure(track: Track, plane: Plane, overlap: float) -> bool:
+    turn = np.arccos(np.clip(track.plane.normal @ plane.normal, -1, 1))
+    return (track.missed == 0 and overlap > _MOTION_MIN_OVERLAP
+            and turn < _MOTION_MAX_TURN_RAD)
+
+
+def _match(tracks: Sequence[Track], planes: Sequence[Plane], overlap: Overlap,
+           config: TrackingConfig) -> dict[int, int]:
+    """Return which track each found plane is; planes that are none of them are left out."""
+    if not tracks or not planes:
+        return {}
+    before = [track.plane for track in tracks]
+    missed = np.array([track.missed for track in tracks])
+    score = places_agree(before, planes, overlap) * np.exp(-0.5 * squared_deviation(
+        before, planes, config.angle_tolerance, config.offset_tolerance, 1 + missed))
+    score[score < _MIN_SCORE] = 0
+    trust = (1 - _YOUTH / np.array([track.streak for track in tracks])) * _MISSED ** (missed > 0)
+    score *= trust[:, None]
+    rows, columns = linear_sum_assignment(score, maximize=True)
+    return {int(column): int(row) for row, column in zip(rows, columns, strict=True)
+            if score[row, column] > 0}
+
+
+def _free_labels(taken: Collection[int]) -> Iterator[int]:
+    """Yield the smallest labels that no known plane has."""
+    return (label for label in count(1) if label not in taken)
+
+
+def _smoothed(track: Track, plane: Plane, share: float) -> Plane:
+    """Return the plane drawn towards what it was, unless it has changed beyond the noise."""
+    old = track.plane
+    if share == 0 or track.missed:
+        return plane
+    changed = squared_deviation([old], [plane], _NOISE_ANGLE_DEG, _NOISE_OFFSET)
+    if changed.item() > _NOISE_DEVIATIONS ** 2:
+        return plane
+    normal = share * old.normal + (1 - share) * plane.normal
+    normal /= np.linalg.norm(normal)
+    offset_m = share * old.offset_m + (1 - share) * plane.offset_m
+    centroid_m = plane.centroid_m - (plane.centroid_m @ normal + offset_m) * normal
+    return replace(plane, normal=normal, offset_m=offset_m, centroid_m=centroid_m)

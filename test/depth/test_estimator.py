@@ -1,0 +1,237 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
+
+from plane_detector.config import DepthConfig
+from plane_detector.depth import onnx_session
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.model_zoo import NETWORKS, default_cache_dir
+from plane_detector.depth.onnx_session import available_providers
+
+onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
+helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
+
+
+def config_for(path, **changes):
+    return DepthConfig(**{'model': str(path), 'output': 'metric_depth', **PLAIN, **changes})
+
+
+def wavy_depth(height=48, width=64):
+    row, column = np.mgrid[:height, :width]
+    return np.round(2.0 + 0.02 * column + 0.5 * np.sin(row / 7), 3).astype(np.float32)
+
+
+@pytest.mark.parametrize('channels_last', [False, True])
+@pytest.mark.parametrize('dtype', [np.float32, np.float16])
+@pytest.mark.parametrize('fixed', [False, True])
+def test_the_depth_of_every_layout_and_type_comes_back(tmp_path, channels_last, dtype, fixed):
+    depth_m = wavy_depth()
+    sides = {'height': 48, 'width': 64} if fixed else {}
+    path = write_depth_network(tmp_path / 'n.onnx', channels_last=channels_last, dtype=dtype,
+                               **sides)
+    changes = {} if fixed else {'short_side': 48, 'side_multiple': 16}
+    estimate = DepthEstimator(config_for(path, **changes))
+    assert estimate.input_size(64, 48) == (64, 48)
+    found = estimate(millimetres_as_rgb(depth_m))
+    assert found.shape == (48, 64)
+    assert found.dtype == np.float32
+    tolerance = 1e-5 if dtype == np.float32 else 2e-3
+    np.testing.assert_allclose(found, depth_m, rtol=tolerance)
+
+
+def test_a_picture_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=24, width=32)
+    rgb = np.zeros((90, 120, 3), np.uint8)
+    rgb[..., 0] = 10
+    found = DepthEstimator(config_for(path))(rgb)
+    assert found.shape == (90, 120)
+    np.testing.assert_allclose(found, 2.56, rtol=1e-5)
+
+
+def test_scale_mean_and_std_are_applied(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4, weights=(1, 10, 100))
+    estimate = DepthEstimator(config_for(path, input_scale=0.5, mean=(1.0, 2.0, 3.0),
+                                         std=(2.0, 4.0, 5.0), max_depth=1000.0))
+    found = estimate(np.full((4, 4, 3), (10, 20, 30), np.uint8))
+    np.testing.assert_allclose(found, (5 - 1) / 2 + 10 * (10 - 2) / 4 + 100 * (15 - 3) / 5)
+
+
+def test_disparity_keeps_its_meaning(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4, weights=(1, 0, 0))
+    rgb = np.full((4, 4, 3), 51, np.uint8)
+    for output in ('disparity', 'relative_disparity'):
+        estimate = DepthEstimator(config_for(path, output=output))
+        assert estimate.output == output
+        np.testing.assert_allclose(estimate(rgb), 0.2, rtol=1e-6)
+
+
+def test_the_farthest_depth_may_change_between_two_frames(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
+    estimate = DepthEstimator(config_for(path, max_depth=3.0))
+    rgb = millimetres_as_rgb(np.full((4, 4), 5.0))
+    assert np.isnan(estimate(rgb)).all()
+    estimate.max_depth_m = 6.0
+    np.testing.assert_allclose(estimate(rgb), 5.0, rtol=1e-6)
+
+
+def test_the_same_picture_gives_the_same_depth(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx')
+    rgb = np.random.default_rng(1).integers(0, 256, (50, 70, 3), dtype=np.uint8)
+    first = DepthEstimator(config_for(path, short_side=42))
+    second = DepthEstimator(config_for(path, short_side=42))
+    np.testing.assert_array_equal(first(rgb), first(rgb))
+    np.testing.assert_array_equal(first(rgb), second(rgb))
+
+
+def test_a_free_size_follows_the_short_side_or_the_given_sides(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx')
+    assert DepthEstimator(config_for(path, short_side=252)).input_size(640, 480) == (336, 252)
+    given = DepthEstimator(config_for(path, input_width=100, input_height=50, side_multiple=10))
+    assert given.input_size(640, 480) == (100, 50)
+    half_free = write_depth_network(tmp_path / 'h.onnx', height=28)
+    assert DepthEstimator(config_for(half_free, short_side=28)).input_size(64, 48) == (42, 28)
+
+
+def test_the_memory_of_an_accelerator_is_bound_and_follows_the_size(tmp_path, monkeypatch):
+    # The binding runs wherever its device is; the host's memory stands in for an accelerator's.
+    monkeypatch.setitem(onnx_session._DEVICES, 'CPUExecutionProvider', 'cpu')
+    estimate = DepthEstimator(config_for(write_depth_network(tmp_path / 'n.onnx'), short_side=42,
+                                         side_multiple=1))
+    for height, width in ((42, 56), (42, 56), (56, 42)):
+        for offset in (0.0, 1.0):
+            depth_m = wavy_depth(height, width) + np.float32(offset)
+            found = estimate(millimetres_as_rgb(depth_m))
+            np.testing.assert_allclose(found, depth_m, rtol=1e-5)
+
+
+def test_providers_are_tried_in_order_and_the_one_that_runs_is_told(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
+    estimate = DepthEstimator(config_for(
+        path, providers=('NoSuchExecutionProvider', 'CPUExecutionProvider'), threads=1))
+    assert estimate.provider == 'CPUExecutionProvider'
+    assert 'NoSuchExecutionProvider does not run: not in this build' in estimate.reason
+    assert 'runs on CPUExecutionProvider' in estimate.reason
+    with pytest.raises(ValueError, match='no execution provider.*NoSuch.*CPUExecutionProvider'):
+        DepthEstimator(config_for(path, providers=('NoSuchExecutionProvider',)))
+    assert 'CPUExecutionProvider' in available_providers()
+
+
+def test_a_path_needs_the_meaning_of_its_output(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
+    with pytest.raises(ValueError, match=r'depth\.output must say'):
+        DepthEstimator(config_for(path, output='auto'))
+    estimate = DepthEstimator(config_for(path))
+    assert (estimate.name, estimate.disparity_noise, estimate.focal_per_height) == (
+        str(path), 0.0, 0.0)
+
+
+def test_a_missing_file_names_what_there_is():
+    with pytest.raises(FileNotFoundError, match='nowhere.onnx.*auto.*fastdepth'):
+        DepthEstimator(config_for('/nowhere.onnx'))
+
+
+def test_a_network_that_fails_on_its_input_is_told(tmp_path):
+    nodes = [helper.make_node('Reshape', ['image', 'to'], ['depth'])]
+    path = write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 'h', 'w'])],
+                         [('depth', FLOAT, [3, 4])],
+                         [onnx.numpy_helper.from_array(np.array([3, 4]), 'to')])
+    with pytest.raises(ValueError, match=r'\(1, 3, 14, 14\) fails, .*inputs: image .*depth'):
+        DepthEstimator(config_for(path, input_width=14, input_height=14))
+
+
+def test_a_file_that_is_no_network_is_refused(tmp_path):
+    (tmp_path / 'n.onnx').write_bytes(b'not a network')
+    with pytest.raises(ValueError, match=r'no execution provider runs .*n\.onnx'):
+        DepthEstimator(config_for(tmp_path / 'n.onnx'))
+
+
+def test_a_size_that_the_network_cannot_take_is_refused(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=24, width=32)
+    with pytest.raises(ValueError, match=r'fixed size.*\(64, 48\).*image tensor\(float\)'):
+        DepthEstimator(config_for(path, input_width=64, input_height=48))
+    free = write_depth_network(tmp_path / 'f.onnx')
+    with pytest.raises(ValueError, match=r'\(100, 98\), must be multiples of .*side_multiple, 14'):
+        DepthEstimator(config_for(free, input_width=100, input_height=98))
+    with pytest.raises(ValueError, match=r'is free: set depth\.short_side'):
+        DepthEstimator(config_for(free))
+
+
+def identity(path, shape, out_shape=None, element=FLOAT, extra_input=False):
+    nodes = [helper.make_node('Identity', ['a'], ['b'])]
+    inputs = [('a', element, shape)] + ([('a2', element, shape)] if extra_input else [])
+    return write_network(path, nodes, inputs, [('b', element, out_shape or shape)])
+
+
+@pytest.mark.parametrize(('shape', 'changes', 'said'), [
+    ([1, 3, 8, 8], {'extra_input': True}, 'must have one input'),
+    ([1, 3, 8, 8], {'element': onnx.TensorProto.UINT8}, 'must have one input, of float32'),
+    ([1, 1, 8, 8], {}, 'must be one RGB picture'),
+    ([2, 3, 8, 8], {}, 'must be one RGB picture'),
+    ([3, 8, 8], {}, 'must be one RGB picture'),
+    ([1, 3, 8, 8], {}, r'\(1, 3, 8, 8\), which is not one image')])
+def test_what_does_not_fit_names_its_inputs_and_outputs(tmp_path, shape, changes, said):
+    path = identity(tmp_path / 'n.onnx', shape, **changes)
+    with pytest.raises(ValueError, match=f'does not fit: .*{said}.*inputs: a .*outputs: b '):
+        DepthEstimator(config_for(path))
+
+
+def test_of_several_outputs_the_one_named_depth_is_taken(tmp_path):
+    def network(names):
+        nodes = [helper.make_node('ReduceMean', ['image'], [name], axes=[1], keepdims=k)
+                 for k, name in enumerate(names)]
+        return write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 4, 4])],
+                             [(names[0], FLOAT, [1, 4, 4]), (names[1], FLOAT, [1, 1, 4, 4])])
+
+    estimate = DepthEstimator(config_for(network(['confidence', 'predicted_depth'])))
+    np.testing.assert_allclose(estimate(np.full((4, 4, 3), 255, np.uint8)), 1.0)
+    with pytest.raises(ValueError, match='one output.*outputs: first .*second'):
+        DepthEstimator(config_for(network(['first', 'second'])))
+
+
+@pytest.mark.parametrize('rgb', [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 4), np.uint8),
+                                 np.zeros((4, 4, 3), np.float32), np.zeros((0, 4, 3), np.uint8)])
+def test_what_is_no_picture_is_refused(tmp_path, rgb):
+    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
+    with pytest.raises(ValueError, match=r'must be \(H, W, 3\) uint8'):
+        DepthEstimator(config_for(path))(rgb)
+
+
+def fastdepth_path():
+    path = default_cache_dir() / NETWORKS['fastdepth'].file_name
+    if not path.is_file():
+        pytest.skip(f'fastdepth is not in the cache, {path}')
+    return path
+
+
+def test_fastdepth_brings_its_own_facts():
+    fastdepth_path()
+    estimate = DepthEstimator(DepthConfig(model='fastdepth'))
+    assert estimate.output == 'metric_depth'
+    assert estimate.disparity_noise == NETWORKS['fastdepth'].disparity_noise
+    assert estimate.input_size(640, 480) == (224, 224)
+    with pytest.raises(ValueError, match='leave it at auto'):
+        DepthEstimator(DepthConfig(model='fastdepth', output='relative_disparity'))
+
+
+def test_fastdepth_is_right_to_a_fifth_on_real_pictures():
+    fastdepth_path()
+    root = Path(__file__).resolve().parents[3] / 'shared' / 'data'
+    folder = Path(os.environ.get('PLANE_DETECTOR_DATA', root)) / 'nyu'
+    if not folder.is_dir():
+        pytest.skip(f'no real pictures in {folder}')
+    estimate = DepthEstimator(DepthConfig(model='fastdepth'))
+    unit_m = json.loads((folder / 'intrinsics.json').read_text())['depth_unit_m']
+    for picture in sorted(folder.glob('*_rgb.png')):
+        rgb = cv2.cvtColor(cv2.imread(str(picture)), cv2.COLOR_BGR2RGB)
+        truth = cv2.imread(str(picture).replace('_rgb', '_depth'), cv2.IMREAD_UNCHANGED) * unit_m
+        valid = np.zeros(truth.shape, bool)
+        valid[24:-24, 32:-32] = truth[24:-24, 32:-32] > 0.3
+        error = np.abs(estimate(rgb)[valid] - truth[valid]) / truth[valid]
+        assert error.mean() < 0.2

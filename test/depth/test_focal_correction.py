@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Metres of a network that was trained with another lens."""
+
+import numpy as np
+import pytest
+
+from plane_detector.config import Config, DepthConfig, ScaleConfig
+from plane_detector.depth.focal_correction import OWN_FOCAL, lens_factor
+from plane_detector.evaluation.scenes.rooms import VGA, single_wall
+from plane_detector.pipeline import PlaneDetector
+
+
+class WideNetwork:
+    """Takes every picture for one of a camera of half the focal length."""
+
+    disparity_noise = 0.0
+    focal_per_height = 0.5 * VGA.fy / VGA.height
+
+    def __init__(self, depth_m, output):
+        self.depth_m, self.output = depth_m, output
+
+    def __call__(self, rgb):
+        return self.depth_m / 2 if self.output == 'metric_depth' else 2 / self.depth_m
+
+
+@pytest.mark.parametrize(('reference_px', 'own', 'factor'), [
+    (OWN_FOCAL, 0.0, 1.0), (0.0, 1.2, 1.0), (262.5, 1.2, 2.0), (OWN_FOCAL, 2 * 525 / 480, 0.5)])
+def test_factor(reference_px, own, factor):
+    assert lens_factor(VGA, reference_px, own) == pytest.approx(factor)
+
+
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity'])
+def test_the_pipeline_corrects_the_lens_when_told_to(output):
+    scene = single_wall(distance_m=3.0)
+    network = WideNetwork(scene.depth_m, output)
+    own = Config(scale=ScaleConfig(reference_focal_px=OWN_FOCAL))
+    corrected = PlaneDetector(own, network).detect(scene.rgb, VGA)
+    assert corrected.planes[0].offset_m == pytest.approx(scene.planes[0, 3], rel=1e-3)
+    np.testing.assert_allclose(corrected.depth_m, scene.depth_m, rtol=1e-5)
+    as_it_is = PlaneDetector(Config(), network).detect(scene.rgb, VGA)
+    assert as_it_is.planes[0].offset_m == pytest.approx(scene.planes[0, 3] / 2, rel=1e-3)
+
+
+def test_measured_depth_has_no_lens():
+    scene = single_wall(distance_m=3.0)
+    config = Config(depth=DepthConfig(source='topic'),
+                    scale=ScaleConfig(reference_focal_px=100.0))
+    found = PlaneDetector(config).detect(scene.rgb, VGA, scene.depth_m)
+    assert found.planes[0].offset_m == pytest.approx(scene.planes[0, 3], rel=1e-4)

@@ -1,0 +1,224 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+import http.server
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from zoo_helpers import CONTENT, SHA256, files_in, put
+
+from plane_detector.depth import download, model_zoo
+from plane_detector.depth.model_zoo import (
+    AUTO_ORDER,
+    NETWORKS,
+    NetworkUnavailableError,
+    UrlSource,
+    choose,
+    default_cache_dir,
+    fetch,
+)
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    """Serves CONTENT whole, damaged, broken off, stalled or too long; counts the questions."""
+
+    def do_GET(self):
+        self.server.asked.append(self.path)
+        if self.path == '/missing.onnx':
+            self.send_error(404)
+            return
+        content = {'/other.onnx': CONTENT[:-1] + b'!', '/longer.onnx': CONTENT * 2}.get(
+            self.path, CONTENT)
+        self.send_response(200)
+        self.send_header('Content-Length', str(len(content)))
+        self.end_headers()
+        if self.path in ('/broken.onnx', '/stalled.onnx'):
+            content = content[:1000]
+        self.wfile.write(content)
+        if self.path == '/stalled.onnx':
+            self.server.ended.wait(60)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture(name='server')
+def fixture_server(monkeypatch):
+    monkeypatch.setenv('no_proxy', '*')
+    server = http.server.ThreadingHTTPServer(('127.0.0.1', 0), Handler)
+    server.asked = []
+    server.ended = threading.Event()
+    server.url = f'http://127.0.0.1:{server.server_port}'
+    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+    yield server
+    server.ended.set()
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture(name='silent_url')
+def fixture_silent_url(monkeypatch):
+    """A host that takes the connection and never says a word."""
+    monkeypatch.setenv('no_proxy', '*')
+    monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.2)
+    with socket.create_server(('127.0.0.1', 0)) as listener:
+        yield f'http://127.0.0.1:{listener.getsockname()[1]}'
+
+
+def test_a_fetched_file_is_whole_verified_and_then_cached(server, tmp_path, monkeypatch):
+    network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
+    path = fetch('fastdepth', tmp_path / 'new' / 'cache')
+    assert path == tmp_path / 'new' / 'cache' / network.file_name
+    assert path.read_bytes() == CONTENT
+    assert fetch('fastdepth', tmp_path / 'new' / 'cache') == path
+    assert server.asked == ['/good.onnx']
+    assert files_in(path.parent) == [network.file_name]
+
+
+@pytest.mark.parametrize(('file', 'said'), [
+    ('/other.onnx', f'has SHA-256 [0-9a-f]{{64}} .1280000 bytes., not {SHA256}'),
+    ('/broken.onnx', r'\(1000 bytes\).*broke off|is out of reach'),
+    ('/longer.onnx', 'sends more than the file has'),
+    ('/stalled.onnx', 'is out of reach .*timed out'),
+    ('/missing.onnx', '404')])
+def test_nothing_stays_of_a_download_that_is_not_the_right_one(
+        server, tmp_path, monkeypatch, file, said):
+    monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.5)
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + file))
+    with pytest.raises(NetworkUnavailableError, match=said):
+        fetch('fastdepth', tmp_path)
+    assert files_in(tmp_path) == []
+
+
+def test_nothing_stays_of_an_interrupted_download(tmp_path):
+    def chunks():
+        yield b'abc'
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        download.write_verified(tmp_path / 'n.onnx', chunks(), SHA256)
+    assert files_in(tmp_path) == []
+
+
+def test_a_file_half_written_by_a_killed_process_is_not_used(tmp_path, monkeypatch, server):
+    network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
+    program = ('import os, sys; from pathlib import Path; '
+               'from plane_detector.depth import download\n'
+               'def chunks():\n    yield b"abc"\n    os._exit(9)\n'
+               'download.write_verified(Path(sys.argv[1]), chunks(), "0" * 64)')
+    subprocess.run([sys.executable, '-c', program, str(tmp_path / network.file_name)],
+                   check=False, env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    assert not (tmp_path / network.file_name).exists()
+    assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
+
+
+def test_a_damaged_file_in_the_cache_is_fetched_anew(server, tmp_path, monkeypatch):
+    network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
+    (tmp_path / network.file_name).write_bytes(CONTENT[:-1])
+    assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/missing.onnx'))
+    (tmp_path / network.file_name).write_bytes(CONTENT[:-1])
+    with pytest.raises(NetworkUnavailableError, match='the file there is damaged .*404'):
+        fetch('fastdepth', tmp_path)
+
+
+def test_offline_the_error_says_how_to_put_the_file_there(tmp_path, monkeypatch, silent_url):
+    network = put(monkeypatch, 'fastdepth', UrlSource(silent_url + '/n.onnx'))
+    with pytest.raises(FileNotFoundError) as caught:
+        fetch('fastdepth', tmp_path)
+    for said in (str(tmp_path / network.file_name), silent_url + '/n.onnx', SHA256,
+                 f'{len(CONTENT)} bytes', 'is out of reach (no answer within 0.2 s)'):
+        assert said in str(caught.value)
+
+
+def test_a_name_that_does_not_exist_is_refused(tmp_path):
+    with pytest.raises(ValueError, match='no network is called .nothing.; there are .*fastdepth'):
+        fetch('nothing', tmp_path)
+
+
+def test_a_folder_that_cannot_be_made_is_told(tmp_path, monkeypatch, server):
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
+    (tmp_path / 'file').write_text('in the way')
+    with pytest.raises(NetworkUnavailableError, match='cannot be fetched.*file'):
+        fetch('fastdepth', tmp_path / 'file')
+
+
+def test_auto_takes_the_best_that_is_to_be_had_and_says_why(tmp_path, monkeypatch, server):
+    first, second, third = AUTO_ORDER
+    put(monkeypatch, first, UrlSource(server.url + '/missing.onnx'))
+    put(monkeypatch, second, UrlSource(server.url + '/good.onnx'))
+    put(monkeypatch, third, UrlSource(server.url + '/good.onnx'))
+    network, path, reason = choose(tmp_path)
+    assert network.name == second
+    assert path.read_bytes() == CONTENT
+    assert f'auto took {second} (fetched)' in reason
+    assert first in reason
+    assert '404' in reason
+    assert choose(tmp_path)[2].startswith(f'auto took {second} (cached)')
+    put(monkeypatch, first, UrlSource(server.url + '/good.onnx'))
+    assert choose(tmp_path)[2] == f'auto took {first} (fetched)'
+
+
+def test_auto_can_be_held_to_one_kind_of_output(tmp_path, monkeypatch, server):
+    for name in AUTO_ORDER:
+        put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
+    network, _, _ = choose(tmp_path, 'relative_disparity')
+    assert network.output == 'relative_disparity'
+    with pytest.raises(ValueError, match='no network of the zoo gives disparity'):
+        choose(tmp_path, 'disparity')
+
+
+def test_auto_asks_a_silent_host_once_and_lists_what_to_do(tmp_path, monkeypatch, silent_url):
+    for name in AUTO_ORDER:
+        put(monkeypatch, name, UrlSource(f'{silent_url}/{name}.onnx'))
+    asked = []
+    monkeypatch.setattr(download, '_answer', wrapped(download._answer, asked))
+    with pytest.raises(FileNotFoundError) as caught:
+        choose(tmp_path)
+    assert asked == [f'{silent_url}/{AUTO_ORDER[0]}.onnx']
+    assert all(NETWORKS[name].file_name in str(caught.value) for name in AUTO_ORDER)
+    assert 'was out of reach a moment ago' in str(caught.value)
+
+
+def wrapped(function, calls):
+    def call(argument):
+        calls.append(argument)
+        return function(argument)
+    return call
+
+
+def test_a_name_that_is_looked_up_for_ever_does_not_hold_up_the_start(tmp_path, monkeypatch):
+    monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.2)
+    ended = threading.Event()
+    monkeypatch.setattr(download.urllib.request, 'urlopen', lambda *_, **__: ended.wait(60))
+    start = time.monotonic()
+    with pytest.raises(ConnectionError, match='no answer within'):
+        next(download.url_chunks('https://example.invalid/n.onnx', 0, set()))
+    assert time.monotonic() - start < 30  # it did not wait for the look-up to end
+    ended.set()
+
+
+def test_the_cache_folder_follows_the_xdg_specification(monkeypatch, tmp_path):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    assert default_cache_dir() == tmp_path / 'plane_detector'
+    for unset in ('', 'relative/path'):
+        monkeypatch.setenv('XDG_CACHE_HOME', unset)
+        monkeypatch.setenv('HOME', str(tmp_path))
+        assert default_cache_dir() == tmp_path / '.cache' / 'plane_detector'
+
+
+def test_the_zoo_is_consistent():
+    assert set(AUTO_ORDER) <= set(NETWORKS)
+    for name, network in NETWORKS.items():
+        assert network.name == name
+        assert len(bytes.fromhex(network.sha256)) == 32
+        assert network.output in ('metric_depth', 'disparity', 'relative_disparity')
+        assert network.short_side % network.side_multiple == 0
+        # Only weights that anybody may use for anything.
+        assert network.licence in ('Apache-2.0', 'MIT')
+    assert len({network.file_name for network in NETWORKS.values()}) == len(NETWORKS)
+    assert model_zoo.NETWORKS[AUTO_ORDER[0]].output == 'metric_depth'

@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What goes into a network, by its published recipe, and what is made of its output."""
+
+import numpy as np
+import pytest
+
+from plane_detector.depth.model_zoo import IMAGENET_MEAN, IMAGENET_STD
+from plane_detector.depth.preprocessing import (
+    InputRecipe,
+    finish_output,
+    lower_bound_size,
+    prepare_input,
+)
+
+IMAGENET = InputRecipe(1 / 255, IMAGENET_MEAN, IMAGENET_STD)
+
+
+# The published recipe of Depth Anything V2 (image2tensor), said again in float64: RGB / 255,
+# resize keeping the aspect to a lower bound of 518 in multiples of 14 by Keys' cubic
+# convolution with a = -0.75 (OpenCV's INTER_CUBIC), normalise, channels first.
+
+def recipe_side(side, factor):
+    nearest = int(np.round(side * factor / 14) * 14)
+    return nearest if nearest >= 518 else int(np.ceil(side * factor / 14) * 14)
+
+
+def cubic_matrix(to, source):
+    """Weights (to, source) of cubic convolution with half-pixel centres and repeated borders."""
+    def kernel(t, a=-0.75):
+        t = abs(t)
+        if t <= 1:
+            return (a + 2) * t**3 - (a + 3) * t**2 + 1
+        return a * (t**3 - 5 * t**2 + 8 * t - 4) if t < 2 else 0.0
+
+    matrix = np.zeros((to, source))
+    for i in range(to):
+        x = (i + 0.5) * source / to - 0.5
+        for j in range(int(np.floor(x)) - 1, int(np.floor(x)) + 3):
+            matrix[i, np.clip(j, 0, source - 1)] += kernel(x - j)
+    return matrix
+
+
+def published_recipe(rgb):
+    height, width = rgb.shape[:2]
+    factor = max(518 / width, 518 / height)
+    rows = cubic_matrix(recipe_side(height, factor), height)
+    columns = cubic_matrix(recipe_side(width, factor), width)
+    resized = np.einsum('ih,hwc,jw->cij', rows, rgb / 255.0, columns, optimize=True)
+    mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
+    return (resized - mean[:, None, None]) / std[:, None, None]
+
+
+@pytest.mark.parametrize('size', [(640, 480), (480, 640), (1280, 720), (518, 518), (333, 250),
+                                  (1242, 375)])
+def test_input_is_that_of_the_published_recipe(size):
+    width, height = size
+    rgb = np.random.default_rng(width).integers(0, 256, (height, width, 3), dtype=np.uint8)
+    expected = published_recipe(rgb)
+    planes = prepare_input(rgb, lower_bound_size(width, height, 518, 14), IMAGENET)
+    assert planes.shape == expected.shape
+    assert planes.dtype == np.float32
+    np.testing.assert_allclose(planes, expected, rtol=0, atol=1e-4)
+
+
+def test_sizes_keep_the_aspect_and_never_fall_below_the_short_side():
+    assert lower_bound_size(640, 480, 518, 14) == (686, 518)
+    assert lower_bound_size(480, 640, 252, 14) == (252, 336)
+    assert lower_bound_size(640, 640, 518, 14) == (518, 518)
+    assert lower_bound_size(640, 480, 250, 14) == (336, 252)  # 250 is no multiple: rounded up
+    assert lower_bound_size(100, 100, 224, 32) == (224, 224)
+    with pytest.raises(ValueError, match='4000 x 2 is too elongated'):
+        lower_bound_size(4000, 2, 518, 14)
+
+
+def test_preparing_leaves_the_picture_as_it_was():
+    rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    before = rgb.copy()
+    prepare_input(rgb, (40, 30), IMAGENET)
+    prepare_input(rgb, (20, 15), IMAGENET)
+    np.testing.assert_array_equal(rgb, before)
+
+
+def test_a_picture_may_be_a_reversed_or_transposed_view():
+    rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
+    for view in (rgb[..., ::-1], rgb[::-1, ::2], rgb.transpose(1, 0, 2)):
+        np.testing.assert_array_equal(prepare_input(view, (28, 14), IMAGENET),
+                                      prepare_input(view.copy('C'), (28, 14), IMAGENET))
+
+
+def test_shrinking_by_area_averages():
+    rgb = np.zeros((4, 4, 3), np.uint8)
+    rgb[::2] = 200
+    planes = prepare_input(rgb, (2, 2), InputRecipe(1 / 255, (0,) * 3, (1,) * 3, 'area'))
+    np.testing.assert_allclose(planes, 100 / 255, atol=1e-6)
+
+
+def test_depth_of_a_plane_stays_a_plane_when_it_is_enlarged():
+    # 1/z = 0.2 + 0.01 u at pixel centres; enlarged 4 times, away from the repeated border.
+    small_u = np.arange(16) * 4 + 1.5
+    small = np.tile(1 / (0.2 + 0.01 * small_u), (12, 1)).astype(np.float32)
+    large = finish_output(small, (64, 48), 'metric_depth', 80.0)
+    expected = np.tile(1 / (0.2 + 0.01 * np.arange(64)), (48, 1))
+    np.testing.assert_allclose(large[:, 2:-2], expected[:, 2:-2], rtol=1e-5)
+
+
+@pytest.mark.parametrize(('output', 'raw', 'valid'), [
+    ('metric_depth', [1.0, 20.0, 20.1, 0.0, -1.0, np.nan, np.inf], [1, 1, 0, 0, 0, 0, 0]),
+    ('disparity', [1.0, 0.05, 0.049, 0.0, -1.0, np.nan, np.inf], [1, 1, 0, 0, 0, 0, 0]),
+    ('relative_disparity', [1.0, 1e-3, 500.0, 0.0, -1.0, np.nan, np.inf],
+     [1, 1, 1, 0, 0, 0, 0])])
+def test_what_is_not_finite_not_positive_or_too_far_is_nan(output, raw, valid):
+    raw = np.array([raw], np.float32)
+    finished = finish_output(raw, (7, 1), output, 20.0)
+    assert finished.dtype == np.float32
+    np.testing.assert_array_equal(np.isfinite(finished[0]), np.array(valid, bool))
+    kept = np.array(valid, bool)
+    np.testing.assert_allclose(finished[0, kept], raw[0, kept], rtol=1e-6)
+
+
+def test_an_invalid_pixel_is_not_blended_into_its_neighbours():
+    raw = np.full((4, 4), 2.0, np.float32)
+    raw[1, 1] = 0.0
+    large = finish_output(raw, (16, 16), 'metric_depth', 80.0)
+    assert np.isnan(large[5, 5])
+    np.testing.assert_allclose(large[np.isfinite(large)], 2.0, rtol=1e-6)
+    assert np.isfinite(large[:, 10:]).all()

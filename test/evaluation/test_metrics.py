@@ -1,0 +1,128 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The metrics on cases that are solved by hand."""
+
+import numpy as np
+import pytest
+
+from plane_detector.evaluation.metrics import (
+    depth_recall,
+    normal_recall,
+    overlap,
+    rand_index,
+    score,
+    segmentation_covering,
+    variation_of_information,
+)
+
+# Eight pixels: true planes of 4 and 2, two of none; predicted planes of 3, 3 and two of none.
+TRUTH = np.array([[0, 0, 0, 0, 1, 1, -1, -1]])
+FOUND = np.array([[0, 0, 0, 1, 1, 1, -1, -1]])
+ALL = np.ones((1, 8), bool)
+PLANES = np.array([[0, 0, -1, 2.0], [0, -1, 0, 1.0]])
+
+
+def test_counts_by_hand():
+    shared = overlap(TRUTH, FOUND, ALL)
+    np.testing.assert_array_equal(shared.counts, [[3, 1, 0], [0, 2, 0], [0, 0, 2]])
+    np.testing.assert_allclose(shared.iou, [[3 / 4, 1 / 6], [0, 2 / 3]])
+
+
+def test_segmentation_metrics_by_hand():
+    counts = overlap(TRUTH, FOUND, ALL).counts
+    pairs = 8 * 7 / 2
+    assert rand_index(counts) == pytest.approx(1 - ((9 + 9 + 4 + 16 + 4 + 4) / 2 - 18) / pairs)
+    covering = (4 * 3 / 4 + 2 * 2 / 3 + 2 + 3 * 3 / 4 + 3 * 2 / 3 + 2) / 16
+    assert segmentation_covering(counts) == pytest.approx(covering)
+    truth_bits = 0.5 * 1 + 0.25 * 2 + 0.25 * 2
+    found_bits = 2 * 3 / 8 * np.log2(8 / 3) + 0.25 * 2
+    joint_bits = 3 / 8 * np.log2(8 / 3) + 1 / 8 * 3 + 2 * 0.25 * 2
+    assert variation_of_information(counts) == pytest.approx(
+        2 * joint_bits - truth_bits - found_bits)
+
+
+def test_equal_segmentations_are_perfect_whatever_their_numbers():
+    renamed = np.where(TRUTH < 0, -1, 1 - TRUTH)
+    counts = overlap(TRUTH, renamed, ALL).counts
+    assert rand_index(counts) == 1
+    assert segmentation_covering(counts) == 1
+    assert variation_of_information(counts) == pytest.approx(0, abs=1e-12)
+
+
+def test_the_mask_takes_pixels_out():
+    mask = ALL.copy()
+    mask[0, 3] = False
+    counts = overlap(TRUTH, FOUND, mask).counts
+    assert counts.sum() == 7
+    assert segmentation_covering(counts) == 1
+
+
+def test_score_by_hand():
+    result = score(TRUTH, PLANES, FOUND, PLANES, ALL, min_pixels=1)
+    assert (result.recall, result.precision) == (1, 1)
+    assert (result.true_planes, result.predicted_planes) == (2, 2)
+    assert result.normal_error_deg == pytest.approx(0)
+    assert result.offset_error_m == 0
+
+
+def test_an_iou_of_one_half_is_no_match():
+    truth, found = np.array([[0, 0, 0, 0]]), np.array([[0, 0, -1, -1]])
+    mask = np.ones((1, 4), bool)
+    assert overlap(truth, found, mask).iou[0, 0] == 0.5
+    assert score(truth, PLANES[:1], found, PLANES[:1], mask, min_pixels=1).recall == 0
+    found[0, 2] = 0
+    assert score(truth, PLANES[:1], found, PLANES[:1], mask, min_pixels=1).recall == 1
+
+
+def test_a_true_plane_of_just_the_least_pixels_cannot_be_missed():
+    nothing = np.full_like(TRUTH, -1)
+    result = score(TRUTH, PLANES, nothing, PLANES[:0], ALL, min_pixels=2)
+    assert (result.recall, result.true_planes) == (0, 1)
+    assert np.isnan(score(TRUTH, PLANES, nothing, PLANES[:0], ALL, min_pixels=4).recall)
+
+
+def test_without_planes_recall_and_precision_are_unknown():
+    nothing = np.full_like(TRUTH, -1)
+    result = score(nothing, PLANES[:0], nothing, PLANES[:0], ALL)
+    assert np.isnan([result.recall, result.precision, result.normal_error_deg]).all()
+    assert result.segmentation_covering == 1
+
+
+def test_a_false_plane_costs_precision_not_recall():
+    found = FOUND.copy()
+    found[0, 6:] = 2
+    planes = np.vstack([PLANES, [1, 0, 0, 1]])
+    result = score(TRUTH, PLANES, found, planes, ALL, min_pixels=1)
+    assert result.recall == 1
+    assert result.precision == pytest.approx(2 / 3)
+
+
+def test_errors_are_those_of_the_matched_planes():
+    tilted = np.radians(10)
+    found = np.array([[0, np.sin(tilted), -np.cos(tilted), 2.1], [0, -1, 0, 1.3]])
+    result = score(TRUTH, PLANES, FOUND, found, ALL, min_pixels=1)
+    assert result.normal_error_deg == pytest.approx(5)
+    assert result.offset_error_m == pytest.approx(0.2)
+
+
+def test_depth_recall_includes_its_bounds():
+    true_m = np.full((1, 8), 2.0)
+    found_m = true_m + np.array([[0.25, 0.25, 0.25, 9, 0, 0.625, 9, 9]])
+    planes, pixels = depth_recall(TRUTH, true_m, FOUND, found_m, ALL)
+    # Plane 0 is 0.25 m off over its 3 shared pixels, plane 1 0.3125 m over its 2.
+    np.testing.assert_allclose(planes, [0, 0, 0, 0.5, 1])
+    np.testing.assert_allclose(pixels, [0, 0, 0, 0.5, 5 / 6])
+
+
+def test_normal_recall_by_hand():
+    tilted = np.radians(8)
+    found = np.array([[0, 0, -1, 9.0], [0, -np.cos(tilted), np.sin(tilted), 9.0]])
+    np.testing.assert_allclose(normal_recall(TRUTH, PLANES, FOUND, found, ALL), [0.5, 1, 1])
+    np.testing.assert_allclose(normal_recall(TRUTH, PLANES, FOUND, found[::-1], ALL), [0, 0, 0])
+
+
+def test_nothing_found_is_nothing_recalled():
+    nothing = np.full_like(TRUTH, -1)
+    depth_m = np.ones((1, 8))
+    assert not depth_recall(TRUTH, depth_m, nothing, depth_m, ALL)[0].any()
+    assert not normal_recall(TRUTH, PLANES, nothing, PLANES[:0], ALL).any()

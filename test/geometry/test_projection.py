@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Depth to points and back."""
+
+import numpy as np
+import pytest
+
+from plane_detector.geometry.projection import (
+    depth_to_points,
+    pixel_rays,
+    points_to_pixels,
+    valid_depth,
+)
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(fx=2.0, fy=4.0, cx=1.0, cy=0.5, width=4, height=2)
+
+
+def test_rays_by_hand():
+    ray_x, ray_y = pixel_rays(CAMERA)
+    np.testing.assert_array_equal(ray_x, [-0.5, 0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(ray_y, [-0.125, 0.125])
+
+
+def test_points_by_hand():
+    depth_m = np.array([[1, 2, 4, 8], [1, 1, 1, 1]], np.float32)
+    points_m = depth_to_points(depth_m, CAMERA)
+    assert points_m.dtype == np.float32
+    np.testing.assert_allclose(points_m[0, 3], [8.0, -1.0, 8.0])
+    np.testing.assert_allclose(points_m[1, 0], [-0.5, 0.125, 1.0])
+
+
+@pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf, 0.0, -1.0])
+def test_invalid_depth_becomes_nan_and_nothing_else_does(bad):
+    depth_m = np.full((2, 4), 3.0, np.float32)
+    depth_m[1, 2] = bad
+    points_m = depth_to_points(depth_m, CAMERA)
+    assert np.isnan(points_m[1, 2]).all()
+    assert np.isfinite(np.delete(points_m.reshape(-1, 3), 6, axis=0)).all()
+    assert valid_depth(depth_m).sum() == 7
+
+
+def test_points_project_back_onto_their_pixels():
+    camera = CameraIntrinsics(500.0, 480.0, 30.2, 17.7, 64, 48)
+    depth_m = np.random.default_rng(0).uniform(0.3, 50, (48, 64))
+    v, u = np.mgrid[:48, :64]
+    pixels = points_to_pixels(depth_to_points(depth_m, camera), camera)
+    np.testing.assert_allclose(pixels, np.stack([u, v], axis=-1), atol=2e-4)
+
+
+def test_points_behind_the_camera_have_no_pixel():
+    points_m = np.array([[0, 0, 1.0], [0, 0, 0.0], [0, 0, -1.0]])
+    pixels = points_to_pixels(points_m, CAMERA)
+    np.testing.assert_allclose(pixels[0], [1.0, 0.5])
+    assert np.isnan(pixels[1:]).all()
+
+
+@pytest.mark.parametrize('depth_m', [
+    np.ones((4, 2), np.float32), np.ones((2, 4, 1), np.float32), np.ones((2, 4), np.uint16)])
+def test_what_is_no_depth_image_of_this_size_is_refused(depth_m):
+    with pytest.raises(ValueError, match='depth'):
+        depth_to_points(depth_m, CAMERA)
+
+
+@pytest.mark.parametrize('name', ['fx', 'fy', 'width', 'height'])
+def test_intrinsics_of_an_uncalibrated_camera_are_refused(name):
+    values = {'fx': 1.0, 'fy': 1.0, 'cx': 0.0, 'cy': 0.0, 'width': 2, 'height': 2, name: 0}
+    with pytest.raises(ValueError, match='positive'):
+        CameraIntrinsics(**values)
+
+
+def test_not_finite_intrinsics_are_refused():
+    with pytest.raises(ValueError, match='finite'):
+        CameraIntrinsics(1.0, 1.0, np.nan, 0.0, 2, 2)
+
+
+def test_field_of_view_sees_that_angle():
+    camera = CameraIntrinsics.from_field_of_view(640, 480, 90.0)
+    edge = (640 - 0.5 - (camera.cx + 0.5)) / camera.fx + 0.5 / camera.fx
+    assert np.degrees(2 * np.arctan(edge)) == pytest.approx(90.0, abs=0.1)
+    assert (camera.cx, camera.cy) == (319.5, 239.5)
+
+
+def test_input_is_not_modified():
+    depth_m = np.array([[1, np.nan, -1, np.inf], [0, 2, 3, 4]], np.float32)
+    before = depth_m.copy()
+    depth_to_points(depth_m, CAMERA)
+    np.testing.assert_array_equal(depth_m, before)

@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Lens models against their published formulas, and depth of another size."""
+
+import numpy as np
+import pytest
+
+from plane_detector.geometry.depth_resizing import resize_depth
+from plane_detector.geometry.rectification import make_rectification
+
+MATRIX = np.array([[300.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]])
+NEW_MATRIX = np.array([[280.0, 0, 150.0], [0, 285.0, 125.0], [0, 0, 1]])
+SIZE = (320, 240)
+TURN = np.array([[np.cos(0.1), 0, np.sin(0.1)], [0, 1, 0], [-np.sin(0.1), 0, np.cos(0.1)]])
+
+
+def rays():
+    columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1)
+    return pixels @ np.linalg.inv(NEW_MATRIX).T
+
+
+def project_brown(ray, d):
+    """OpenCV's documented model: k1 k2 p1 p2 k3 [k4 k5 k6]."""
+    x, y = ray[..., 0] / ray[..., 2], ray[..., 1] / ray[..., 2]
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.pad(d, (0, 8 - len(d)))
+    r2 = x**2 + y**2
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    x_d = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x**2)
+    y_d = y * radial + p1 * (r2 + 2 * y**2) + 2 * p2 * x * y
+    return MATRIX[0, 0] * x_d + MATRIX[0, 2], MATRIX[1, 1] * y_d + MATRIX[1, 2]
+
+
+def project_equidistant(ray, d):
+    """Kannala and Brandt: the angle to the axis, bent by a polynomial, is the radius."""
+    x, y = ray[..., 0] / ray[..., 2], ray[..., 1] / ray[..., 2]
+    radius = np.hypot(x, y)
+    theta = np.arctan(radius)
+    bent = theta * (1 + sum(k * theta ** (2 * i + 2) for i, k in enumerate(d)))
+    factor = np.divide(bent, radius, out=np.ones_like(radius), where=radius > 0)
+    return MATRIX[0, 0] * x * factor + MATRIX[0, 2], MATRIX[1, 1] * y * factor + MATRIX[1, 2]
+
+
+@pytest.mark.parametrize('model, d, project', [
+    ('plumb_bob', [-0.3, 0.1, 0.001, -0.002, 0.01], project_brown),
+    ('rational_polynomial', [0.4, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03], project_brown),
+    ('equidistant', [-0.02, 0.01, -0.003, 0.001], project_equidistant)])
+def test_maps_follow_the_model(model, d, project):
+    maps = make_rectification(model, np.array(d), MATRIX, TURN, NEW_MATRIX, SIZE)
+    expected_x, expected_y = project(rays() @ TURN, np.array(d))  # R^T per ray
+    np.testing.assert_allclose(maps.map_x, expected_x, atol=2e-3)
+    np.testing.assert_allclose(maps.map_y, expected_y, atol=2e-3)
+
+
+@pytest.mark.parametrize('count', [12, 14])
+def test_further_coefficients_of_zero_change_nothing(count):
+    d = np.array([0.4, 0.1, 0.001, -0.002, 0.02, 0.6, 0.2, 0.03])
+    eight, more = (make_rectification('rational_polynomial', np.pad(d, (0, n - 8)), MATRIX, TURN,
+                                      NEW_MATRIX, SIZE) for n in (8, count))
+    np.testing.assert_allclose(more.map_x, eight.map_x, atol=1e-3)
+    np.testing.assert_allclose(more.map_y, eight.map_y, atol=1e-3)
+
+
+def test_depth_of_a_turned_camera_is_along_the_new_axis():
+    """A plane z = 2 of the rectified camera, seen by the turned one, comes back as 2."""
+    maps = make_rectification('plumb_bob', np.zeros(5), MATRIX, TURN, NEW_MATRIX, SIZE)
+    columns, rows = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    raw_rays = np.stack([columns, rows, np.ones_like(rows)], -1) @ np.linalg.inv(MATRIX).T
+    raw_depth_m = (2.0 / (raw_rays @ TURN[2])).astype(np.float32)
+    depth_m = maps.depth(raw_depth_m)
+    seen = maps.inside()
+    assert seen.mean() > 0.5
+    np.testing.assert_allclose(depth_m[seen], 2.0, rtol=2e-3)
+    assert np.isnan(depth_m[~seen]).mean() > 0.9
+
+
+def test_rotation_of_zeros_is_none():
+    without = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.eye(3), NEW_MATRIX, SIZE)
+    zeros = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.zeros(9), NEW_MATRIX, SIZE)
+    np.testing.assert_array_equal(zeros.map_x, without.map_x)
+    np.testing.assert_allclose(zeros.depth_factor, 1.0)
+
+
+@pytest.mark.parametrize('model, d, reason', [
+    ('spherical', np.zeros(5), 'spherical'), ('plumb_bob', np.zeros(8), '4 or 5 coeff'),
+    ('rational_polynomial', np.zeros(5), '8 or 12 or 14 coefficients'),
+    ('equidistant', np.zeros(5), '4 coefficients')])
+def test_what_is_no_known_model_is_refused(model, d, reason):
+    with pytest.raises(ValueError, match=reason):
+        make_rectification(model, d, MATRIX, np.eye(3), NEW_MATRIX, SIZE)
+
+
+def test_a_picture_of_another_size_is_refused():
+    maps = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.eye(3), NEW_MATRIX, SIZE)
+    with pytest.raises(ValueError, match='100 x 50'):
+        maps.picture(np.zeros((50, 100, 3), np.uint8))
+
+
+@pytest.mark.parametrize('size', [(640, 480), (160, 120), (500, 377)])
+def test_resized_depth_has_no_depth_that_was_not_there(size):
+    depth_m = np.full((240, 320), 1.0, np.float32)
+    depth_m[:, 150:] = 3.0
+    depth_m[:20] = np.nan
+    resized = resize_depth(depth_m, size)
+    assert resized.shape == size[::-1]
+    np.testing.assert_allclose(np.unique(resized[~np.isnan(resized)].round(5)), [1.0, 3.0])
+    assert abs(np.isnan(resized).mean() - 20 / 240) < 0.01
+
+
+def test_a_slanted_plane_stays_a_plane_when_its_depth_grows():
+    columns = np.arange(320)
+    depth_m = np.broadcast_to(1 / (0.2 + 0.001 * columns), (240, 320)).astype(np.float32)
+    resized = resize_depth(depth_m, (640, 480))
+    expected = 1 / (0.2 + 0.001 * ((np.arange(640) + 0.5) / 2 - 0.5))
+    np.testing.assert_allclose(resized[240, 1:-1], expected[1:-1], rtol=1e-4)
+
+
+def test_depth_of_the_same_size_is_left_alone():
+    depth_m = np.ones((4, 5), np.float32)
+    assert resize_depth(depth_m, (5, 4)) is depth_m

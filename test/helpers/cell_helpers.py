@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rendered views and the models of their cells, for the tests of what works on cells."""
+
+from functools import cache
+
+import numpy as np
+
+from plane_detector.config import Config
+from plane_detector.evaluation.metrics import overlap
+from plane_detector.evaluation.scenes.rooms import (
+    VGA,
+    Rectangle,
+    camera_rotation,
+    render,
+    with_disparity_noise,
+)
+from plane_detector.evaluation.scenes.surfaces import ellipsoid
+from plane_detector.segmentation.cells.grid import fit_planes, make_cells
+from plane_detector.segmentation.cells.model import Patches, make_model
+from plane_detector.segmentation.cells.noise import Noise, estimate_noise
+from plane_detector.segmentation.segment import to_disparity
+
+EXACT = Noise(Config().ransac.noise_floor)
+"""No noise but the floor."""
+
+
+def rectangle(corner, edge_u, edge_v):
+    return Rectangle(*(np.array(vector, float) for vector in (corner, edge_u, edge_v)))
+
+
+def view(rectangles, curved=(), intrinsics=VGA, angles_deg=(0, 0, 0)):
+    """Return what a camera at the origin sees that looks along y, turned by yaw, pitch, roll."""
+    return render(rectangles, camera_rotation(*angles_deg), np.zeros(3), intrinsics,
+                  np.random.default_rng(0), curved)
+
+
+def wall(distance_m, left_m=-50.0, right_m=50.0):
+    """Return an endless wall square to y, or an upright strip of one."""
+    return rectangle([left_m, distance_m, -50], [right_m - left_m, 0, 0], [0, 0, 100])
+
+
+FLOOR = rectangle([-9, -1, -1.2], [18, 0, 0], [0, 9, 0])
+
+
+def ball(radius):
+    return ellipsoid(radius, radius).at(0, 2 + radius)
+
+
+def fold(angle_deg, width_m=3.0):
+    """Return two upright planes that meet 2 m ahead."""
+    half = np.radians(angle_deg / 2)
+    across, back = width_m * np.cos(half), width_m * np.sin(half)
+    return [rectangle([0, 2, -50], [across, back, 0], [0, 0, 100]),
+            rectangle([-across, 2 + back, -50], [across, -back, 0], [0, 0, 100])]
+
+
+def millimetres(depth_m):
+    """Return depth as 16-bit millimetres keep it."""
+    return (np.rint(depth_m * 1000) / 1000).astype(np.float32)
+
+
+def cell_model(depth_m, noise=EXACT):
+    return make_model(make_cells(*to_disparity(depth_m)), noise)
+
+
+def noisy(scene, seed, sigma=0.01, **kind):
+    """Return the depth of a view under noise, half of whose variance is smooth by default."""
+    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), **kind)
+
+
+def cells_and_noise(depth_m):
+    """Return the cells of a depth image and the noise that is estimated from them."""
+    noise = estimate_noise(make_cells(*to_disparity(depth_m)), EXACT)
+    return cell_model(depth_m, noise), noise
+
+
+@cache
+def bare_wall():
+    """Return a wall 2.5 m ahead that fills the picture."""
+    return view([wall(2.5)])
+
+
+@cache
+def rough_wall(power, seed, length_cells=4.0, sigma=0.003):
+    """Return its depth with noise whose cells correlate by exp(-(r / length)**power)."""
+    lag = np.minimum(np.arange(128), 128 - np.arange(128))
+    spectrum = np.fft.fft2(np.exp(-(np.hypot(lag[:, None], lag) / length_cells) ** power)).real
+    rng = np.random.default_rng(seed)
+    white = np.fft.fft2(rng.standard_normal(spectrum.shape))
+    field = np.fft.ifft2(white * np.sqrt(np.maximum(spectrum, 0))).real[:60, :80]
+    noise = np.kron(field, np.ones((8, 8))) + 0.5 * rng.standard_normal((480, 640))
+    return (1 / (1 / bare_wall().depth_m + sigma * noise)).astype(np.float32)
+
+
+def hand_made(model, labels):
+    """Return patches of given labels (R, C) with the planes that fit their flat cells."""
+    members = (labels.ravel() == np.arange(labels.max() + 1)[:, None]) & model.planar
+    return Patches(labels.astype(np.int32), fit_planes(members @ model.grid.moments))
+
+
+def one_patch(model):
+    return hand_made(model, np.zeros(model.grid.shape, int))
+
+
+def best_iou(scene, labels):
+    """Return for each true plane the IoU with the label that it shares most with."""
+    return overlap(scene.labels, labels, np.isfinite(scene.depth_m)).iou.max(axis=1, initial=0)

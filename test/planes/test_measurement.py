@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What planes say of their pixels, against the pixels."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from plane_detector import segment_planes
+from plane_detector.evaluation.scenes.living_rooms import living_room
+from plane_detector.evaluation.scenes.rooms import with_disparity_noise
+from plane_detector.geometry.projection import depth_to_points
+from plane_detector.segmentation.cells.grid import make_cells
+from plane_detector.segmentation.cells.labels import count_labels, renumber
+from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
+from plane_detector.segmentation.segment import to_disparity
+
+SEEDS = (0, 1, 2)
+
+
+@cache
+def room(seed):
+    return living_room(np.random.default_rng(seed))
+
+
+@cache
+def segmented(seed, sigma):
+    """Return the points (H, W, 3), the cells and the planes of a living room."""
+    scene = room(seed)
+    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
+    points_m = depth_to_points(depth_m, scene.intrinsics).astype(float)
+    return points_m, make_cells(*to_disparity(depth_m)), segment_planes(depth_m, scene.intrinsics)
+
+
+def rms_of_points_m(points_m, plane):
+    return np.sqrt(np.mean((points_m @ plane.normal + plane.offset_m) ** 2))
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.002, 0.01])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_rms_is_that_of_the_points(seed, sigma):
+    points_m, _, found = segmented(seed, sigma)
+    assert len(found.planes) >= 10
+    for k, plane in enumerate(found.planes):
+        expected_m = rms_of_points_m(points_m[found.labels == k], plane)
+        assert plane.rms_m == pytest.approx(expected_m, rel=0.05, abs=1e-5)
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.002])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_centroid_lies_on_the_plane_amid_its_points(seed, sigma):
+    points_m, _, found = segmented(seed, sigma)
+    for k, plane in enumerate(found.planes):
+        assert plane.normal @ plane.centroid_m + plane.offset_m == pytest.approx(0, abs=1e-9)
+        own_m = points_m[found.labels == k]
+        assert (own_m.min(axis=0) - 0.05 <= plane.centroid_m).all()
+        assert (own_m.max(axis=0) + 0.05 >= plane.centroid_m).all()
+
+
+def counted(labels, size, count):
+    """Return the pixels of each label in each cell, by a loop."""
+    return np.array([
+        [np.count_nonzero(labels[row:row + size, column:column + size] == k)
+         for k in range(count)]
+        for row in range(0, labels.shape[0], size) for column in range(0, labels.shape[1], size)])
+
+
+@pytest.mark.parametrize(('shape', 'size'), [
+    ((37, 53), 4), ((37, 53), 3), ((36, 52), 4), ((5, 3), 4), ((1, 1), 4), ((8, 8), 8),
+    ((23, 40), 1)])
+@pytest.mark.parametrize('count', [1, 5])
+@pytest.mark.parametrize('patchy', [False, True])
+def test_labels_are_counted_as_in_a_loop(shape, size, count, patchy):
+    rng = np.random.default_rng(count)
+    labels = rng.integers(-1, count, shape).astype(np.int32)
+    if patchy:  # most cells have one label
+        labels = labels[::5, ::5].repeat(5, axis=0).repeat(5, axis=1)[:shape[0], :shape[1]]
+    grid = make_cells(np.ones(shape, np.float32), np.ones(shape, bool), size)
+    np.testing.assert_array_equal(count_labels(grid, labels, count), counted(labels, size, count))
+
+
+@pytest.mark.parametrize(('label', 'count'), [(-1, 0), (-1, 3), (2, 3)])
+def test_a_picture_of_one_label_is_counted(label, count):
+    grid = make_cells(np.ones((37, 53), np.float32), np.ones((37, 53), bool), 4)
+    counts = count_labels(grid, np.full((37, 53), label, np.int32), count)
+    assert counts.shape == (10 * 14, count)
+    np.testing.assert_array_equal(counts.sum(axis=0), [37 * 53 * (k == label)
+                                                       for k in range(count)])
+
+
+def test_renumber_by_hand():
+    labels = np.array([[-1, 0, 1], [2, 3, 2]], np.int32)
+    np.testing.assert_array_equal(renumber(labels, np.array([2, 0]), 4),
+                                  [[-1, 1, -1], [0, -1, 0]])
+    np.testing.assert_array_equal(renumber(labels, np.arange(4), 4), labels)
+    assert (renumber(labels, np.array([], int), 4) == -1).all()
+
+
+def test_renumber_more_labels_than_a_byte_holds():
+    labels = np.arange(-1, 399, dtype=np.int32).reshape(20, 20)
+    for count in (255, 256, 399):
+        kept, some = np.arange(count)[::-2], np.minimum(labels, count - 1)
+        found = renumber(some, kept, count)
+        assert found.dtype == np.int32
+        expected = [[list(kept).index(k) if k in kept else -1 for k in row] for row in some]
+        np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize('rank', [0, 1, 2, 3])
+def test_inverse_is_the_pseudo_inverse(rank):
+    roots = np.random.default_rng(rank).normal(size=(5, 3, rank))
+    matrix = roots @ roots.transpose(0, 2, 1)
+    np.testing.assert_allclose(pseudo_inverse(matrix, 1e-12),
+                               np.linalg.pinv(matrix, rcond=1e-12, hermitian=True), rtol=1e-6)

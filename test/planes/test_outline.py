@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The outline of a plane's pixels, and the markers that show it."""
+
+from dataclasses import replace
+
+import numpy as np
+from ros_helpers import header
+
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.planes.outline import plane_outline
+from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.types import CameraIntrinsics, Detection, Plane
+
+CAMERA = CameraIntrinsics(100.0, 100.0, 49.5, 39.5, 100, 80)
+WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 10, 0.0, 1.0,
+             np.eye(4), 1.0)
+
+
+def outline_px(mask, depth_m=None):
+    depth_m = np.full(mask.shape, 2.0, np.float32) if depth_m is None else depth_m
+    corners_m = plane_outline(mask, depth_m, CAMERA, WALL)
+    assert np.abs(corners_m @ WALL.normal + WALL.offset_m).max() < 1e-9
+    u_px = corners_m[:, 0] / corners_m[:, 2] * CAMERA.fx + CAMERA.cx
+    v_px = corners_m[:, 1] / corners_m[:, 2] * CAMERA.fy + CAMERA.cy
+    return {(round(u), round(v)) for u, v in zip(u_px, v_px, strict=True)}
+
+
+def test_an_l_stays_an_l():
+    mask = np.zeros((80, 100), bool)
+    mask[10:70, 10:30] = mask[50:70, 10:90] = True
+    corners = outline_px(mask)
+    for corner in ((10, 10), (29, 10), (89, 69), (10, 69), (89, 50)):
+        assert corner in corners
+    assert any(abs(u - 29) <= 2 and abs(v - 50) <= 2 for u, v in corners), 'the inner corner'
+    assert len(corners) <= 8
+
+
+def test_holes_are_filled_and_small_patches_left_out():
+    mask = np.zeros((80, 100), bool)
+    mask[10:60, 10:60] = True
+    mask[20:50, 20:50] = False
+    mask[70:75, 80:95] = True
+    assert outline_px(mask) == {(10, 10), (10, 59), (59, 59), (59, 10)}
+
+
+def test_corners_of_noisy_depth_are_laid_onto_the_plane():
+    mask = np.zeros((80, 100), bool)
+    mask[10:60, 10:60] = True
+    noisy_m = 2 + 0.1 * np.random.default_rng(0).normal(size=mask.shape).astype(np.float32)
+    outline_px(mask, noisy_m)
+
+
+def test_a_single_pixel_has_an_outline():
+    mask = np.zeros((80, 100), bool)
+    mask[5, 7] = True
+    assert outline_px(mask) == {(7, 5)}
+
+
+def detection(**changes):
+    labels = np.full((80, 100), -1, np.int32)
+    labels[10:60, 10:60] = 0
+    return replace(Detection((WALL,), labels, 0.0, np.full((80, 100), 2.0, np.float32), 'metric'),
+                   **changes)
+
+
+def markers(shown=(), lifetime_s=0.0, **changes):
+    return markers_to_msg(header(1.0), detection(**changes), CAMERA, shown, lifetime_s).markers
+
+
+def test_markers_of_a_plane():
+    outline, normal, caption = markers(lifetime_s=1.5, track_labels=(7,))
+    assert [m.ns for m in (outline, normal, caption)] == ['outline', 'normal', 'caption']
+    assert {m.id for m in (outline, normal, caption)} == {7}
+    assert {m.header.frame_id for m in (outline, normal, caption)} == {header().frame_id}
+    assert (outline.lifetime.sec, outline.lifetime.nanosec) == (1, 500_000_000)
+    assert outline.type == outline.LINE_STRIP
+    assert outline.points[0] == outline.points[-1]
+    assert len(outline.points) == 5
+    tail, tip = normal.points
+    assert (tail.x, tail.z) == (0.1, 2.0)
+    assert tip.z < tail.z, 'it looks at the camera'
+    assert all(m.color.a == 1.0 and m.pose.orientation.w == 1.0 for m in (outline, normal))
+
+
+def test_captions():
+    assert markers()[2].text == '1: 2.00 m'
+    assert markers(classes=(PlaneClass.WALL,))[2].text == '1: wall 2.00 m'
+    assert markers(classes=(PlaneClass.OTHER_HORIZONTAL,))[2].text == '1: other horizontal 2.00 m'
+    assert markers(scale_method='relative')[2].text == '1: 2.00'
+
+
+def test_only_markers_of_planes_gone_are_deleted():
+    deleted = [(m.ns, m.id) for m in markers(shown={1, 4}) if m.action == m.DELETE]
+    assert deleted == [('outline', 4), ('normal', 4), ('caption', 4)]

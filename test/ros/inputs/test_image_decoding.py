@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Every encoding, padding and byte order of the input images, and what must be refused."""
+
+import array
+
+import cv2
+import numpy as np
+import pytest
+from ros_helpers import header, image_msg
+from sensor_msgs.msg import CompressedImage, Image
+
+from plane_detector.ros.inputs.image_decoding import (
+    depth_from_msg,
+    rgb_from_compressed_msg,
+    rgb_from_msg,
+)
+
+COLOUR = np.array([200, 100, 30], np.uint8)
+BAYER = {'bayer_rggb8': [[0, 1], [1, 2]], 'bayer_bggr8': [[2, 1], [1, 0]],
+         'bayer_gbrg8': [[1, 2], [0, 1]], 'bayer_grbg8': [[1, 0], [2, 1]]}
+
+
+@pytest.fixture
+def rgb():
+    return np.random.default_rng(0).integers(0, 256, (6, 8, 3), np.uint8)
+
+
+@pytest.mark.parametrize('padding', [0, 5])
+@pytest.mark.parametrize('encoding, order', [
+    ('rgb8', [0, 1, 2]), ('bgr8', [2, 1, 0]), ('rgba8', [0, 1, 2, 0]), ('bgra8', [2, 1, 0, 0])])
+def test_colour_channels_come_in_order(rgb, encoding, order, padding):
+    msg = image_msg(rgb[..., order], encoding, padding=padding)
+    np.testing.assert_array_equal(rgb_from_msg(msg), rgb)
+
+
+def test_mono8_becomes_grey(rgb):
+    decoded = rgb_from_msg(image_msg(rgb[..., 0], 'mono8', padding=3))
+    np.testing.assert_array_equal(decoded, np.repeat(rgb[..., :1], 3, axis=2))
+
+
+@pytest.mark.parametrize('big_endian', [False, True])
+def test_mono16_keeps_the_high_byte(big_endian):
+    grey = np.array([[0x1234, 0xFF00], [0x00FF, 0x8001]], np.uint16)
+    decoded = rgb_from_msg(image_msg(grey, 'mono16', padding=2, big_endian=big_endian))
+    np.testing.assert_array_equal(decoded[..., 1], [[0x12, 0xFF], [0x00, 0x80]])
+
+
+@pytest.mark.parametrize('encoding, luma', [('yuv422', 1), ('uyvy', 1), ('yuv422_yuy2', 0),
+                                            ('yuyv', 0)])
+def test_yuv_422(encoding, luma):
+    y, u, v = 120, 90, 200
+    pixels = np.zeros((2, 4, 2), np.uint8)
+    pixels[..., luma] = y
+    pixels[:, 0::2, 1 - luma], pixels[:, 1::2, 1 - luma] = u, v
+    decoded = rgb_from_msg(image_msg(pixels, encoding, padding=4)).astype(int)
+    red = 1.164 * (y - 16) + 1.596 * (v - 128)
+    blue = 1.164 * (y - 16) + 2.018 * (u - 128)
+    assert abs(decoded[..., 0] - red).max() <= 1
+    assert abs(decoded[..., 2] - blue).max() <= 1
+
+
+@pytest.mark.parametrize('encoding', BAYER)
+def test_bayer_of_one_colour(encoding):
+    mosaic = np.tile(COLOUR[np.array(BAYER[encoding])], (3, 4))
+    decoded = rgb_from_msg(image_msg(mosaic, encoding, padding=1))
+    np.testing.assert_array_equal(decoded, np.broadcast_to(COLOUR, (6, 8, 3)))
+
+
+def test_input_is_not_modified(rgb):
+    msg = image_msg(rgb, 'bgr8')
+    before = bytes(msg.data)
+    rgb_from_msg(msg)
+    assert bytes(msg.data) == before
+
+
+def bad_images():
+    good = np.zeros((4, 6, 3), np.uint8)
+    yield 'unknown', image_msg(good, 'rgb32'), 'rgb32'
+    yield 'empty', Image(encoding='rgb8'), 'empty'
+    short_step = image_msg(good, 'rgb8')
+    short_step.step = 17
+    yield 'step', short_step, 'step is 17'
+    short_data = image_msg(good, 'rgb8')
+    short_data.data = short_data.data[:-1]
+    yield 'data', short_data, '71 bytes'
+    long_data = image_msg(good, 'rgb8')
+    long_data.data.append(0)
+    yield 'long data', long_data, '73 bytes'
+    yield 'odd yuv', image_msg(np.zeros((2, 3, 2), np.uint8), 'yuv422'), 'even'
+    yield 'tiny bayer', image_msg(np.zeros((2, 2), np.uint8), 'bayer_rggb8'), 'too small'
+
+
+@pytest.mark.parametrize('msg, reason', [pytest.param(m, r, id=i) for i, m, r in bad_images()])
+def test_bad_images_are_refused_with_the_reason(msg, reason):
+    with pytest.raises(ValueError, match=reason):
+        rgb_from_msg(msg)
+
+
+@pytest.mark.parametrize('extension', ['.png', '.jpg'])
+def test_compressed_picture_keeps_the_order_of_colours(extension):
+    picture = np.broadcast_to(COLOUR, (16, 16, 3))
+    _, data = cv2.imencode(extension, picture[..., ::-1])
+    msg = CompressedImage(header=header(), format=extension[1:], data=data.tobytes())
+    assert abs(rgb_from_compressed_msg(msg).astype(int) - picture).max() <= 3
+
+
+@pytest.mark.parametrize('data', [b'', b'not a picture'])
+def test_what_is_no_picture_is_refused(data):
+    with pytest.raises(ValueError, match='cannot be decoded'):
+        rgb_from_compressed_msg(CompressedImage(format='jpeg', data=data))
+
+
+@pytest.mark.parametrize('big_endian', [False, True])
+def test_depth_in_metres(big_endian):
+    depth_m = np.array([[1.5, np.nan, np.inf], [0.0, -1.0, 70.0]], np.float32)
+    decoded = depth_from_msg(image_msg(depth_m, '32FC1', padding=4, big_endian=big_endian))
+    np.testing.assert_array_equal(decoded, [[1.5, np.nan, np.nan], [np.nan, np.nan, 70.0]])
+    assert decoded.dtype == np.float32
+    assert decoded.dtype.isnative
+
+
+@pytest.mark.parametrize('big_endian', [False, True])
+@pytest.mark.parametrize('encoding', ['16UC1', 'mono16'])
+def test_depth_in_millimetres(encoding, big_endian):
+    depth_mm = np.array([[1500, 0], [65535, 1]], np.uint16)
+    decoded = depth_from_msg(image_msg(depth_mm, encoding, padding=2, big_endian=big_endian))
+    np.testing.assert_allclose(decoded, [[1.5, np.nan], [65.535, 0.001]], rtol=1e-6)
+
+
+def test_depth_of_another_encoding_is_refused():
+    with pytest.raises(ValueError, match='8UC1'):
+        depth_from_msg(image_msg(np.zeros((2, 2), np.uint8), '8UC1'))
+
+
+def test_depth_can_be_changed_without_changing_the_message():
+    msg = image_msg(np.array([[0.0, 2.0]], np.float32), '32FC1')
+    before = array.array('B', msg.data)
+    depth_from_msg(msg)[:] = 7
+    assert msg.data == before

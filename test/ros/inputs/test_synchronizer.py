@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which messages are put together."""
+
+import numpy as np
+import pytest
+from ros_helpers import camera_info_msg, header, image_msg
+from sensor_msgs.msg import Imu
+
+from plane_detector.ros.inputs.synchronizer import FrameAssembler
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(50.0, 50.0, 3.5, 2.5, 8, 6)
+
+
+def image(stamp_s):
+    return image_msg(np.zeros((6, 8, 3), np.uint8), 'rgb8', stamp_s)
+
+
+def depth(stamp_s):
+    return image_msg(np.ones((6, 8), np.float32), '32FC1', stamp_s)
+
+
+def info(stamp_s):
+    return camera_info_msg(CAMERA, stamp_s)
+
+
+def test_pictures_before_the_first_calibration_are_dropped():
+    assembler = FrameAssembler()
+    for stamp_s in (1.0, 1.1, 1.2):
+        assert assembler.add_image(image(stamp_s)) == []
+    assert assembler.missing == ('camera_info',)
+    assert assembler.add_camera_info(info(1.3)) == []
+    assert assembler.take_dropped() == 3
+    assert assembler.missing == ()
+    assert len(assembler.add_image(image(1.3))) == 1
+
+
+def test_the_first_picture_waits_for_its_own_calibration():
+    assembler = FrameAssembler()
+    first = image(1.0)
+    assembler.add_image(first)
+    (frame,) = assembler.add_camera_info(info(1.0))
+    assert frame.image is first
+    assert assembler.take_dropped() == 0
+
+
+def test_calibration_of_the_same_stamp_comes_before_the_latest():
+    assembler = FrameAssembler()
+    own, latest = info(1.0), info(2.0)
+    assembler.add_camera_info(own)
+    assembler.add_camera_info(latest)
+    assert assembler.add_image(image(1.0))[0].camera_info is own
+    assert assembler.add_image(image(1.5))[0].camera_info is latest
+
+
+LARGE = CameraIntrinsics(100.0, 100.0, 7.5, 5.5, 16, 12)
+
+
+def large_image(stamp_s):
+    return image_msg(np.zeros((12, 16, 3), np.uint8), 'rgb8', stamp_s)
+
+
+@pytest.mark.parametrize('depth_use', ['unused', 'optional'])
+@pytest.mark.parametrize('stamp_s', [1.1, 1.12])
+def test_a_picture_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
+    assembler = FrameAssembler(depth_use)
+    assembler.add_camera_info(info(1.0))
+    assert len(assembler.add_image(image(1.0))) == 1
+    picture, own = large_image(1.1), camera_info_msg(LARGE, stamp_s)
+    assert assembler.add_image(picture) == []
+    assert assembler.add_camera_info(info(1.05)) == [], 'a late one of the old size'
+    (frame,) = assembler.add_camera_info(own)
+    assert (frame.image, frame.camera_info) == (picture, own)
+    assert assembler.take_dropped() == 0
+
+
+def test_without_depth_only_the_newest_picture_of_another_size_waits():
+    assembler = FrameAssembler()
+    assembler.add_camera_info(info(1.0))
+    for stamp_s in (1.1, 1.2, 1.3):
+        assert assembler.add_image(large_image(stamp_s)) == []
+    assert assembler.take_dropped() == 2
+    (frame,) = assembler.add_camera_info(camera_info_msg(LARGE, 1.2))
+    assert frame.image.header == header(1.3)
+
+
+def test_with_depth_they_wait_together_and_are_refused_together():
+    assembler = FrameAssembler('optional')
+    assembler.add_camera_info(info(1.0))
+    for stamp_s in (1.1, 1.2):
+        assert assembler.add_image(large_image(stamp_s)) == []
+    stamps = [frame.image.header for frame in assembler.add_image(large_image(2.0))]
+    assert stamps == [header(1.1), header(1.2), header(2.0)]
+
+
+def test_a_picture_whose_calibration_does_not_come_is_handed_over_to_be_refused():
+    for later in ('info', 'image', 'end'):
+        assembler = FrameAssembler()
+        assembler.add_camera_info(info(1.0))
+        assert assembler.add_image(large_image(1.1)) == []
+        (frame,) = {'info': lambda a=assembler: a.add_camera_info(info(1.2)),
+                    'image': lambda a=assembler: a.add_image(large_image(2.1)),
+                    'end': assembler.finish}[later]()
+        assert (frame.image.width, frame.camera_info.width) == (16, 8), later
+
+
+@pytest.mark.parametrize('info_s, image_s', [(1.0, 1.0), (1.1, 1.0), (1.0, 3.0)])
+def test_a_picture_of_another_size_does_not_wait_for_what_will_not_come(info_s, image_s):
+    """It has its own, they are ahead in time, or they have come once, long ago."""
+    assembler = FrameAssembler()
+    assembler.add_camera_info(info(info_s))
+    assert len(assembler.add_image(large_image(image_s))) == 1
+
+
+def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
+    assembler = FrameAssembler(depth='required')
+    assembler.add_camera_info(info(0.0))
+    first, second = depth(1.0), depth(2.0)
+    assert assembler.add_image(image(1.0)) == []
+    assert assembler.add_depth(first)[0].depth is first
+    assert assembler.add_depth(second) == []
+    assert assembler.add_image(image(2.0))[0].depth is second
+
+
+def test_an_exact_match_comes_before_a_near_one():
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
+    assembler.add_camera_info(info(0.0))
+    assembler.add_depth(depth(0.98))
+    assert assembler.add_image(image(1.0)) == []
+    own = depth(1.0)
+    assert assembler.add_depth(own)[0].depth is own
+
+
+def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
+    assembler.add_camera_info(info(0.0))
+    near = depth(0.98)
+    assembler.add_depth(near)
+    assembler.add_image(image(1.0))
+    (frame,) = assembler.add_depth(depth(1.03))
+    assert frame.depth is near
+
+
+def test_a_picture_without_depth_within_the_slop_is_dropped():
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.01)
+    assembler.add_camera_info(info(0.0))
+    assembler.add_depth(depth(0.98))
+    assembler.add_image(image(1.0))
+    assert assembler.add_depth(depth(1.03)) == []
+    assert assembler.take_dropped() == 1
+
+
+def test_pictures_do_not_pile_up_while_depth_is_missing():
+    assembler = FrameAssembler(depth='required')
+    assembler.add_camera_info(info(0.0))
+    for index in range(100):
+        assembler.add_image(image(1 + index / 30))
+    assert assembler.missing == ('depth',)
+    assert 80 <= assembler.take_dropped() < 100
+
+
+def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
+    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
+    assembler.add_camera_info(info(100.0))
+    assembler.add_depth(depth(100.0))
+    assert assembler.add_image(image(100.0))[0].epoch == 0
+    assert assembler.add_image(image(5.0)) == []
+    (frame,) = assembler.add_depth(depth(5.0))
+    assert frame.epoch == 1
+    (frame,) = assembler.add_image(image(4.99))
+    assert frame.epoch == 1, 'a picture that is only out of order is no jump'
+
+
+def test_optional_depth_is_taken_where_there_is_some():
+    assembler = FrameAssembler(depth='optional')
+    assembler.add_camera_info(info(0.0))
+    assert assembler.add_image(image(1.0))[0].depth is None, 'no depth at all: no waiting'
+    own = depth(2.0)
+    assembler.add_depth(own)
+    assert assembler.add_image(image(2.0))[0].depth is own
+    assert assembler.add_image(image(2.1)) == [], 'it may still come'
+    (frame,) = assembler.add_image(image(2.2))
+    assert (frame.image.header, frame.depth) == (image(2.1).header, None)
+    late = depth(2.2)
+    assert assembler.add_depth(late)[0].depth is late
+    assert assembler.add_image(image(9.0))[0].depth is None, 'the depth topic has gone silent'
+    assert assembler.take_dropped() == 0
+
+
+def imu(stamp_s, force):
+    msg = Imu(header=header(stamp_s))
+    msg.linear_acceleration.x, msg.linear_acceleration.y, msg.linear_acceleration.z = force
+    return msg
+
+
+def test_gravity_of_the_imu_goes_with_the_frames():
+    turned = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # x of the IMU is y of the camera
+    assembler = FrameAssembler(imu_to_camera=turned)
+    assembler.add_camera_info(info(0.0))
+    assert assembler.add_image(image(1.0))[0].down_camera is None
+    assembler.add_imu(imu(1.0, (-9.81, 0.0, 0.0)))
+    np.testing.assert_allclose(assembler.add_image(image(1.01))[0].down_camera, [0, 1, 0],
+                               atol=1e-9)
+    assembler.add_imu(imu(1.1, (0.0, 0.0, 30.0)))
+    np.testing.assert_allclose(assembler.add_image(image(1.11))[0].down_camera, [0, 1, 0],
+                               atol=1e-9, err_msg='a jolt is not gravity')
+    assert assembler.add_image(image(5.0))[0].down_camera is None, 'the IMU has gone silent'
+
+
+def test_at_the_end_nothing_is_waited_for():
+    assembler = FrameAssembler('required', stamp_slop_s=0.05)
+    assembler.add_camera_info(info(0.0))
+    near = depth(0.98)
+    assembler.add_depth(near)
+    assert assembler.add_image(image(1.0)) == []
+    assert assembler.add_image(image(2.0)) == []
+    (frame,) = assembler.finish()
+    assert frame.depth is near
+    assert assembler.take_dropped() == 1
+    assert assembler.finish() == []

@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibrations in, clouds and images out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ros_helpers import camera_info_msg, cloud_array, header, image_array
+from scipy.spatial.transform import Rotation
+
+from plane_detector.ros.outputs import messages
+from plane_detector.types import CameraIntrinsics, Detection, Plane
+
+CAMERA = CameraIntrinsics(500.0, 510.0, 319.5, 239.5, 640, 480)
+
+
+def make_plane(normal, offset_m):
+    normal = np.asarray(normal, float)
+    return Plane(normal, offset_m, -offset_m * normal, 1234, 0.003, 2.5, np.eye(4), 0.75)
+
+
+def test_intrinsics_of_a_raw_picture_are_k():
+    info = camera_info_msg(CAMERA)
+    info.p[0] = 400.0
+    assert messages.intrinsics_from_msg(info) == CAMERA
+
+
+def test_intrinsics_of_a_rectified_picture_are_p_or_k_where_it_is_empty():
+    info = camera_info_msg(CAMERA)
+    info.p = [400.0, 0, 310, 0, 0, 401, 230, 0, 0, 0, 1, 0]
+    rectified = messages.intrinsics_from_msg(info, rectified=True)
+    assert rectified == CameraIntrinsics(400.0, 401.0, 310.0, 230.0, 640, 480)
+    info.p = [0.0] * 12
+    assert messages.intrinsics_from_msg(info, rectified=True) == CAMERA
+
+
+def test_region_of_interest_and_binning():
+    info = camera_info_msg(CAMERA)
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 100, 40, 400, 300
+    info.binning_x, info.binning_y = 2, 3
+    sent = messages.intrinsics_from_msg(info)
+    assert sent == CameraIntrinsics(250.0, 170.0, (319.5 - 100) / 2, (239.5 - 40) / 3, 200, 100)
+
+
+def test_binning_of_0_and_1_are_none():
+    info = camera_info_msg(CAMERA)
+    info.binning_x = info.binning_y = 1
+    assert messages.intrinsics_from_msg(info) == CAMERA
+
+
+def test_an_uncalibrated_camera_is_refused():
+    info = camera_info_msg(CAMERA)
+    info.k = [0.0] * 9
+    with pytest.raises(ValueError, match='not calibrated'):
+        messages.intrinsics_from_msg(info)
+
+
+def test_labels_in_messages_are_above_zero():
+    planes = (make_plane([0, 0, -1], 2.0), make_plane([0, -1, 0], 1.0))
+    labels = np.array([[-1, 0], [1, 0]], np.int32)
+    untracked = Detection(planes, labels, 0.0, np.ones((2, 2), np.float32), 'metric')
+    np.testing.assert_array_equal(messages.plane_labels(untracked), [1, 2])
+    np.testing.assert_array_equal(messages.pixel_labels(untracked), [[0, 1], [2, 1]])
+    tracked = replace(untracked, track_labels=(7, 3))
+    np.testing.assert_array_equal(messages.plane_labels(tracked), [7, 3])
+    np.testing.assert_array_equal(messages.pixel_labels(tracked), [[0, 7], [3, 7]])
+
+
+def test_points_are_organised_coloured_and_labelled():
+    rng = np.random.default_rng(1)
+    points_m = rng.normal(size=(4, 6, 3)).astype(np.float32)
+    points_m[0, 0] = np.nan
+    rgb = rng.integers(0, 256, (4, 6, 3), np.uint8)
+    labels = rng.integers(0, 3, (4, 6)).astype(np.uint32)
+    msg = messages.points_to_msg(header(1.5), points_m, rgb, labels)
+    assert [f.name for f in msg.fields] == ['x', 'y', 'z', 'rgb', 'label']
+    assert msg.header == header(1.5)
+    assert not msg.is_dense
+    cloud = cloud_array(msg)
+    assert cloud.shape == (4, 6)
+    np.testing.assert_array_equal(np.stack([cloud[a] for a in 'xyz'], -1), points_m)
+    np.testing.assert_array_equal(cloud['label'], labels)
+    packed = np.ascontiguousarray(cloud['rgb']).view(np.uint32)
+    np.testing.assert_array_equal(
+        packed, rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
+
+
+def test_planes_cloud():
+    planes = (make_plane([0.0, 0.6, -0.8], 2.0), make_plane([0.0, -1.0, 0.0], 1.25))
+    msg = messages.planes_to_msg(header(2.0), planes, np.array([7, 9], np.uint32), (1, 3))
+    assert [f.name for f in msg.fields] == [
+        'x', 'y', 'z', 'normal_x', 'normal_y', 'normal_z', 'd', 'label', 'num_inliers', 'rms',
+        'area', 'class', 'confidence']
+    assert (msg.height, msg.width, msg.header) == (1, 2, header(2.0))
+    (table,) = cloud_array(msg)
+    for row, plane in zip(table, planes, strict=True):
+        normal = np.array([row['normal_x'], row['normal_y'], row['normal_z']])
+        np.testing.assert_allclose(normal, plane.normal, atol=1e-7)
+        centroid = np.array([row['x'], row['y'], row['z']])
+        assert abs(normal @ centroid + row['d']) < 1e-6
+    np.testing.assert_array_equal(table['label'], [7, 9])
+    np.testing.assert_allclose(table['rms'], 0.003)
+    np.testing.assert_allclose(table['area'], 2.5)
+    np.testing.assert_allclose(table['confidence'], 0.75)
+    np.testing.assert_array_equal(table['num_inliers'], 1234)
+    np.testing.assert_array_equal(table['class'], [1, 3])
+
+
+def test_without_classes_they_are_unknown():
+    msg = messages.planes_to_msg(header(), (make_plane([0, 0, -1], 1.0),), np.array([1]), ())
+    assert cloud_array(msg)[0]['class'].tolist() == [0]
+
+
+def test_no_plane_is_an_empty_cloud_with_fields():
+    msg = messages.planes_to_msg(header(), (), np.zeros(0, np.uint32), ())
+    assert (msg.height, msg.width, len(msg.data)) == (1, 0, 0)
+    assert len(msg.fields) == 13
+
+
+@pytest.mark.parametrize('normal', [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, -1, 0], [0.6, 0, -0.8]])
+def test_z_of_a_pose_is_the_normal(normal):
+    plane = make_plane(normal, 2.0)
+    (pose,) = messages.poses_to_msg(header(), (plane,)).poses
+    q = pose.orientation
+    axes = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    np.testing.assert_allclose(axes[:, 2], normal, atol=1e-12)
+    np.testing.assert_allclose([pose.position.x, pose.position.y, pose.position.z],
+                               plane.centroid_m)
+
+
+def test_images():
+    labels = np.array([[0, 1, 300]], np.uint32)
+    msg = messages.labels_to_msg(header(3.0), labels)
+    assert (msg.encoding, msg.step, msg.header) == ('16UC1', 6, header(3.0))
+    np.testing.assert_array_equal(image_array(msg, '<u2')[..., 0], labels)
+    depth_m = np.array([[1.5, np.nan]], np.float32)
+    msg = messages.depth_to_msg(header(), depth_m)
+    assert (msg.encoding, msg.step) == ('32FC1', 8)
+    np.testing.assert_array_equal(image_array(msg, '<f4')[..., 0], depth_m)
+    rgb = np.arange(12, dtype=np.uint8).reshape(2, 2, 3)
+    msg = messages.rgb_to_msg(header(), rgb)
+    assert (msg.encoding, msg.step, msg.height, msg.width) == ('rgb8', 6, 2, 2)
+    np.testing.assert_array_equal(image_array(msg, 'u1', 3), rgb)

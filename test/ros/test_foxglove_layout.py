@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The Foxglove layout shows topics that there are, in panels that are laid out."""
+
+import json
+from pathlib import Path
+
+from plane_detector.ros.outputs.topics import OUTPUTS
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+TOPICS = {f'/plane_detector/{name}' for name in OUTPUTS} | {'/image', '/diagnostics'}
+
+
+def leaves(layout):
+    """Return the panels of a layout, which is one or a pair of layouts."""
+    if isinstance(layout, str):
+        return {layout}
+    return leaves(layout['first']) | leaves(layout['second'])
+
+
+def test_the_layout_shows_picture_overlay_cloud_and_markers():
+    text = (REPOSITORY / 'config' / 'foxglove_layout.json').read_text(encoding='utf-8')
+    layout = json.loads(text)
+    panels = layout['configById']
+    assert leaves(layout['layout']) == set(panels)
+    shown = set()
+    for panel in panels.values():
+        shown |= {topic for topic, view in panel.get('topics', {}).items() if view['visible']}
+        assert set(panel.get('topics', {})) <= TOPICS
+        shown |= {panel.get('imageMode', {}).get('imageTopic'), panel.get('topicToRender')}
+    shown.discard(None)
+    assert shown <= TOPICS
+    assert shown >= {'/image', '/plane_detector/overlay', '/plane_detector/points',
+                     '/plane_detector/markers'}

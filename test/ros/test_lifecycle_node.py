@@ -1,0 +1,215 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node in process: messages in through an executor, messages out against the truth."""
+
+import weakref
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import Transition
+from node_helpers import CAMERA, assert_true_to, change_state, send, small_room, start
+from onnx_models import millimetres_as_rgb, write_depth_network
+from ros_helpers import (
+    FRAME_ID,
+    Robot,
+    camera_info_msg,
+    cloud_array,
+    header,
+    image_array,
+    image_msg,
+)
+from sensor_msgs.msg import Imu
+
+from plane_detector.planes.classification import PlaneClass
+
+
+@pytest.fixture
+def room():
+    return small_room()
+
+
+def test_all_outputs_are_true_to_the_scene(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room, 12.25)
+    for name in ('points', 'planes', 'labels', 'depth', 'overlay', 'plane_poses'):
+        (msg,) = robot.wait_for(name)
+        assert msg.header == header(12.25), name
+    labels = image_array(robot.received['labels'][0], '<u2')[..., 0]
+    assert_true_to(room, robot.received['planes'][0], labels)
+    cloud = cloud_array(robot.received['points'][0])
+    assert cloud.shape == (240, 320)
+    np.testing.assert_array_equal(cloud['label'], labels)
+    np.testing.assert_allclose(cloud['z'], room.depth_m, rtol=1e-6)
+    rows, columns = np.mgrid[:240, :320]
+    np.testing.assert_allclose(cloud['x'], (columns - CAMERA.cx) / CAMERA.fx * room.depth_m,
+                               rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(cloud['y'], (rows - CAMERA.cy) / CAMERA.fy * room.depth_m,
+                               rtol=1e-4, atol=1e-5)
+    depth_m = image_array(robot.received['depth'][0], '<f4')[..., 0]
+    np.testing.assert_array_equal(depth_m, room.depth_m)
+    assert len(robot.received['plane_poses'][0].poses) == robot.received['planes'][0].width
+    assert image_array(robot.received['overlay'][0], 'u1', 3).shape == room.rgb.shape
+
+
+def test_the_whole_way_through_a_network(robot, room, tmp_path):
+    """The picture holds the depth, and a small ONNX network reads it; cleanup frees it."""
+    model = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
+    node = start(robot, depth__model=str(model), depth__output='metric_depth',
+                 depth__mean=[0.0, 0.0, 0.0], depth__std=[1.0, 1.0, 1.0])
+    send(robot, replace(room, rgb=millimetres_as_rgb(room.depth_m)))
+    (planes,) = robot.wait_for('planes')
+    labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
+    assert_true_to(room, planes, labels)
+    assert robot.diagnosis()[1]['depth_model'] == str(model)
+    estimator = weakref.ref(node._processor.detector.estimate_depth)
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert estimator() is not None
+    assert change_state(robot, Transition.TRANSITION_CLEANUP)
+    assert estimator() is None
+
+
+def test_no_plane_is_an_empty_cloud(robot, room):
+    start(robot, lambda rgb: np.full(rgb.shape[:2], np.nan, np.float32))
+    send(robot, room)
+    (planes,) = robot.wait_for('planes')
+    assert (planes.height, planes.width) == (1, 0)
+
+
+@pytest.mark.parametrize('encoding, scale', [('32FC1', 1.0), ('16UC1', 1000.0)])
+def test_depth_from_the_topic(robot, room, encoding, scale):
+    start(robot, depth__source='topic')
+    dtype = np.float32 if encoding == '32FC1' else np.uint16
+    depth = np.nan_to_num(room.depth_m * scale).astype(dtype)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
+    robot.publish('depth', image_msg(depth, encoding, 1.0))
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
+    (planes,) = robot.wait_for('planes')
+    labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
+    assert_true_to(room, planes, labels)
+
+
+def test_outputs_without_subscriber_are_not_computed(room, monkeypatch):
+    from plane_detector.ros.outputs import topics as outputs
+    made = []
+    for name, output in outputs.OUTPUTS.items():
+        monkeypatch.setitem(outputs.OUTPUTS, name, output._replace(
+            make=lambda result, name=name, make=output.make: (made.append(name), make(result))[1]))
+    robot = Robot(outputs=('planes',))
+    try:
+        start(robot, lambda rgb: room.depth_m)
+        send(robot, room)
+        robot.wait_for('planes')
+        assert made == ['planes']
+    finally:
+        robot.shutdown()
+
+
+def test_diagnostics(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room)
+    robot.wait_for('planes')
+    assert robot.spin(lambda: robot.diagnosis()[1]['frames_processed'] == '1')
+    first, second = robot.wait_for('diagnostics', len(robot.received['diagnostics']) + 2)[-2:]
+    period_s = (second.header.stamp.sec - first.header.stamp.sec
+                + (second.header.stamp.nanosec - first.header.stamp.nanosec) * 1e-9)
+    assert 0.5 < period_s < 2.0
+    values = {value.key: value.value for message in robot.received['diagnostics']
+              for value in message.status[0].values}
+    assert values['state'] == 'active'
+    assert values['scale'] == 'metric'
+    for key in ('rate_hz', 'latency.total_ms', 'latency.convert_ms', 'latency.messages_ms',
+                'depth_model', 'frames_dropped', 'last_error'):
+        assert key in values
+
+
+def test_depth_of_unknown_unit_is_called_relative(robot, room):
+    def estimate(rgb):
+        return 1 / room.depth_m
+
+    estimate.output = 'relative_disparity'
+    start(robot, estimate)
+    send(robot, room)
+    robot.wait_for('planes')
+    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
+    captions = [m.text for m in robot.wait_for('markers')[0].markers if m.text]
+    assert captions
+    assert not any(text.endswith(' m') for text in captions)
+
+
+def test_with_gravity_the_floor_is_told_and_left_out(robot, room):
+    start(robot, lambda rgb: room.depth_m, scale__gravity=room.down_camera.tolist())
+    send(robot, room, 2.5)
+    (obstacles,) = robot.wait_for('points_without_floor')
+    table = cloud_array(robot.wait_for('planes')[0])[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    normal = np.array([floor['normal_x'], floor['normal_y'], floor['normal_z']])
+    assert normal @ room.down_camera < -0.999
+    assert PlaneClass.WALL in table['class']
+    assert obstacles.header == header(2.5)
+    points = cloud_array(obstacles)[0]
+    points_m = np.stack([points[axis] for axis in 'xyz'], axis=-1)
+    assert np.isfinite(points_m).all()
+    assert len(points) == np.isfinite(room.depth_m).sum() - floor['num_inliers']
+    on_floor = np.abs(points_m @ normal + floor['d']) < 0.02
+    assert on_floor.mean() < 0.05
+    captions = [marker.text for marker in robot.wait_for('markers')[0].markers if marker.text]
+    assert any('floor' in caption for caption in captions)
+
+
+def test_gravity_from_the_imu(robot, room):
+    start(robot, lambda rgb: room.depth_m, use_imu=True)
+    imu = Imu(header=header(1.0))
+    force = imu.linear_acceleration
+    force.x, force.y, force.z = (-9.81 * room.down_camera).tolist()
+    robot.publish('imu', imu)
+    robot.spin(timeout_s=0.2)
+    send(robot, room, 1.01)
+    assert PlaneClass.FLOOR in cloud_array(robot.wait_for('planes')[0])[0]['class']
+
+
+def test_without_gravity_there_is_no_cloud_of_obstacles(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room)
+    assert not cloud_array(robot.wait_for('planes')[0])[0]['class'].any()
+    robot.spin(timeout_s=0.3)
+    assert not robot.received['points_without_floor']
+
+
+def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
+    def estimate(rgb):
+        return (0.4 / room.depth_m - 0.03).astype(np.float32)
+
+    estimate.output = 'relative_disparity'
+    start(robot, estimate)
+    send(robot, room, 1.0, depth=True)
+    robot.wait_for('planes')
+    send(robot, room, 1.1, depth=True)
+    planes = robot.wait_for('planes', 2)[1]
+    labels = image_array(robot.wait_for('labels', 2)[1], '<u2')[..., 0]
+    assert_true_to(room, planes, labels)
+    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'depth_topic')
+    assert robot.is_logged('depth_topic')
+
+
+def test_the_clouds_can_be_thinned(robot, room):
+    start(robot, lambda rgb: room.depth_m, points_decimation=4)
+    send(robot, room)
+    cloud = cloud_array(robot.wait_for('points')[0])
+    assert cloud.shape == (60, 80)
+    np.testing.assert_allclose(cloud['z'], room.depth_m[::4, ::4], rtol=1e-6)
+    assert image_array(robot.wait_for('labels')[0], '<u2').shape[:2] == (240, 320)
+
+
+def test_markers_of_planes_gone_are_deleted(robot, room):
+    depths = [room.depth_m, np.full((240, 320), np.nan, np.float32)]
+    start(robot, lambda rgb: depths.pop(0))
+    send(robot, room, 1.0)
+    (first,) = robot.wait_for('markers')
+    shown = {(m.ns, m.id) for m in first.markers if m.action == m.ADD}
+    labels = set(cloud_array(robot.wait_for('planes')[0])[0]['label'].tolist())
+    assert shown == {(ns, label) for ns in ('outline', 'normal', 'caption') for label in labels}
+    send(robot, room, 2.0)
+    second = robot.wait_for('markers', 2)[1]
+    assert {(m.ns, m.id) for m in second.markers if m.action == m.DELETE} == shown
+    assert all(m.header.frame_id == FRAME_ID for m in second.markers)

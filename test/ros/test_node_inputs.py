@@ -1,0 +1,213 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the node makes of its inputs: good, bad, late, distorted, too many."""
+
+import threading
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from node_helpers import CAMERA, assert_true_to, send, small_room, start
+from ros_helpers import camera_info_msg, header, image_array, image_msg
+from sensor_msgs.msg import CompressedImage
+
+from plane_detector.ros import lifecycle_node as node_module
+
+
+@pytest.fixture
+def room():
+    return small_room()
+
+
+def test_frames_before_the_first_camera_info_are_dropped_with_a_warning(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    for index in range(3):
+        robot.publish('image', image_msg(room.rgb, 'rgb8', index))
+        robot.spin(timeout_s=0.1)
+    assert robot.is_logged('/camera_info')
+    assert robot.log().count('/camera_info') == 1, 'the warning is throttled'
+    status, _ = robot.diagnosis()
+    assert status.level == DiagnosticStatus.WARN
+    assert '/camera_info' in status.message
+    send(robot, room, 5.0)
+    assert robot.wait_for('planes')[0].header == header(5.0)
+    assert robot.spin(lambda: robot.diagnosis()[1]['frames_dropped'] == '3')
+
+
+def bad_frames(room):
+    """Yield a name, a message and what the log must say of it."""
+    yield 'encoding', image_msg(room.rgb, 'rgb32', 2.0), 'rgb32'
+    short = image_msg(room.rgb, 'rgb8', 2.0)
+    short.data = short.data[:-10]
+    yield 'data', short, 'height x step'
+    step = image_msg(room.rgb, 'rgb8', 2.0)
+    step.step = 7
+    yield 'step', step, 'step is 7'
+    empty = image_msg(room.rgb, 'rgb8', 2.0)
+    empty.width = empty.height = empty.step = 0
+    empty.data = []
+    yield 'empty', empty, 'empty'
+    yield 'size', image_msg(room.rgb[:100], 'rgb8', 2.0), '320 x 100'
+
+
+def test_bad_frames_are_logged_and_skipped(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
+    frames = list(bad_frames(room))
+    for name, msg, reason in frames:
+        robot.publish('image', msg)
+        assert robot.is_logged(reason), name
+    status, values = robot.diagnosis()
+    assert values['frames_skipped'] == str(len(frames))
+    assert '320 x 100' in values['last_error']
+    assert status.level == DiagnosticStatus.WARN
+    assert not robot.received['planes']
+    send(robot, room, 3.0)
+    assert robot.wait_for('planes')[0].header == header(3.0)
+
+
+def test_a_reason_to_skip_is_logged_once_also_between_others(robot, room, monkeypatch):
+    monkeypatch.setattr(node_module, '_WARN_PERIOD_S', 3.0)
+    node = start(robot, lambda rgb: room.depth_m)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
+
+    def skip(*encodings):
+        for encoding in encodings:
+            count = node._statistics._skipped
+            robot.publish('image', image_msg(room.rgb, encoding, 2.0))
+            assert robot.spin(lambda count=count: node._statistics._skipped > count)
+
+    skip('rgb32', 'rgb32', 'bgr32', 'rgb32', 'bgr32')
+    assert [robot.log().count(f"'{encoding}'") for encoding in ('rgb32', 'bgr32')] == [1, 1]
+    robot.spin(timeout_s=3.0)
+    skip('rgb32')
+    assert robot.spin(lambda: robot.log().count("'rgb32'") == 2), 'what stays is told again'
+
+
+def test_a_picture_that_overtakes_the_calibration_of_its_size_is_processed(robot, room):
+    start(robot, lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
+    send(robot, room, 1.0)
+    robot.wait_for('planes')
+    robot.publish('image', image_msg(room.rgb[:120, :160], 'rgb8', 1.1))
+    robot.spin(timeout_s=0.3)
+    robot.publish('camera_info', camera_info_msg(replace(CAMERA, width=160, height=120), 1.1))
+    assert robot.wait_for('planes', 2)[1].header == header(1.1)
+    assert robot.diagnosis()[1]['frames_skipped'] == '0'
+
+
+def test_depth_that_cannot_belong_to_the_picture_is_skipped(robot, room):
+    start(robot, depth__source='topic')
+    robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
+    robot.publish('depth', image_msg(room.depth_m[:50], '32FC1', 1.0))
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
+    assert robot.is_logged('320 x 50')
+    send(robot, room, 2.0, depth=True)
+    assert robot.wait_for('planes')[0].header == header(2.0)
+
+
+def test_an_uncalibrated_camera_is_refused(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    info = camera_info_msg(CAMERA, 1.0)
+    info.k = [0.0] * 9
+    robot.publish('camera_info', info)
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
+    assert robot.is_logged('not calibrated')
+
+
+def test_a_calibration_that_is_not_finite_is_refused_in_plain_numbers(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    info = camera_info_msg(CAMERA, 1.0)
+    info.k[0] = float('nan')
+    robot.publish('camera_info', info)
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
+    assert robot.is_logged('must be finite, not CameraIntrinsics(fx=nan, fy=262.5, cx=159.5, '
+                           'cy=119.5, width=320, height=240)')
+
+
+def test_the_freshest_frame_wins(robot, room):
+    busy, free = threading.Event(), threading.Event()
+
+    def estimate(rgb):
+        busy.set()
+        assert free.wait(20)
+        return room.depth_m
+
+    node = start(robot, estimate)
+    send(robot, room, 1.0)
+    assert robot.spin(busy.is_set)
+    for stamp_s in (2.0, 3.0, 4.0):
+        send(robot, room, stamp_s)
+        robot.spin(timeout_s=0.2)
+    free.set()
+    planes = robot.wait_for('planes', 2)
+    robot.spin(timeout_s=0.3)
+    assert [msg.header for msg in planes] == [header(1.0), header(4.0)]
+    assert robot.diagnosis()[1]['frames_dropped'] == '2'
+    assert node.state == 'active'
+
+
+def test_region_of_interest_and_binning(robot, room):
+    """The node sees every second pixel of a part of the picture, and finds the same planes."""
+    start(robot, lambda rgb: np.ascontiguousarray(room.depth_m[20:220:2, 40:300:2]))
+    info = camera_info_msg(CAMERA, 1.0)
+    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 40, 20, 260, 200
+    info.binning_x = info.binning_y = 2
+    robot.publish('camera_info', info)
+    robot.publish('image', image_msg(room.rgb[20:220:2, 40:300:2], 'rgb8', 1.0))
+    (planes,) = robot.wait_for('planes')
+    labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
+    assert_true_to(replace(room, labels=room.labels[20:220:2, 40:300:2]), planes, labels)
+
+
+def test_a_distorted_camera_is_rectified(robot, room):
+    """The picture of a lens is made by distorting the rendered one; the planes come out right."""
+    distortion = np.array([-0.25, 0.08, 0.001, 0.001, 0.0])
+    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
+    columns, rows = np.meshgrid(np.arange(320, dtype=np.float64), np.arange(240))
+    straight = cv2.undistortPoints(np.stack([columns, rows], -1).reshape(-1, 1, 2), matrix,
+                                   distortion, P=matrix).reshape(240, 320, 2).astype(np.float32)
+    seen = cv2.remap(room.rgb, straight[..., 0], straight[..., 1], cv2.INTER_LINEAR)
+    pictures = []
+
+    def estimate(rgb):
+        pictures.append(rgb)
+        return room.depth_m
+
+    start(robot, estimate)
+    info = camera_info_msg(CAMERA, 1.0)
+    info.d = distortion.tolist()
+    robot.publish('camera_info', info)
+    robot.publish('image', image_msg(seen, 'rgb8', 1.0))
+    robot.wait_for('planes')
+    centre = np.s_[40:200, 50:270]
+    error = np.abs(cv2.blur(pictures[0], (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
+    unrectified = np.abs(cv2.blur(seen, (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
+    assert error.mean() < unrectified.mean() / 4
+
+
+@pytest.mark.parametrize('extension', ['.png', '.jpg'])
+def test_compressed_transport(robot, room, extension):
+    pictures = []
+
+    def estimate(rgb):
+        pictures.append(rgb)
+        return room.depth_m
+
+    start(robot, estimate, image_transport='compressed')
+    _, data = cv2.imencode(extension, room.rgb[..., ::-1])
+    msg = CompressedImage(header=header(4.0), format=extension[1:], data=data.tobytes())
+    robot.publish('camera_info', camera_info_msg(CAMERA, 4.0))
+    robot.publish('image/compressed', msg)
+    assert robot.wait_for('planes')[0].header == header(4.0)
+    assert np.abs(pictures[0].astype(int) - room.rgb).mean() < 4
+
+
+def test_a_jump_back_in_time_is_survived_and_logged(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room, 100.0)
+    robot.wait_for('planes')
+    send(robot, room, 5.0)
+    assert robot.wait_for('planes', 2)[1].header == header(5.0)
+    assert robot.is_logged('time jumped back')

@@ -1,0 +1,235 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node as a process of its own over DDS: started, fed, ended by signals."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from onnx_models import millimetres_as_rgb, write_depth_network
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg, random_domain
+
+from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+
+ROOT = Path(__file__).resolve().parents[2]
+STARTED_S = 60.0
+
+
+class NodeProcess:
+    """The node with these arguments, and what it printed."""
+
+    def __init__(self, arguments, domain, log_path):
+        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
+                       'PYTHONPATH': str(ROOT)}
+        self._log_path = log_path
+        with open(log_path, 'wb') as log:
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args', *arguments],
+                env=environment, cwd=log_path.parent, stdout=log, stderr=subprocess.STDOUT)
+
+    def log(self):
+        return self._log_path.read_text(errors='replace')
+
+    def wait_until(self, condition):
+        end_s = time.monotonic() + STARTED_S
+        while not condition():
+            assert time.monotonic() < end_s, self.log()
+            time.sleep(0.01)
+
+    def end(self, number):
+        """Send a signal and return the exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(STARTED_S)
+
+
+@pytest.fixture
+def domain(monkeypatch):
+    monkeypatch.setenv('FASTRTPS_DEFAULT_PROFILES_FILE',
+                       str(ROOT / 'config' / 'fastdds_large_messages.xml'))
+    return random_domain()
+
+
+@pytest.fixture
+def robot(domain):
+    robot = Robot(domain=domain)
+    yield robot
+    robot.shutdown()
+
+
+@pytest.fixture
+def start(domain, tmp_path):
+    started = []
+
+    def start(*arguments):
+        started.append(NodeProcess(arguments, domain, tmp_path / f'node_{len(started)}.log'))
+        return started[-1]
+
+    yield start
+    for node in started:
+        node.process.kill()
+        node.process.wait()
+
+
+def diagnosis(robot, node):
+    """Return the values of the next diagnostics, once there are any."""
+    assert robot.spin(lambda: robot.received['diagnostics'] or node.process.poll() is not None,
+                      STARTED_S), node.log()
+    assert node.process.poll() is None, node.log()
+    return robot.diagnosis()
+
+
+def test_planes_through_a_network_over_dds(start, robot, tmp_path):
+    room = random_room(np.random.default_rng(3))
+    model = write_depth_network(tmp_path / 'network.onnx', height=480, width=640)
+    node = start('-p', f'depth.model:={model}', '-p', 'depth.output:=metric_depth',
+                 '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]')
+    assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active', STARTED_S)
+    picture = millimetres_as_rgb(room.depth_m)
+    for stamp_s in range(20):  # until both ends of every topic have found each other
+        robot.publish('camera_info', camera_info_msg(room.intrinsics, stamp_s))
+        robot.publish('image', image_msg(picture, 'rgb8', stamp_s))
+        if robot.spin(lambda: robot.received['points'] and robot.received['planes'], 1.0):
+            break
+    points = robot.wait_for('points')[-1]
+    assert robot.spin(lambda: robot.wait_for('planes')[-1].header == points.header)
+    assert points.header in [header(stamp_s) for stamp_s in range(20)]
+    cloud, (table,) = cloud_array(points), cloud_array(robot.received['planes'][-1])
+    assert cloud.shape == (480, 640)
+    np.testing.assert_allclose(cloud['z'], room.depth_m, atol=0.001)
+    for truth, plane in enumerate(room.planes):
+        mask = room.labels == truth
+        if mask.mean() > 0.03:
+            label = np.bincount(cloud['label'][mask]).argmax()
+            (row,) = table[table['label'] == label]
+            assert row['normal_x'] * plane[0] + row['normal_y'] * plane[1] \
+                + row['normal_z'] * plane[2] > np.cos(np.radians(1.0))
+            assert abs(row['d'] - plane[3]) < 0.01
+    assert diagnosis(robot, node)[1]['depth_model'] == str(model)
+    for stamp_s in range(20, 25):
+        robot.publish('image', image_msg(picture, 'rgb8', stamp_s))
+    assert node.end(signal.SIGTERM) == 0, 'also in the middle of its work'
+    assert 'Traceback' not in node.log()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_waiting_node_with_exit_code_0(start, robot, number):
+    node = start('-p', 'depth.source:=topic')
+    assert diagnosis(robot, node)[1]['state'] in ('unconfigured', 'active')
+    assert node.end(number) == 0
+    assert 'Traceback' not in node.log()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch, number):
+    monkeypatch.setenv('PYTHONPROFILEIMPORTTIME', '1')  # the log tells each import that is done
+    node = start('-p', 'depth.source:=topic')
+    node.wait_until(lambda: re.search(r'\| +numpy$', node.log(), re.MULTILINE))
+    assert node.end(number) == -number
+    assert 'plane_detector.ros.lifecycle_node' not in node.log(), 'it was still importing'
+    assert 'Traceback' not in node.log()
+
+
+def test_a_signal_ends_a_download(start, monkeypatch, tmp_path):
+    """As soon as it comes: npm, a stand-in here, would take longer than the test waits."""
+    begun = tmp_path / 'begun'
+    npm = tmp_path / 'npm'
+    npm.write_text(f'#!/bin/sh\n[ $1 = view ] || {{ : > {begun}; exec sleep {2 * STARTED_S}; }}\n')
+    npm.chmod(0o755)
+    monkeypatch.setenv('PATH', str(tmp_path), prepend=os.pathsep)
+    node = start('-p', 'depth.model:=fastdepth', '-p', f'depth.cache_dir:={tmp_path / "cache"}')
+    node.wait_until(begun.exists)
+    assert node.end(signal.SIGTERM) == 0
+    assert 'Traceback' not in node.log()
+    assert not list((tmp_path / 'cache').iterdir())
+
+
+def test_the_installed_program_takes_signals_before_the_long_imports():
+    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
+    module = re.search(r"'node = \{NAME\}(.*):main'", setup)[1]
+    program = f'import sys, plane_detector{module}; sys.exit("numpy" in sys.modules)'
+    subprocess.run([sys.executable, '-c', program], cwd=ROOT, check=True)
+
+
+def test_misspelt_parameters_of_command_line_and_file_are_told_once(start, robot, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    use_sim_time: true\n    ransac: {sede: 3}\n')
+    node = start('-p', 'depth.source:=topic', '-p', 'segmentaton.max_planes:=3',
+                 '--params-file', str(file),
+                 '-p', 'qos_overrides./image.subscription.reliability:=best_effort')
+    assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active', STARTED_S)
+    (line,) = (line for line in node.log().splitlines() if 'no parameter has this name' in line)
+    assert 'WARN' in line
+    assert line.endswith(': ransac.sede (meant: ransac.seed?), '
+                         'segmentaton.max_planes (meant: segmentation.max_planes?)')
+
+
+def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
+    node = start('-p', f'depth.model:={tmp_path / "missing.onnx"}',
+                 '-p', 'depth.output:=metric_depth')
+    _, values = diagnosis(robot, node)
+    assert values['state'] == 'unconfigured'
+    assert robot.spin(lambda: 'missing.onnx' in robot.diagnosis()[1]['last_error'])
+    assert 'missing.onnx' in node.log()
+    assert node.end(signal.SIGTERM) == 0
+
+
+@pytest.mark.parametrize('arguments, reason', [
+    (('-p', 'segmentation.max_planes:=0'), 'segmentation.max_planes'),
+    (('-p', 'depth.max_depth:=80'), 'depth.max_depth'),
+    (('-p', 'mode:=sometimes'), 'mode must be one of'),
+    (('--params-file', '/nowhere.yaml'), '/nowhere.yaml'),
+    (('-r', 'image'), "remap rule: '-r image'"),
+    (('--unknown',), '--unknown')])
+def test_an_impossible_argument_ends_the_start_with_the_reason(start, arguments, reason):
+    node = start(*arguments)
+    assert node.process.wait(STARTED_S) == 1
+    assert reason in node.log()
+    assert 'Traceback' not in node.log()
+
+
+def test_dumped_parameters_start_the_same_node(start, domain, tmp_path):
+    """What ros2 param dump writes: the parameters nested by the points in their names."""
+    robot = Robot(outputs=(), domain=domain)
+    first = PlaneDetectorNode(lambda rgb: None, context=robot.context)
+    robot.add(first)
+    assert robot.spin(lambda: first.state == 'active')
+    values = {name: parameter_value_to_python(first.get_parameter(name).get_parameter_value())
+              for name in first.list_parameters([], 0).names}
+    values['segmentation.max_planes'] = 5
+    values['depth.source'] = 'topic'
+    robot.shutdown()
+    dumped = tmp_path / 'dumped.yaml'
+    dumped.write_text(yaml.safe_dump({'/plane_detector': {'ros__parameters': nested(values)}}))
+
+    node = start('--params-file', str(dumped))
+    robot = Robot(outputs=(), domain=domain)
+    try:
+        assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active')
+        request = GetParameters.Request(names=list(values))
+        answer = robot.call(GetParameters, 'plane_detector/get_parameters', request)
+        again = {name: parameter_value_to_python(value)
+                 for name, value in zip(values, answer.values, strict=True)}
+        assert again == values
+    finally:
+        robot.shutdown()
+
+
+def nested(values):
+    tree = {}
+    for name, value in values.items():
+        *groups, leaf = name.split('.')
+        node = tree
+        for group in groups:
+            node = node.setdefault(group, {})
+        node[leaf] = list(value) if isinstance(value, (list, tuple)) else value
+    return tree

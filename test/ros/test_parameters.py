@@ -1,0 +1,156 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The settings as ROS parameters: declared, described, read and changed."""
+
+from dataclasses import dataclass, field
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import ParameterType
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from plane_detector.config import Config, NodeConfig
+from plane_detector.ros import parameters
+from plane_detector.settings import Checked, parameters_of, setting
+
+
+@dataclass(frozen=True)
+class Inner(Checked):
+    count: int = setting(3, 'how many', 'px', 0, 10, read_only=True)
+    names: tuple[str, ...] = setting(('a', 'b'), 'which')
+
+
+@dataclass(frozen=True)
+class Outer(Checked):
+    inner: Inner = field(default_factory=Inner)
+    gain: float = setting(0.5, 'how much', 'm', 0.0, None)
+    weights: tuple[float, ...] = setting((1.0, 2.0), 'weights', low=0.5)
+    switch: str = setting('auto', 'whether', choices=('auto', 'true', 'false'))
+
+
+@pytest.fixture
+def make_node():
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=77)
+    nodes = []
+
+    def make(**values):
+        overrides = [Parameter(name.replace('__', '.'), value=value)
+                     for name, value in values.items()]
+        nodes.append(Node('settings', context=context, parameter_overrides=overrides))
+        return nodes[-1]
+
+    yield make
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def test_without_overrides_the_settings_are_the_defaults(make_node):
+    node = make_node()
+    assert parameters.declare(node, Config()) == Config()
+    assert parameters.declare(node, NodeConfig()) == NodeConfig()
+    for defaults in (Config(), NodeConfig()):
+        for name, _, value in parameters_of(defaults):
+            declared = node.get_parameter(name).value
+            assert (tuple(declared) if isinstance(value, tuple) else declared) == value, name
+
+
+def test_overrides_reach_the_fields(make_node):
+    node = make_node(inner__count=7, inner__names=['x'], gain=2.5, weights=[3.0])
+    assert parameters.declare(node, Outer()) == Outer(Inner(7, ('x',)), 2.5, (3.0,))
+
+
+@pytest.mark.parametrize('value, expected', [(True, 'true'), (False, 'false'), ('true', 'true')])
+def test_a_switch_takes_what_yaml_makes_of_true(make_node, value, expected):
+    assert parameters.declare(make_node(switch=value), Outer()).switch == expected
+
+
+@pytest.mark.parametrize('overrides, error', [
+    ({'inner__count': 11}, InvalidParameterValueException),
+    ({'inner__count': 1.5}, InvalidParameterTypeException),
+    ({'gain': -0.1}, InvalidParameterValueException),
+    ({'weights': [0.1]}, ValueError),
+    ({'switch': 'maybe'}, ValueError)])
+def test_impossible_overrides_are_refused(make_node, overrides, error):
+    with pytest.raises(error):
+        parameters.declare(make_node(**overrides), Outer())
+
+
+def warnings_of(node, monkeypatch):
+    told = []
+    monkeypatch.setattr(node.get_logger(), 'warning', told.append)
+    parameters.warn_of_unknown(node)
+    return told
+
+
+def test_names_that_are_not_known_are_told_with_the_nearest(make_node, monkeypatch):
+    node = make_node(inner__cuont=7, gain=2.5, count=1, zzz='?')
+    parameters.declare(node, Outer())
+    (told,) = warnings_of(node, monkeypatch)
+    assert told.endswith('count (meant: inner.count?), inner.cuont (meant: inner.count?), zzz')
+
+
+def test_what_rclpy_declares_itself_is_known(make_node, monkeypatch):
+    node = make_node(gain=2.5, use_sim_time=True, start_type_description_service=False,
+                     **{'qos_overrides./image.subscription.depth': 3})
+    parameters.declare(node, Outer())
+    assert warnings_of(node, monkeypatch) == []
+
+
+def test_descriptors_tell_unit_range_and_choices(make_node):
+    node = make_node()
+    parameters.declare(node, Outer())
+    count = node.describe_parameter('inner.count')
+    assert count.type == ParameterType.PARAMETER_INTEGER
+    assert count.description == 'how many [px]'
+    assert count.read_only
+    assert (count.integer_range[0].from_value, count.integer_range[0].to_value) == (0, 10)
+    gain = node.describe_parameter('gain')
+    assert gain.floating_point_range[0].from_value == 0.0
+    assert gain.floating_point_range[0].to_value > 1e300
+    assert not gain.read_only
+    assert node.describe_parameter('weights').additional_constraints == 'at least 0.5'
+    assert node.describe_parameter('switch').additional_constraints == 'one of auto, true, false'
+
+
+def test_every_parameter_is_described(make_node):
+    node = make_node()
+    for defaults in (Config(), NodeConfig()):
+        parameters.declare(node, defaults)
+        for name, _, _ in parameters_of(defaults):
+            assert len(node.describe_parameter(name).description) > 10, name
+
+
+@pytest.mark.parametrize('name', [name for name, _, value in parameters_of(Config())
+                                  if not isinstance(value, bool)])
+def test_errors_name_the_whole_parameter(name):
+    section, _, field_name = name.rpartition('.')
+    settings = type(getattr(Config(), section))
+    with pytest.raises(ValueError, match=f'^{name} must be of type '):
+        settings(**{field_name: object()})
+
+
+@pytest.mark.parametrize('name, value', [
+    ('depth.mean', (0.5,)), ('depth.std', (1.0, 1.0)), ('depth.input_width', 64),
+    ('depth.providers', ()), ('scale.gravity', (0.0, 1.0)), ('scale.imu_to_camera', (0.0,) * 4),
+    ('scale.imu_to_camera', (1.0,)), ('segmentation.max_planes', 0), ('scale.method', 'guess'),
+    ('points_decimation', 0), ('mode', 'sometimes')])
+def test_errors_of_impossible_values_name_the_whole_parameter(name, value):
+    settings = Config() if '.' in name else NodeConfig()
+    with pytest.raises(ValueError, match=f'^{name} .*must '):
+        parameters.updated(settings, [Parameter(name, value=value)])
+
+
+def test_updating_leaves_others_and_the_old_settings_alone():
+    old = Outer()
+    changed = [Parameter('inner.count', value=4), Parameter('use_sim_time', value=True)]
+    assert parameters.updated(old, changed) == Outer(Inner(count=4))
+    assert old == Outer()
+
+
+def test_updating_to_an_impossible_value_says_so():
+    with pytest.raises(ValueError, match='gain must be in'):
+        parameters.updated(Outer(), [Parameter('gain', value=float('nan'))])

@@ -1,0 +1,100 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""How the program of the node ends, whatever a signal meets it at."""
+
+import os
+import subprocess
+import sys
+import textwrap
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+# The signal comes from the thread itself: one from os.kill may reach another thread, and so come
+# at a later line.
+PROGRAM = """
+import atexit, signal, sys, time
+import rclpy
+from rclpy.node import Node
+from plane_detector.ros.spinning import interruptible, run
+
+def end():
+    signal.raise_signal(signal.{name})
+
+class Dying:
+    def __del__(self, end=signal.raise_signal, number=signal.{name}):
+        end(number)  # both kept here: the end of the interpreter clears the globals
+
+class Told(ValueError):
+    def __str__(self):
+        end()
+        return 'too large'
+
+def work():
+{work}
+
+def make_node():
+{making}
+    node = Node('node')
+    node.create_timer(0.0, work)
+    return node
+
+sys.exit(run(make_node, []))
+"""
+STUCK_S = 20.0
+LONG = f"""
+with interruptible():
+    {{}}
+    time.sleep({2 * STUCK_S})
+"""
+SWALLOWED = """
+try:
+    with interruptible():
+        end()
+except KeyboardInterrupt:
+    pass
+"""
+FAILING = '\nraise ValueError("too large")'
+
+
+def ended(work='pass', making='pass', name='SIGTERM'):
+    """Return exit code and output of a program that does this in a callback and at its start."""
+    from ros_helpers import random_domain
+    program = PROGRAM.format(name=name, work=textwrap.indent(work, '    '),
+                             making=textwrap.indent(making, '    '))
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain())}
+    done = subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
+                          text=True, timeout=STUCK_S, check=False)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
+@pytest.mark.parametrize('work', [
+    'end()', 'end(); end()', 'Dying()', LONG.format('end()'), SWALLOWED],
+    ids=['callback', 'twice', 'destructor', 'something long', 'swallowed'])
+def test_a_signal_ends_a_working_node_quietly(work, name):
+    assert ended(work, name=name) == (0, '')
+
+
+@pytest.mark.parametrize('making', ['end()', 'Dying()', 'end()' + LONG.format('pass')],
+                         ids=['start', 'destructor', 'before something long'])
+def test_a_signal_ends_a_starting_node_quietly(making):
+    assert ended(making=making) == (0, '')
+
+
+@pytest.mark.parametrize('making', [
+    'pass' + FAILING, 'end()' + FAILING, 'raise Told',
+    'rclpy.get_default_context().on_shutdown(end)' + FAILING,
+    'atexit.register(end)' + FAILING,
+    'sys.dying = Dying()' + FAILING],
+    ids=['no signal', 'before', 'while told', 'shutdown', 'exit', 'end of the interpreter'])
+def test_wrong_settings_are_told_whenever_a_signal_comes(making):
+    assert ended(making=making) == (1, 'the node cannot start: too large\n')
+
+
+def test_other_errors_keep_their_traceback():
+    code, text = ended(making='raise RuntimeError("a bug")')
+    assert code == 1
+    assert 'Traceback' in text
+    assert 'a bug' in text

@@ -1,0 +1,297 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scale and shift of a relative disparity, against rendered scenes with exact truth."""
+
+import numpy as np
+import pytest
+
+from plane_detector.config import ScaleConfig
+from plane_detector.evaluation.scenes import rooms as scenes
+from plane_detector.scale.disparity_planes import fit_disparity_planes
+from plane_detector.scale.methods import apply_scale, estimate_scale, to_disparity
+from plane_detector.scale.sensor_depth import fit_measured_depth
+from plane_detector.types import CameraIntrinsics
+
+SMALL = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
+SCALE, SHIFT = 0.4, -0.12  # 1/z = SCALE * D + SHIFT
+
+
+def relative_disparity(depth_m, noise=0.0, seed=0):
+    if noise:
+        depth_m = scenes.with_disparity_noise(depth_m, noise, np.random.default_rng(seed),
+                                              correlation_px=6.0)
+    return ((1.0 / depth_m - SHIFT) / SCALE).astype(np.float32)
+
+
+def room(seed=3):
+    """Return a furnished room whose floor is in view."""
+    return scenes.random_room(np.random.default_rng(seed), SMALL)
+
+
+def estimate(scene, noise=0.0, sensor_depth_m=None, output='relative_disparity', **settings):
+    return estimate_scale(relative_disparity(scene.depth_m, noise), scene.labels,
+                          scene.intrinsics, ScaleConfig(**settings),
+                          sensor_depth_m=sensor_depth_m, output=output)
+
+
+def worst_angle_error_deg(scene, scale):
+    """Return the most that an angle between two true planes is off at an estimated scale."""
+    coefficients = -scene.planes[:, :3] / scene.planes[:, 3:]
+    gain = scale.scale / SCALE
+    bent = gain * coefficients + [0.0, 0.0, scale.shift - gain * SHIFT]
+    bent /= np.linalg.norm(bent, axis=1, keepdims=True)
+    true = scene.planes[:, :3]
+    angles_deg = [np.degrees(np.arccos((n @ n.T).clip(-1, 1))) for n in (bent, -true)]
+    return np.abs(angles_deg[0] - angles_deg[1]).max()
+
+
+def median_depth_error(scene, scale):
+    depth_m = apply_scale(relative_disparity(scene.depth_m), scale)
+    return np.nanmedian(np.abs(depth_m / scene.depth_m - 1.0))
+
+
+def test_planes_are_affine_in_disparity():
+    scene = scenes.single_wall(SMALL, yaw_deg=20.0, distance_m=3.0)
+    planes = fit_disparity_planes(relative_disparity(scene.depth_m), scene.labels, SMALL)
+    expected = -scene.planes[0, :3] / scene.planes[0, 3]
+    np.testing.assert_allclose(planes.scaled(SCALE, SHIFT)[0], expected, atol=1e-6)
+
+
+def test_planes_ignore_wrong_pixels_and_leave_out_tiny_labels():
+    scene = scenes.single_wall(SMALL)
+    disparity, labels = relative_disparity(scene.depth_m), scene.labels.copy()
+    exact = fit_disparity_planes(disparity, labels, SMALL).coefficients[0]
+    disparity[::7, ::5] += 3.0
+    disparity[100:110] = np.nan
+    labels[0, :10] = 5
+    planes = fit_disparity_planes(disparity, labels, SMALL)
+    assert planes.labels.tolist() == [0]
+    np.testing.assert_allclose(planes.coefficients[0], exact, atol=1e-4)
+
+
+def test_depth_and_disparity_are_each_others_inverse():
+    depth_m = np.array([[2.0, np.nan, 0.0, -1.0, np.inf]], np.float32)
+    disparity = to_disparity(depth_m, 'metric_depth')
+    np.testing.assert_array_equal(disparity, [[0.5, np.nan, np.nan, np.nan, np.nan]])
+    assert to_disparity(depth_m, 'relative_disparity') is depth_m
+
+
+def test_depth_beyond_the_largest_is_invalid_only_where_there_are_metres():
+    scene = room()
+    fixed = estimate(scene, method='fixed', disparity_scale=1.0)
+    disparity = np.array([[1.0, 0.5, 0.1, 0.0, -1.0, np.nan]], np.float32)
+    depth_m = apply_scale(disparity, fixed, max_depth_m=5.0)
+    np.testing.assert_array_equal(depth_m, [[1.0, 2.0, np.nan, np.nan, np.nan, np.nan]])
+    relative = estimate(scene, method='none')
+    assert np.isfinite(apply_scale(disparity, relative, max_depth_m=1e-3)[0, 0])
+
+
+def test_nothing_known_is_relative_and_says_why():
+    scale = estimate(scenes.single_wall(SMALL))
+    assert (scale.method, scale.is_metric, scale.has_true_angles) == ('relative', False, False)
+    assert scale.unit_method == 'relative'
+    for method in ('metric', 'depth_topic', 'camera_height', 'manhattan', 'fixed'):
+        assert f'{method}: ' in scale.note
+
+
+def test_relative_depth_is_positive_and_one_in_the_middle():
+    scene = room()
+    disparity = relative_disparity(scene.depth_m)
+    disparity -= np.median(disparity)
+    scale = estimate_scale(disparity, scene.labels, SMALL, ScaleConfig(method='none'))
+    depth = apply_scale(disparity, scale)
+    assert np.nanmedian(depth) == pytest.approx(1.0, rel=0.05)
+    assert np.isfinite(depth).mean() > 0.98
+
+
+def test_metric_network_keeps_its_metres():
+    scene = room()
+    disparity = to_disparity(scene.depth_m, 'metric_depth')
+    scale = estimate_scale(disparity, scene.labels, SMALL, output='metric_depth')
+    assert scale.method == 'metric' and scale.is_metric
+    np.testing.assert_allclose(apply_scale(disparity, scale), scene.depth_m, rtol=1e-5)
+
+
+def test_a_relative_network_is_never_taken_for_a_metric_one():
+    scale = estimate(room(), method='metric')
+    assert not scale.is_metric and scale.method == 'relative'
+
+
+def test_fixed_takes_the_given_numbers():
+    scale = estimate(room(), method='fixed', disparity_scale=SCALE, disparity_shift=SHIFT)
+    assert (scale.scale, scale.shift, scale.is_metric) == (SCALE, SHIFT, True)
+    assert not estimate(room(), method='fixed').is_metric
+
+
+def sparse(depth_m, count, wrong_share=0.0, seed=1):
+    rng = np.random.default_rng(seed)
+    index = rng.choice(np.flatnonzero(np.isfinite(depth_m)), count, replace=False)
+    points_m = np.full(depth_m.shape, np.nan, np.float32)
+    points_m.flat[index] = depth_m.flat[index]
+    points_m.flat[index[:int(wrong_share * count)]] = 0.7
+    return points_m
+
+
+@pytest.mark.parametrize('count, wrong_share', [(8, 0.0), (200, 0.2), (76000, 0.1)])
+def test_measured_depth_gives_scale_and_shift(count, wrong_share):
+    scene = room()
+    scale = estimate(scene, sensor_depth_m=sparse(scene.depth_m, count, wrong_share))
+    assert scale.method == 'depth_topic' and scale.is_metric
+    assert scale.scale == pytest.approx(SCALE, rel=1e-3)
+    assert scale.shift == pytest.approx(SHIFT, abs=1e-3)
+
+
+def test_measured_depth_with_noise_is_as_good_as_its_uncertainty():
+    scene = room()
+    disparity = relative_disparity(scene.depth_m, noise=0.004)
+    fit = fit_measured_depth(disparity, sparse(scene.depth_m, 200))
+    error = np.array([fit.scale - SCALE, fit.shift - SHIFT])
+    assert error @ np.linalg.solve(fit.covariance, error) < 16.0
+    assert abs(error[0]) < 0.05 * SCALE
+
+
+def test_measured_depth_refuses_what_cannot_fix_the_scale():
+    scene = room()
+    disparity = relative_disparity(scene.depth_m)
+    assert '4 points' in fit_measured_depth(disparity, sparse(scene.depth_m, 4)).refusal
+    wall_m = np.full(scene.depth_m.shape, 2.0, np.float32)
+    noisy = 2.0 + 0.01 * np.random.default_rng(0).standard_normal(wall_m.shape)
+    assert 'alike' in fit_measured_depth(noisy, wall_m).refusal
+    assert fit_measured_depth(-disparity, scene.depth_m).refusal
+
+
+@pytest.mark.parametrize('seed', [3, 5, 16])
+def test_camera_height_is_exact_without_noise(seed):
+    scene = room(seed)
+    scale = estimate(scene, camera_height=scene.height_m, gravity_tolerance=0.5,
+                     gravity=tuple(scene.down_camera))
+    assert scale.method == 'camera_height' and scale.is_metric
+    assert worst_angle_error_deg(scene, scale) < 0.1
+    assert median_depth_error(scene, scale) < 2e-3
+
+
+def test_camera_height_needs_a_floor():
+    wall = scenes.single_wall(SMALL)
+    scale = estimate(wall, method='camera_height', camera_height=1.5, gravity=(0.0, 1.0, 0.0))
+    assert not scale.is_metric and 'floor' in scale.note
+
+
+def test_camera_height_needs_a_direction_known_well():
+    scene = room()
+    scale = estimate(scene, method='camera_height', camera_height=1.5,
+                     gravity=tuple(scene.down_camera), gravity_tolerance=20.0)
+    assert not scale.is_metric and 'coarse' in scale.note
+
+
+def test_gravity_given_for_the_picture_wins_over_the_setting():
+    scene = room()
+    config = ScaleConfig(camera_height=scene.height_m, gravity=(1.0, 0.0, 0.0))
+    disparity = relative_disparity(scene.depth_m)
+    scale = estimate_scale(disparity, scene.labels, SMALL, config,
+                           gravity_camera=9.81 * scene.down_camera)
+    assert scale.method == 'camera_height'
+    assert median_depth_error(scene, scale) < 2e-3
+
+
+def test_right_angles_fix_the_angles_but_claim_no_metres():
+    scene = room()
+    scale = estimate(scene)
+    assert (scale.method, scale.is_metric, scale.has_true_angles) == ('manhattan', False, True)
+    assert scale.unit_method == 'relative' and 'unit unknown' in str(scale)
+    assert worst_angle_error_deg(scene, scale) < 0.5
+
+
+def test_right_angles_coarse_gravity_and_height_give_metres():
+    scene = room()
+    coarse = scene.down_camera + [0.15, 0.0, 0.1]
+    scale = estimate(scene, camera_height=scene.height_m, gravity=tuple(coarse),
+                     gravity_tolerance=20.0)
+    assert scale.method == 'manhattan' and scale.is_metric
+    assert median_depth_error(scene, scale) < 0.01
+
+
+def test_targets_hold_under_noise():
+    angles_deg = {'manhattan': [], 'camera_height': []}
+    errors = []
+    for seed in range(2000, 2012):
+        scene = room(seed)
+        for method, found_deg in angles_deg.items():
+            scale = estimate(scene, 0.004, method=method, gravity=tuple(scene.down_camera),
+                             camera_height=scene.height_m if method == 'camera_height' else 0.0)
+            if scale.has_true_angles:
+                found_deg.append(worst_angle_error_deg(scene, scale))
+            if scale.is_metric:
+                errors.append(median_depth_error(scene, scale))
+    assert min(map(len, angles_deg.values())) >= 7
+    assert np.median(angles_deg['manhattan']) < 2.0
+    assert np.median(angles_deg['camera_height']) < 1.0
+    assert np.median(errors) < 0.02
+
+
+@pytest.mark.parametrize('make', [scenes.attic, scenes.hexagon_room])
+def test_rooms_without_right_angles_are_not_bent(make):
+    refused = 0
+    for seed in range(3000, 3020):
+        scene = make(np.random.default_rng(seed), SMALL)
+        scale = estimate(scene, 0.004, method='manhattan')
+        refused += not scale.has_true_angles
+        assert scale.note and not scale.is_metric
+        if scale.has_true_angles:
+            assert worst_angle_error_deg(scene, scale) < 6.0
+    assert refused >= 18
+
+
+def test_two_planes_alone_are_not_called_perpendicular():
+    floor = scenes.Rectangle(np.array([-50.0, -50.0, 0.0]), np.array([100.0, 0, 0]),
+                             np.array([0, 100.0, 0]))
+    wall = scenes.Rectangle(np.array([-50.0, 3.0, 0.0]), np.array([100.0, 0, 0]),
+                            np.array([0, 0, 50.0]))
+    scene = scenes.render([floor, wall], scenes.camera_rotation(10, -15, 0),
+                          np.array([0, 0, 1.5]), SMALL, np.random.default_rng(0))
+    scale = estimate(scene, method='manhattan')
+    assert not scale.has_true_angles and scale.note
+
+
+@pytest.mark.parametrize('gain, offset', [(7.0, 0.0), (0.01, -3.0), (1.0, 40.0)])
+def test_the_networks_own_unit_does_not_matter(gain, offset):
+    scene = room()
+    disparity = relative_disparity(scene.depth_m).astype(np.float64)
+    config = ScaleConfig(camera_height=scene.height_m, gravity=tuple(scene.down_camera))
+    other = gain * disparity + offset
+    depths = [apply_scale(d, estimate_scale(d, scene.labels, SMALL, config))
+              for d in (disparity, other)]
+    np.testing.assert_allclose(depths[1], depths[0], rtol=1e-3)
+
+
+def test_auto_takes_the_first_that_gives_metres():
+    scene = room()
+    known = {'disparity_scale': SCALE, 'disparity_shift': SHIFT}
+    assert estimate(scene).method == 'manhattan'
+    assert estimate(scene, **known).method == 'fixed'
+    known |= {'camera_height': scene.height_m, 'gravity': tuple(scene.down_camera)}
+    assert estimate(scene, **known).method == 'camera_height'
+    sensor_depth_m = sparse(scene.depth_m, 100)
+    assert estimate(scene, sensor_depth_m=sensor_depth_m, **known).method == 'depth_topic'
+    assert estimate(scene, sensor_depth_m=sensor_depth_m, output='disparity',
+                    **known).method == 'metric'
+
+
+@pytest.mark.parametrize('disparity', [np.full((240, 320), np.nan, np.float32),
+                                       np.zeros((240, 320), np.float32),
+                                       np.ones((240, 320), np.float32)])
+def test_pictures_without_information_give_relative(disparity):
+    labels = np.where(np.isfinite(disparity), 0, -1).astype(np.int32)
+    config = ScaleConfig(camera_height=1.0, gravity=(0.0, 1.0, 0.0))
+    scale = estimate_scale(disparity, labels, SMALL, config, sensor_depth_m=disparity)
+    assert scale.method == 'relative'
+    assert apply_scale(disparity, scale).shape == disparity.shape
+
+
+def test_inputs_stay_as_they_are():
+    scene = room()
+    disparity = relative_disparity(scene.depth_m)
+    before, labels = disparity.copy(), scene.labels.copy()
+    estimate_scale(disparity, scene.labels, SMALL,
+                   ScaleConfig(camera_height=1.0, gravity=tuple(scene.down_camera)))
+    np.testing.assert_array_equal(disparity, before)
+    np.testing.assert_array_equal(scene.labels, labels)

@@ -1,0 +1,88 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rounded disparities are known as such, exact and real depth is not taken for them."""
+
+import numpy as np
+import pytest
+
+from plane_detector import segment_planes
+from plane_detector.evaluation.metrics import score
+from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.rooms import (
+    VGA,
+    random_room,
+    single_wall,
+    with_disparity_noise,
+)
+from plane_detector.segmentation.cells.grid import make_cells
+from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_rounding
+from plane_detector.segmentation.segment import to_disparity
+
+LEAST = Noise(0.0005)
+
+
+def rounded(depth_m, step):
+    """Return depth whose inverse is a multiple of the step."""
+    return (1 / (np.rint(1 / depth_m / step) * step)).astype(np.float32)
+
+
+def known(depth_m, least=LEAST):
+    return with_rounding(least, *to_disparity(depth_m)).known
+
+
+@pytest.mark.parametrize('step', [0.001, 0.003, 0.01])
+@pytest.mark.parametrize('yaw_deg', [10, 40])
+def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
+    depth_m = rounded(single_wall(yaw_deg=yaw_deg).depth_m, step)
+    assert known(depth_m) == pytest.approx(step / 2, rel=0.01)
+    assert len(segment_planes(depth_m, VGA).planes) == 1
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_rounded_rooms_do_not_fall_into_stripes(seed):
+    scene = random_room(np.random.default_rng(seed))
+    found = segment_planes(rounded(scene.depth_m, 0.003), scene.intrinsics)
+    result = score(scene.labels, scene.planes, found.labels, plane_array(found),
+                   np.isfinite(scene.depth_m))
+    assert result.segmentation_covering > 0.8
+    assert result.precision > 0.75
+
+
+@pytest.mark.parametrize('yaw_deg', [0, 1, 5, 20])
+@pytest.mark.parametrize('distance_m', [1.0, 6.0])
+@pytest.mark.parametrize('in_millimetres', [False, True])
+def test_exact_walls_are_not_rounded(yaw_deg, distance_m, in_millimetres):
+    depth_m = single_wall(yaw_deg=yaw_deg, distance_m=distance_m).depth_m
+    if in_millimetres:
+        depth_m = (np.rint(1000 * depth_m) / 1000).astype(np.float32)
+    assert known(depth_m) == 0
+
+
+@pytest.mark.parametrize('seed', range(8))
+@pytest.mark.parametrize('sigma', [0.0, 0.004])
+def test_rooms_are_not_rounded(seed, sigma):
+    depth_m = random_room(np.random.default_rng(seed)).depth_m
+    if sigma:
+        depth_m = with_disparity_noise(depth_m, sigma, np.random.default_rng(seed))
+    assert known(depth_m) == 0
+
+
+def test_what_is_known_is_not_lowered():
+    depth_m = rounded(single_wall(yaw_deg=20).depth_m, 0.003)
+    assert known(depth_m, Noise(0.0005, known=0.008)) == 0.008
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (300, 2)])
+def test_small_pictures_are_taken(shape):
+    disparity = np.full(shape, 0.5, np.float32)
+    assert with_rounding(LEAST, disparity, np.ones(shape, bool)) == LEAST
+    assert with_rounding(LEAST, 0 * disparity, np.zeros(shape, bool)) == LEAST
+
+
+def test_noise_is_estimated_between_columns_without_depth():
+    depth_m = with_disparity_noise(single_wall(yaw_deg=0).depth_m, 0.01, np.random.default_rng(0))
+    whole = estimate_noise(make_cells(*to_disparity(depth_m)), LEAST)
+    depth_m[:, (np.arange(640) // 24) % 3 == 0] = np.nan
+    holed = estimate_noise(make_cells(*to_disparity(depth_m)), LEAST)
+    assert holed.mean == pytest.approx(whole.mean, rel=0.4)
+    assert len(segment_planes(depth_m, VGA).planes) >= 1

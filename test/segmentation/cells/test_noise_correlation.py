@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The correlation of the errors is found as it was made, and its inverse undoes it."""
+
+import cv2
+import numpy as np
+import pytest
+from cell_helpers import bare_wall, cells_and_noise, noisy, one_patch, rough_wall
+
+from plane_detector.segmentation.cells.noise_correlation import Correlation
+
+SIGMA = 0.01
+
+
+def correlation_of(depth_m):
+    model, noise = cells_and_noise(depth_m)
+    return Correlation.of(model, one_patch(model), noise)
+
+
+@pytest.mark.parametrize('sigma', [0.002, 0.004, 0.01])
+def test_the_correlation_of_blurred_noise(sigma):
+    """A Gaussian of 12 pixels and the mean over cells of 8 blur, half the variance is grain."""
+    lag = np.arange(1, 5)
+    expected = np.exp(-(8 * lag) ** 2 / (4 * (12**2 + 8**2 / 12)))
+    found = [correlation_of(noisy(bare_wall(), seed, sigma)) for seed in range(4)]
+    shape = np.mean([c.covariance(0, lag) / c.smooth for c in found], axis=0)
+    np.testing.assert_allclose(shape, expected, atol=0.08)
+    assert np.mean([c.power for c in found]) == pytest.approx(1.9, abs=0.15)
+    assert np.mean([c.own for c in found]) == pytest.approx(sigma**2 / 2 / 64, rel=0.15)
+    assert np.mean([c.smooth for c in found]) == pytest.approx(0.42 * sigma**2, rel=0.2)
+
+
+@pytest.mark.parametrize('power', [0.7, 1.0, 1.4])
+def test_the_correlation_of_rougher_noise(power):
+    found = [correlation_of(rough_wall(power, seed)) for seed in range(6)]
+    assert np.mean([c.power for c in found]) == pytest.approx(power, abs=0.2)
+
+
+def test_grain_alone_is_no_correlation():
+    found = correlation_of(noisy(bare_wall(), 0, smooth_share=0.0))
+    assert found.own == pytest.approx(SIGMA**2 / 64, rel=0.15)
+    assert found.smooth < 0.1 * found.own
+
+
+def test_the_covariance_goes_by_rows_and_columns():
+    model, noise = cells_and_noise(noisy(bare_wall(), 0))
+    correlation = Correlation.of(model, one_patch(model), noise)
+    cell = np.array([0, 1, 80, 82, 4799])
+    matrix = correlation.matrix(model, cell)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix).min() > 0
+    assert matrix[0, 1] == matrix[0, 2] == correlation.covariance(0, 1)
+    assert matrix[1, 3] == correlation.covariance(1, 1)
+    assert matrix[0, 4] == correlation.covariance(59, 79)
+    np.testing.assert_allclose(matrix[0, 0], correlation.smooth + correlation.own, rtol=0.01)
+
+
+def test_the_precision_undoes_the_covariance():
+    correlation = Correlation(4.0, 0.5, 0.3, 1.3)
+    apart = np.arange(-15, 16.0)
+    covariance = correlation.covariance(apart[:, None], apart)
+    product = cv2.filter2D(covariance, -1, correlation.precision(6),
+                           borderType=cv2.BORDER_CONSTANT)[8:-8, 8:-8]
+    expected = np.zeros_like(product)
+    expected[7, 7] = 1
+    np.testing.assert_allclose(product, expected, atol=0.02)

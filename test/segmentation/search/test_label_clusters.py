@@ -1,0 +1,110 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Labels clustered all at once, and linked cells, against scikit-learn and a flood fill."""
+
+import numpy as np
+import pytest
+from sklearn.cluster import DBSCAN
+
+from plane_detector.segmentation.search.dbscan import label_clusters, linked_components
+
+SHAPE = (23, 31)
+
+
+def random_labels(rng, kinds=4, share=0.75):
+    """Return labels in blotches, so that clusters have insides, with cells without label."""
+    coarse = rng.integers(0, kinds, (8, 11)).repeat(3, axis=0).repeat(3, axis=1)
+    labels = coarse[:SHAPE[0], :SHAPE[1]]
+    return np.where(rng.random(SHAPE) < share, labels, -1).astype(np.int32)
+
+
+def numbered(labels):
+    """Return labels numbered by where they come first, so that equal partitions are equal."""
+    kinds, first, index = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(np.where(kinds < 0, -1, first))
+    rank = np.empty(len(kinds), int)
+    rank[order] = np.arange(len(kinds))
+    return rank[index].reshape(labels.shape)
+
+
+@pytest.mark.parametrize('eps', [1.0, 1.5, 2.5])
+@pytest.mark.parametrize('min_samples', [1, 2, 3, 5, 7])
+@pytest.mark.parametrize('share', [0.5, 0.75, 1.0])
+def test_every_label_is_clustered_as_scikit_learn_does(eps, min_samples, share):
+    labels = random_labels(np.random.default_rng(int(100 * share)), share=share)
+    clusters = label_clusters(labels, eps, min_samples)
+    assert clusters.shape == labels.shape
+    assert (clusters[labels < 0] == -1).all()
+    used = []
+    for label in range(4):
+        points = np.argwhere(labels == label)
+        found, expected = clusters[labels == label], DBSCAN(
+            eps=eps, min_samples=min_samples).fit(points)
+        core = expected.core_sample_indices_
+        np.testing.assert_array_equal(found == -1, expected.labels_ == -1)
+        np.testing.assert_array_equal(numbered(found[core]), numbered(expected.labels_[core]))
+        for index in np.setdiff1d(np.flatnonzero(found >= 0), core):
+            near = np.linalg.norm(points[core] - points[index], axis=1) <= eps
+            assert found[index] in found[core[near]], 'a border cell joins one that it touches'
+        used += np.unique(found[found >= 0]).tolist()
+    assert sorted(used) == list(range(clusters.max() + 1)), 'numbered from 0, none of two labels'
+
+
+@pytest.mark.parametrize(('eps', 'pieces'), [(1.0, 2), (1.5, 1)])
+def test_corners_link_when_the_radius_reaches_them(eps, pieces):
+    labels = np.full((6, 6), 1, np.int32)
+    labels[:3, :3] = labels[3:, 3:] = 0
+    clusters = label_clusters(labels, eps, 1)
+    assert len(np.unique(clusters[labels == 0])) == pieces
+    assert len(np.unique(clusters[labels == 1])) == pieces
+    assert not set(clusters[labels == 0]) & set(clusters[labels == 1])
+
+
+@pytest.mark.parametrize('eps', [1.0, 1.5, 2.5])
+def test_no_label_is_no_cluster(eps):
+    assert (label_clusters(np.full((4, 5), -1, np.int32), eps, 3) == -1).all()
+
+
+def flooded(mask, right, down):
+    """Return the components by a flood fill, one cell after the other."""
+    components, count = np.full(mask.shape, -1), 0
+    for start in np.argwhere(mask):
+        waiting = [tuple(start)] if components[tuple(start)] < 0 else []
+        count += bool(waiting)
+        while waiting:
+            row, column = waiting.pop()
+            if components[row, column] >= 0:
+                continue
+            components[row, column] = count - 1
+            links = [(column < right.shape[1] and right[row, column], (row, column + 1)),
+                     (column > 0 and right[row, column - 1], (row, column - 1)),
+                     (row < down.shape[0] and down[row, column], (row + 1, column)),
+                     (row > 0 and down[row - 1, column], (row - 1, column))]
+            waiting += [cell for linked, cell in links if linked]
+    return components
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (1, 9), (9, 1), (2, 2), (17, 26)])
+@pytest.mark.parametrize('share', [0.3, 0.6, 1.0])
+def test_linked_components_equal_a_flood_fill(shape, share):
+    rng = np.random.default_rng(int(10 * share))
+    mask = rng.random(shape) < 0.8
+    right = (rng.random((shape[0], shape[1] - 1)) < share) & mask[:, 1:] & mask[:, :-1]
+    down = (rng.random((shape[0] - 1, shape[1])) < share) & mask[1:] & mask[:-1]
+    components = linked_components(mask, right, down)
+    np.testing.assert_array_equal(components < 0, ~mask)
+    np.testing.assert_array_equal(np.unique(components[mask]), np.arange(components.max() + 1))
+    np.testing.assert_array_equal(numbered(components), numbered(flooded(mask, right, down)))
+
+
+def test_neighbours_without_a_link_are_apart():
+    mask = np.ones((3, 4), bool)
+    components = linked_components(mask, np.ones((3, 3), bool), np.zeros((2, 4), bool))
+    assert (components == np.arange(3)[:, None]).all()
+
+
+def test_input_is_not_modified():
+    labels = random_labels(np.random.default_rng(0))
+    before = labels.copy()
+    label_clusters(labels, 1.5, 3)
+    np.testing.assert_array_equal(labels, before)

@@ -1,0 +1,129 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes too narrow for whole cells."""
+
+import numpy as np
+import pytest
+from cell_helpers import EXACT, best_iou, cell_model, view, wall
+
+from plane_detector import segment_planes
+from plane_detector.config import Config, SegmentationConfig
+from plane_detector.segmentation.cells.grid import make_cells, picture_coordinates
+from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.fine_pass import add_narrow
+from plane_detector.segmentation.pixels.labelling import label_pixels
+from plane_detector.segmentation.search.plane_search import find_patches
+from plane_detector.segmentation.segment import to_disparity
+from plane_detector.types import CameraIntrinsics
+
+CONFIG = Config()
+NEAR_M, LEFT_M, RIGHT_M = 1.9, 2.0, 2.3
+# The strip begins here, which is no border of cells.
+FIRST_PX = 323
+
+
+def strip(width_px, roll_deg=0.0, first_px=FIRST_PX, yaw_deg=0.0):
+    """Return an upright strip before two walls, of other depth than both."""
+    start_m, end_m = ((px - 319.5) * NEAR_M / 525 for px in (first_px, first_px + width_px))
+    return view([wall(LEFT_M, right_m=start_m), wall(NEAR_M, start_m, end_m),
+                 wall(RIGHT_M, end_m)], angles_deg=(yaw_deg, 0, roll_deg))
+
+
+def before_narrow(depth_m, config=CONFIG, least=EXACT):
+    """Return what :func:`add_narrow` takes: what the search on whole cells leaves."""
+    disparity, valid = to_disparity(depth_m)
+    rng = np.random.default_rng(0)
+    model, patches, noise = find_patches(make_cells(disparity, valid), least, 600, config,
+                                         config.dbscan, rng)
+    labels = label_pixels(disparity, valid, model, patches, noise, 3.0)
+    return disparity, valid, labels, model, noise, patches.planes, config, rng
+
+
+@pytest.mark.parametrize('width_px', [8, 10, 12, 14, 16, 18])
+@pytest.mark.parametrize('roll_deg', [0.0, 5.0, 10.0, 20.0])
+def test_a_narrow_strip_is_found(width_px, roll_deg):
+    scene = strip(width_px, roll_deg)
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    assert len(found.planes) == 3
+    assert best_iou(scene, found.labels).min() > 0.8
+    offsets_m = sorted(plane.offset_m for plane in found.planes)
+    np.testing.assert_allclose(offsets_m, [NEAR_M, LEFT_M, RIGHT_M], atol=2e-3)
+
+
+@pytest.mark.parametrize('roll_deg', [0.0, 10.0])
+def test_the_others_are_unchanged(roll_deg):
+    scene = strip(12, roll_deg)
+    given = before_narrow(scene.depth_m)
+    before = given[2].copy()
+    assert len(given[5]) == 2, 'whole cells do not find the strip'
+    labels, planes = add_narrow(*given)
+    assert len(planes) == 3
+    np.testing.assert_array_equal(planes[:2], given[5])
+    np.testing.assert_array_equal(labels[before >= 0], before[before >= 0])
+    np.testing.assert_array_equal(np.unique(labels[(before < 0) & (labels >= 0)]), [2])
+    assert (labels[scene.labels == 1] == 2).mean() > 0.85
+    np.testing.assert_array_equal(given[2], before, 'the input is not modified')
+
+
+@pytest.mark.parametrize('first_px', [323, 450])
+def test_the_plane_is_in_coordinates_of_the_picture(first_px):
+    """It is found in a cut-out, whose own coordinates are others."""
+    scene = strip(12, 10.0, first_px, yaw_deg=15)
+    given = before_narrow(scene.depth_m)
+    labels, planes = add_narrow(*given)
+    own = np.bincount(labels[(scene.labels == 1) & (labels >= 0)]).argmax()
+    x, y = picture_coordinates(labels.shape)
+    rows, columns = np.nonzero(labels == own)
+    assert len(rows) > 0.8 * np.count_nonzero(scene.labels == 1)
+    a, b, c = planes[own]
+    np.testing.assert_allclose(a * x[columns] + b * y[rows] + c, given[0][rows, columns],
+                               atol=1e-4)
+
+
+@pytest.mark.parametrize('second_px', [335, 500])
+def test_two_strips_are_two(second_px):
+    """Side by side, where whole cells would straddle both, or far from each other."""
+    edges_m = [(px - 319.5) * NEAR_M / 525 for px in (323, 335, second_px, second_px + 12)]
+    scene = view([wall(2.5), wall(NEAR_M, *edges_m[:2]), wall(NEAR_M + 1e-2, *edges_m[2:])],
+                 angles_deg=(0, 0, 10))
+    given = before_narrow(scene.depth_m)
+    labels, planes = add_narrow(*given)
+    assert len(planes) == len(given[5]) + 2
+    assert best_iou(scene, labels)[1:].min() > 0.8
+
+
+def unchanged(given):
+    labels, planes = add_narrow(*given)
+    return np.array_equal(planes, given[5]) and np.array_equal(labels, given[2])
+
+
+def test_none_is_looked_for_where_the_noise_of_a_network_is_known():
+    assert unchanged(before_narrow(strip(12, 10.0).depth_m,
+                                   least=Noise(EXACT.depth_floor_m, known=0.002)))
+
+
+@pytest.mark.parametrize('most', [2, 3])
+def test_no_more_planes_than_wanted(most):
+    config = Config(segmentation=SegmentationConfig(max_planes=most))
+    assert unchanged(before_narrow(strip(12, 10.0).depth_m, config)) == (most == 2)
+
+
+def test_no_plane_is_smaller_than_wanted():
+    config = Config(segmentation=SegmentationConfig(min_plane_share=0.05))
+    assert unchanged(before_narrow(strip(12, 10.0).depth_m, config))
+
+
+def test_where_all_pixels_have_a_plane_none_is_added():
+    scene = view([wall(2)])
+    given = before_narrow(scene.depth_m)
+    assert (given[2] == 0).all()
+    assert unchanged(given)
+
+
+def test_a_small_picture_has_no_smaller_cells():
+    camera = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
+    scene = view([wall(LEFT_M, right_m=0), wall(RIGHT_M, 0)], intrinsics=camera)
+    assert cell_model(scene.depth_m).grid.size_px < 6
+    given = before_narrow(scene.depth_m)
+    given[2][:, 60:90] = -1
+    assert unchanged(given)

@@ -1,0 +1,262 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes of rendered scenes against their truth."""
+
+import numpy as np
+import pytest
+
+from plane_detector import Config, segment_planes
+from plane_detector.config import SegmentationConfig
+from plane_detector.evaluation.metrics import overlap, score
+from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.rooms import (
+    VGA,
+    Rectangle,
+    bumps,
+    camera_rotation,
+    render,
+    single_wall,
+    staircase,
+    with_disparity_noise,
+)
+from plane_detector.evaluation.scenes.rooms import box as upright_box
+from plane_detector.segmentation.segment import measure_labels, segment_disparity
+from plane_detector.types import CameraIntrinsics
+
+ROOMS = (3, 7, 11)
+# What the worst of these rooms must reach: covering, recall, precision.
+NOISY = {0.004: (0.85, 0.65, 0.7), 0.01: (0.75, 0.5, 0.6)}
+FLOOR = Rectangle(np.array([-6.0, -1.0, 0.0]), np.array([12.0, 0, 0]), np.array([0, 7.0, 0]))
+WALL = Rectangle(np.array([-6.0, 6.0, 0.0]), np.array([12.0, 0, 0]), np.array([0, 0, 4.0]))
+
+
+def scored(scene, segmentation):
+    return score(scene.labels, scene.planes, segmentation.labels, plane_array(segmentation),
+                 np.isfinite(scene.depth_m))
+
+
+def shared_with(scene, segmentation):
+    return overlap(scene.labels, segmentation.labels, np.isfinite(scene.depth_m))
+
+
+def plane_under(scene, segmentation, point_m, world_from_camera, position):
+    """Return the label of the pixel that sees a point of the world."""
+    x, y, z = world_from_camera.T @ (np.asarray(point_m, float) - position)
+    column = round(x / z * scene.intrinsics.fx + scene.intrinsics.cx)
+    row = round(y / z * scene.intrinsics.fy + scene.intrinsics.cy)
+    return segmentation.labels[row, column]
+
+
+@pytest.mark.parametrize('seed', ROOMS)
+def test_planes_of_an_exact_room_are_exact(room, seed):
+    scene = room(seed)
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    result = scored(scene, found)
+    assert result.segmentation_covering > 0.95
+    assert result.recall >= 0.8
+    assert result.precision >= 0.9
+    planes = plane_array(found)
+    for i, j in zip(*np.nonzero(shared_with(scene, found).iou > 0.5), strict=True):
+        cosine = np.clip(scene.planes[i, :3] @ planes[j, :3], -1, 1)
+        assert np.degrees(np.arccos(cosine)) < 0.1
+        assert abs(scene.planes[i, 3] - planes[j, 3]) < 1e-3
+
+
+@pytest.mark.parametrize('seed', ROOMS)
+@pytest.mark.parametrize('sigma', NOISY)
+def test_planes_of_a_noisy_room_are_found(room, seed, sigma):
+    scene = room(seed)
+    noisy_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
+    result = scored(scene, segment_planes(noisy_m, scene.intrinsics))
+    covering, recall, precision = NOISY[sigma]
+    assert result.segmentation_covering > covering
+    assert result.recall > recall
+    assert result.precision > precision
+    # The median tilt of small boxes' faces grows with the noise.
+    assert result.normal_error_deg < max(4, 600 * sigma)
+    assert result.offset_error_m < 0.1
+
+
+def test_every_tread_and_riser_is_its_own_plane():
+    scene = staircase()
+    shared = shared_with(scene, segment_planes(scene.depth_m, scene.intrinsics))
+    rows = np.array([np.ptp(np.nonzero(scene.labels == k)[0]) + 1
+                     for k in range(len(scene.planes))])
+    large = np.flatnonzero((shared.counts[:-1].sum(1) > 1500) & (rows >= 7))
+    assert len(large) == 13
+    assert (shared.iou[large].max(axis=1) > 0.5).all()
+    assert len(set(shared.iou[large].argmax(axis=1))) == len(large)
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.004, 0.01])
+@pytest.mark.parametrize('yaw_deg', [0.0, 20.0, 50.0])
+def test_a_single_wall_is_one_plane(sigma, yaw_deg):
+    scene = single_wall(yaw_deg=yaw_deg)
+    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(1))
+    found = segment_planes(depth_m, scene.intrinsics)
+    assert len(found.planes) == 1
+    seen = np.isfinite(depth_m)
+    assert (found.labels[seen] == 0).mean() > 0.97
+    cosine = np.clip(found.planes[0].normal @ scene.planes[0, :3], -1, 1)
+    assert np.degrees(np.arccos(cosine)) < (0.01 if sigma == 0 else 1.5)
+    assert found.planes[0].offset_m == pytest.approx(3, abs=1e-3 if sigma == 0 else 0.05)
+
+
+def test_where_everything_is_curved_there_is_no_plane():
+    scene = bumps()
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    assert found.planes == ()
+    assert (found.labels == -1).all()
+
+
+def test_a_picture_frame_two_centimetres_off_the_wall_is_its_own_plane():
+    wall = Rectangle(np.array([-3.0, 2.0, -3.0]), np.array([6.0, 0, 0]), np.array([0, 0, 6.0]))
+    frame = upright_box(np.array([0.1, 1.99, 0.1]), np.array([0.6, 0.02, 0.5]))
+    scene = render([wall, *frame], camera_rotation(0, 0, 0), np.zeros(3), VGA,
+                   np.random.default_rng(0))
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    offsets_m = sorted(plane.offset_m for plane in found.planes)
+    assert offsets_m == pytest.approx([1.98, 2.0], abs=1e-3)
+    assert scored(scene, found).segmentation_covering > 0.98
+
+
+@pytest.mark.parametrize('gap_m', [0.3, 0.6])
+def test_a_table_and_a_sofa_of_one_height_stay_two(gap_m):
+    rotation, position = camera_rotation(0, -25, 0), np.array([0, 0, 1.6])
+    middle = gap_m / 2 + 0.5
+    table, sofa = (upright_box(np.array([x, 3.0, 0.25]), np.array([1.0, 0.8, 0.5]))
+                   for x in (-middle, middle))
+    scene = render([FLOOR, WALL, *table, *sofa], rotation, position, VGA,
+                   np.random.default_rng(0))
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    left, right = (plane_under(scene, found, (x, 3.0, 0.5), rotation, position)
+                   for x in (-middle, middle))
+    assert left >= 0
+    assert right >= 0
+    assert left != right
+
+
+def test_a_pillar_does_not_cut_the_wall_behind_it():
+    rotation, position = camera_rotation(0, -10, 0), np.array([0, 0, 1.5])
+    pillar = upright_box(np.array([0, 3.0, 2.0]), np.array([0.3, 0.3, 4.0]))
+    scene = render([FLOOR, WALL, *pillar], rotation, position, VGA, np.random.default_rng(0))
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    left, right = (plane_under(scene, found, (x, 6.0, 1.5), rotation, position) for x in (-2, 2))
+    assert left == right >= 0
+
+
+def test_millimetres_in_16_bits_do_not_shatter_planes(room):
+    scene = room(ROOMS[0])
+    rounded_m = (np.rint(scene.depth_m * 1000) / 1000).astype(np.float32)
+    exact = scored(scene, segment_planes(scene.depth_m, scene.intrinsics))
+    rounded = scored(scene, segment_planes(rounded_m, scene.intrinsics))
+    assert rounded.segmentation_covering > exact.segmentation_covering - 0.02
+    assert rounded.recall >= exact.recall - 0.1
+
+
+def test_a_wide_border_without_depth_costs_nothing_within(room):
+    scene = room(ROOMS[1])
+    depth_m = scene.depth_m.copy()
+    inside = np.zeros(depth_m.shape, bool)
+    inside[45:-30, 60:-45] = True
+    depth_m[~inside] = np.nan
+    found = segment_planes(depth_m, scene.intrinsics)
+    assert (found.labels[~inside] == -1).all()
+    result = score(scene.labels, scene.planes, found.labels, plane_array(found), inside)
+    assert result.segmentation_covering > 0.93
+
+
+def test_a_street_to_eighty_metres_under_a_sky_without_depth():
+    road = Rectangle(np.array([-40.0, 1.0, 0]), np.array([80.0, 0, 0]), np.array([0, 79.0, 0]))
+    house = Rectangle(np.array([5.0, 8.0, 0]), np.array([0, 25.0, 0]), np.array([0, 0, 7.0]))
+    scene = render([road, house], camera_rotation(0, 0, 0), np.array([0, 0, 1.6]), VGA,
+                   np.random.default_rng(0))
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    assert (found.labels[np.isnan(scene.depth_m)] == -1).all()
+    assert len(found.planes) == 2
+    result = scored(scene, found)
+    assert (result.recall, result.precision) == (1, 1)
+    assert result.normal_error_deg < 0.1
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.004])
+def test_what_a_plane_says_of_itself(sigma):
+    """Of a wall that fills the picture everything is known in closed form."""
+    scene = single_wall(yaw_deg=0)
+    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(2))
+    (plane,) = segment_planes(depth_m, scene.intrinsics).planes
+    assert np.linalg.norm(plane.normal) == pytest.approx(1)
+    assert plane.normal @ plane.centroid_m + plane.offset_m == pytest.approx(0, abs=1e-9)
+    np.testing.assert_allclose(plane.centroid_m, [0, 0, 3], atol=0.05)
+    share = plane.inlier_count / depth_m.size
+    seen_m2 = share * (3 * 640 / 525) * (3 * 480 / 525)
+    assert plane.area_m2 == pytest.approx(seen_m2, rel=0.03)
+    assert plane.rms_m == pytest.approx(sigma * 9, rel=0.1, abs=2e-3)
+    assert 0 <= plane.confidence <= 1
+
+
+def test_covariance_covers_the_scatter_of_the_fit():
+    """Over many draws of the noise the errors are of the size that the covariance says."""
+    small = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
+    scene = single_wall(small, yaw_deg=30)
+    squares = []
+    for seed in range(30):
+        noisy_m = with_disparity_noise(scene.depth_m, 0.005, np.random.default_rng(seed), 0.0)
+        plane = segment_planes(noisy_m, small).planes[0]
+        error = np.append(plane.normal, plane.offset_m) - scene.planes[0]
+        np.testing.assert_allclose(plane.covariance, plane.covariance.T, atol=1e-12)
+        assert (np.linalg.eigvalsh(plane.covariance) > -1e-12).all()
+        squares.append(error[3] ** 2 / plane.covariance[3, 3])
+    assert 0.05 < np.mean(squares) < 3, 'within a factor of the truth, and not overconfident'
+
+
+def test_planes_come_largest_first_and_count_their_pixels(room):
+    scene = room(ROOMS[0])
+    found = segment_planes(scene.depth_m, scene.intrinsics)
+    counts = np.bincount(found.labels[found.labels >= 0], minlength=len(found.planes))
+    np.testing.assert_array_equal(counts, [plane.inlier_count for plane in found.planes])
+    assert (np.diff(counts) <= 0).all()
+
+
+@pytest.mark.parametrize('most', [1, 3])
+def test_no_more_planes_than_wanted(room, most):
+    config = Config(segmentation=SegmentationConfig(max_planes=most))
+    scene = room(ROOMS[0])
+    found = segment_planes(scene.depth_m, scene.intrinsics, config)
+    assert 1 <= len(found.planes) <= most
+    largest = np.bincount(scene.labels[scene.labels >= 0]).max()
+    assert found.planes[0].inlier_count > 0.8 * largest
+
+
+def test_no_plane_is_smaller_than_wanted(room):
+    config = Config(segmentation=SegmentationConfig(min_plane_share=0.05))
+    scene = room(ROOMS[0])
+    found = segment_planes(scene.depth_m, scene.intrinsics, config)
+    assert found.planes
+    assert min(plane.inlier_count for plane in found.planes) >= 0.05 * scene.depth_m.size
+
+
+def test_known_noise_is_a_lower_bound(room):
+    scene = room(ROOMS[0])
+    found = segment_planes(scene.depth_m, scene.intrinsics, disparity_noise=0.02)
+    assert found.disparity_noise >= 0.02
+    exact = segment_planes(scene.depth_m, scene.intrinsics)
+    assert exact.disparity_noise < 0.001
+    assert len(found.planes) <= len(exact.planes)
+
+
+def test_measured_labels_give_the_planes_of_the_truth(room):
+    scene = room(ROOMS[0])
+    measured = measure_labels(scene.depth_m, scene.labels, scene.intrinsics, Config())
+    shared = shared_with(scene, measured)
+    large = np.flatnonzero(shared.counts[:-1].sum(1) > 1500)
+    np.testing.assert_allclose(plane_array(measured)[shared.iou[large].argmax(1)],
+                               scene.planes[large], atol=2e-3)
+
+
+def test_a_relative_disparity_gives_the_labels_of_metric_depth(room):
+    scene = room(ROOMS[0])
+    labels = segment_disparity((1 / scene.depth_m).astype(np.float32), Config())
+    shared = overlap(scene.labels, labels, np.isfinite(scene.depth_m))
+    large = shared.counts[:-1].sum(1) > 1500
+    assert (shared.iou[large].max(axis=1) > 0.5).mean() >= 0.8

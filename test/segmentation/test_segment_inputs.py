@@ -1,0 +1,169 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whatever comes in as depth: the result is consistent, and no error where there is no reason."""
+
+import numpy as np
+import pytest
+
+from plane_detector import CameraIntrinsics, Config, segment_planes
+from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.rooms import VGA, with_disparity_noise
+from plane_detector.segmentation.segment import segment_disparity
+
+SEEDS = (3, 7)
+
+
+def noisy(scene, sigma, seed):
+    if sigma == 0:
+        return scene.depth_m
+    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
+
+
+def assert_consistent(segmentation, depth_m):
+    """Every label has a plane, every plane has pixels, no label without depth."""
+    labels, planes = segmentation.labels, segmentation.planes
+    assert labels.shape == depth_m.shape
+    assert labels.dtype == np.int32
+    np.testing.assert_array_equal(np.unique(labels[labels >= 0]), np.arange(len(planes)))
+    assert labels.min(initial=-1) >= -1
+    valid = np.isfinite(depth_m) & (depth_m > 0)
+    assert (labels[~valid] == -1).all()
+    for k, plane in enumerate(planes):
+        assert plane.inlier_count == (labels == k).sum() > 0
+        assert np.linalg.norm(plane.normal) == pytest.approx(1)
+        assert plane.offset_m >= 0
+        assert plane.normal @ plane.centroid_m + plane.offset_m == pytest.approx(0, abs=1e-6)
+        numbers = [plane.rms_m, plane.area_m2, plane.confidence, *plane.covariance.ravel()]
+        assert np.isfinite(numbers).all()
+        assert plane.rms_m >= 0
+        assert plane.area_m2 > 0
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.01])
+@pytest.mark.parametrize('seed', SEEDS)
+def test_labels_and_planes_belong_together(room, seed, sigma):
+    depth_m = noisy(room(seed), sigma, seed).copy()
+    depth_m[:50, :70] = np.nan
+    depth_m[100:130, 200:260] = 0
+    depth_m[300:, 600:] = np.inf
+    depth_m[5:9, 400:] = -2
+    assert_consistent(segment_planes(depth_m, VGA), depth_m)
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('shape', [(2, 2), (1, 1), (1, 40), (40, 1), (7, 5), (480, 640)])
+@pytest.mark.parametrize('fill', [np.nan, np.inf, -np.inf, 0.0, -1.0, 1e30])
+def test_no_usable_depth_is_no_error_and_no_warning(shape, fill):
+    camera = CameraIntrinsics(50.0, 50.0, 1.0, 1.0, shape[1], shape[0])
+    depth_m = np.full(shape, fill, np.float32)
+    found = segment_planes(depth_m, camera)
+    assert_consistent(found, depth_m)
+    if not fill > 0 or np.isinf(fill):
+        assert found.planes == ()
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('pixels', [1, 2, 3, 50])
+def test_a_few_pixels_are_no_plane(pixels):
+    depth_m = np.full((480, 640), np.nan, np.float32)
+    depth_m[240, 300:300 + pixels] = 2.0
+    found = segment_planes(depth_m, VGA)
+    assert found.planes == ()
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize('shape', [(2, 2), (3, 3), (8, 8), (24, 32)])
+def test_tiny_pictures_are_segmented_or_not_but_never_wrong(shape):
+    camera = CameraIntrinsics(30.0, 30.0, 0.5, 0.5, shape[1], shape[0])
+    depth_m = np.full(shape, 2.0, np.float32)
+    found = segment_planes(depth_m, camera)
+    assert_consistent(found, depth_m)
+    assert len(found.planes) <= 1
+    for plane in found.planes:
+        np.testing.assert_allclose(plane.normal, [0, 0, -1], atol=1e-3)
+        assert plane.offset_m == pytest.approx(2, abs=1e-3)
+
+
+@pytest.mark.parametrize('absurd_m', [1e-20, 1e-6, 1e-3, 0.01, 1e6, 1e20])
+def test_one_absurd_pixel_changes_nothing_around_it(room, absurd_m):
+    depth_m = room(SEEDS[1]).depth_m.copy()
+    before = segment_planes(depth_m, VGA)
+    depth_m[100, 100] = absurd_m
+    after = segment_planes(depth_m, VGA)
+    assert len(after.planes) == len(before.planes)
+    assert (after.labels == before.labels).mean() > 0.99
+    np.testing.assert_allclose(plane_array(after), plane_array(before), atol=1e-3)
+
+
+@pytest.mark.filterwarnings('error')
+def test_depth_of_almost_zero_is_survived():
+    depth_m = np.full((480, 640), 1e-30, np.float32)
+    assert_consistent(segment_planes(depth_m, VGA), depth_m)
+
+
+@pytest.mark.filterwarnings('error')
+def test_garbage_depth_is_survived():
+    rng = np.random.default_rng(0)
+    depth_m = rng.choice(np.float32([np.nan, np.inf, -np.inf, -3, 0, 1e-20, 0.5, 2, 1e20]),
+                         (480, 640))
+    assert_consistent(segment_planes(depth_m, VGA), depth_m)
+
+
+def test_a_picture_of_twelve_million_pixels():
+    camera = CameraIntrinsics.from_field_of_view(4000, 3000, 60.0)
+    ray_y = (np.arange(3000)[:, None] - camera.cy) / camera.fy
+    ray_x = (np.arange(4000)[None, :] - camera.cx) / camera.fx
+    floor_m = 1.5 / np.maximum(ray_y, 1e-6)
+    wall_m = 5.0 / (1 + 0.3 * ray_x)
+    depth_m = np.minimum(floor_m, wall_m).astype(np.float32)
+    found = segment_planes(depth_m, camera)
+    assert len(found.planes) == 2
+    wall, floor = found.planes
+    assert floor.offset_m == pytest.approx(1.5, abs=1e-3)
+    assert wall.offset_m == pytest.approx(5 / np.hypot(1, 0.3), abs=2e-3)
+    np.testing.assert_array_equal(np.bincount(found.labels.ravel() + 1, minlength=3)[1:],
+                                  [wall.inlier_count, floor.inlier_count])
+    truth = (floor_m < wall_m).astype(int)
+    assert (found.labels == truth).mean() > 0.995
+
+
+def test_input_is_not_modified(room):
+    depth_m = room(SEEDS[0]).depth_m.copy()
+    depth_m[10:20] = np.nan
+    depth_m[30:40] = -1
+    before = depth_m.copy()
+    segment_planes(depth_m, VGA)
+    segment_disparity(depth_m, Config())
+    np.testing.assert_array_equal(depth_m, before)
+
+
+def test_read_only_input_is_enough(room):
+    depth_m = room(SEEDS[0]).depth_m.copy()
+    depth_m.flags.writeable = False
+    assert segment_planes(depth_m, VGA).planes
+
+
+def test_precision_and_layout_of_the_input_do_not_matter(room):
+    depth_m = room(SEEDS[1]).depth_m
+    padded = np.zeros((960, 1280), np.float32)
+    padded[::2, ::2] = depth_m
+    before = segment_planes(depth_m, VGA)
+    for same_m in (depth_m.astype(np.float64), np.asfortranarray(depth_m), padded[::2, ::2],
+                   depth_m.astype('>f4')):
+        found = segment_planes(same_m, VGA)
+        np.testing.assert_array_equal(found.labels, before.labels)
+        np.testing.assert_array_equal(plane_array(found), plane_array(before))
+
+
+def test_half_precision_is_depth_too(room):
+    depth_m = room(SEEDS[1]).depth_m.astype(np.float16)
+    found = segment_planes(depth_m, VGA)
+    assert_consistent(found, depth_m)
+    assert len(found.planes) >= 3
+
+
+@pytest.mark.parametrize('depth', [
+    np.ones((480, 640), np.uint16), np.ones((640, 480), np.float32), np.ones(4, np.float32)])
+def test_what_is_no_depth_image_is_refused(depth):
+    with pytest.raises(ValueError, match='depth'):
+        segment_planes(depth, VGA)

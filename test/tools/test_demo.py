@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The demo: its pictures, its files, its judgement, and a run of the real node over DDS."""
+
+from __future__ import annotations
+
+import array
+import csv
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector.geometry.projection import depth_to_points, points_to_pixels
+from plane_detector.tools.demo.photographs import (
+    LONGEST_SIDE_PX,
+    STATED_FIELD_OF_VIEW_DEG,
+    Lens,
+    Photograph,
+    folder_pictures,
+    library_pictures,
+    shrunk,
+)
+from plane_detector.tools.demo.sensor_comparison import depth_error, plane_errors
+from plane_detector.tools.ply import write_ply
+from plane_detector.types import CameraIntrinsics
+
+ROOT = Path(__file__).resolve().parents[2]
+CAMERA = CameraIntrinsics(100.0, 100.0, 79.5, 59.5, 160, 120)
+PLANE_FIELDS = [('normal_x', 'f4'), ('normal_y', 'f4'), ('normal_z', 'f4'), ('d', 'f4'),
+                ('label', 'u4')]
+
+
+@pytest.fixture(scope='module')
+def pictures():
+    pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
+    return {photograph.name: photograph for photograph in library_pictures()}
+
+
+def read_ply(path: Path) -> tuple[list[str], np.ndarray]:
+    head, _, body = path.read_bytes().partition(b'end_header\n')
+    types = {'float': '<f4', 'uchar': 'u1', 'int': '<i4'}
+    lines = head.decode().splitlines()
+    dtype = [(line.split()[2], types[line.split()[1]]) for line in lines
+             if line.startswith('property')]
+    return lines, np.frombuffer(body, dtype)
+
+
+def test_library_pictures_fit_their_intrinsics(pictures):
+    assert set(pictures) == {'china', 'stereo_motorcycle'}
+    for photograph in pictures.values():
+        size = photograph.intrinsics.height, photograph.intrinsics.width
+        assert photograph.rgb.shape == (*size, 3)
+        assert photograph.rgb.dtype == np.uint8
+    assert 'not calibrated' in pictures['china'].calibration
+
+
+def test_motorcycle_has_depth_by_its_published_calibration(pictures):
+    true_depth_m = pictures['stereo_motorcycle'].true_depth_m
+    from skimage.data import stereo_motorcycle
+    disparity_px = stereo_motorcycle()[2]
+    known = np.isfinite(disparity_px)
+    np.testing.assert_array_equal(np.isfinite(true_depth_m), known)
+    np.testing.assert_allclose(
+        true_depth_m[known], 994.978 * 0.193001 / (disparity_px[known] + 31.086), rtol=1e-5)
+
+
+def test_lens_without_calibration_is_the_stated_field_of_view():
+    intrinsics = Lens().intrinsics(640, 480)
+    half_deg = np.degrees(np.arctan(320 / intrinsics.fx))
+    assert half_deg == pytest.approx(STATED_FIELD_OF_VIEW_DEG / 2)
+    assert f'{STATED_FIELD_OF_VIEW_DEG:g} degrees' in str(Lens())
+
+
+def test_lens_fills_in_what_is_not_given():
+    assert Lens(fx=500).intrinsics(640, 480) == CameraIntrinsics(500, 500, 319.5, 239.5, 640, 480)
+    assert Lens(fx=500, fy=510, cx=0.0, cy=7).intrinsics(640, 480) == CameraIntrinsics(
+        500, 510, 0, 7, 640, 480)
+
+
+@pytest.mark.parametrize('wrong', [
+    {'cx': 3.0}, {'fy': 3.0}, {'fx': 500.0, 'field_of_view_deg': 60.0},
+    {'field_of_view_deg': 180.0}, {'field_of_view_deg': 0.0}])
+def test_contradictory_lens_is_refused(wrong):
+    with pytest.raises(ValueError, match='fx|field of view'):
+        Lens(**wrong)
+
+
+def test_shrinking_keeps_what_a_pixel_sees():
+    lens = CameraIntrinsics(2000.0, 1900.0, 1010.0, 700.0, 2000, 1500)
+    large = Photograph('x', np.zeros((1500, 2000, 3), np.uint8), lens, 'known')
+    small = shrunk(large)
+    assert small.rgb.shape == (600, LONGEST_SIDE_PX, 3)
+    point_m = np.array([0.3, -0.2, 2.0])
+    edges_px = (points_to_pixels(point_m, lens) + 0.5) * (LONGEST_SIDE_PX / 2000)
+    np.testing.assert_allclose(points_to_pixels(point_m, small.intrinsics) + 0.5, edges_px)
+    assert shrunk(small) is small
+
+
+def test_folder_pictures_are_read_in_order_as_rgb(tmp_path):
+    for name, colour_bgr in (('b.png', (255, 0, 0)), ('a.jpg', (0, 0, 255))):
+        cv2.imwrite(str(tmp_path / name), np.full((30, 40, 3), colour_bgr, np.uint8))
+    (tmp_path / 'notes.txt').write_text('no picture')
+    found = folder_pictures(tmp_path, Lens(fx=33.0))
+    assert [photograph.name for photograph in found] == ['a', 'b']
+    np.testing.assert_array_equal(found[1].rgb[0, 0], (0, 0, 255))
+    assert found[0].rgb[0, 0, 0] > 250
+    assert found[0].intrinsics == CameraIntrinsics(33, 33, 19.5, 14.5, 40, 30)
+
+
+def test_pictures_of_one_stem_keep_results_apart(tmp_path):
+    for name in ('a.jpg', 'a.png', 'b.png'):
+        cv2.imwrite(str(tmp_path / name), np.zeros((30, 40, 3), np.uint8))
+    names = [photograph.name for photograph in folder_pictures(tmp_path, Lens())]
+    assert names == ['a.jpg', 'a.png', 'b']
+
+
+def test_folder_without_pictures_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError, match='no picture'):
+        folder_pictures(tmp_path, Lens())
+    with pytest.raises(FileNotFoundError, match='no folder'):
+        folder_pictures(tmp_path / 'missing', Lens())
+
+
+def test_damaged_picture_is_named(tmp_path):
+    (tmp_path / 'broken.jpg').write_bytes(b'not a jpeg')
+    with pytest.raises(ValueError, match=r'broken\.jpg'):
+        folder_pictures(tmp_path, Lens())
+
+
+def test_ply_holds_the_valid_points(tmp_path):
+    points_m = np.arange(18, dtype=np.float32).reshape(2, 3, 3)
+    points_m[0, 1] = np.nan
+    rgb = np.arange(18, dtype=np.uint8).reshape(2, 3, 3) + 100
+    labels = np.array([[1, 2, 3], [0, 1, 2]], np.uint32)
+    assert write_ply(tmp_path / 'cloud.ply', points_m, rgb, labels) == 5
+    lines, vertices = read_ply(tmp_path / 'cloud.ply')
+    assert lines[:2] == ['ply', 'format binary_little_endian 1.0']
+    assert 'element vertex 5' in lines
+    np.testing.assert_array_equal(vertices['label'], [1, 3, 0, 1, 2])
+    np.testing.assert_array_equal(vertices['z'], [2, 8, 11, 14, 17])
+    assert vertices[1]['red'] == 106
+    assert vertices[1]['blue'] == 108
+
+
+def test_plane_errors_of_a_known_tilt_and_shift():
+    depth_m = np.full((120, 160), 2.0)
+    labels = np.ones((120, 160), np.uint32)
+    tilt = np.radians(5)
+    planes = np.array([(0, np.sin(tilt), -np.cos(tilt), 2.05, 1)], PLANE_FIELDS)
+    error, = plane_errors(planes, labels, depth_m, CAMERA)
+    assert error.normal_deg == pytest.approx(5, abs=1e-3)
+    assert error.offset_m == pytest.approx(0.05, abs=1e-6)
+    assert error.purity == 1
+    points_m = depth_to_points(depth_m, CAMERA).reshape(-1, 3)
+    distance_m = np.abs(points_m @ [0, np.sin(tilt), -np.cos(tilt)] + 2.05)
+    assert error.distance_m == pytest.approx(np.median(distance_m), abs=1e-5)
+
+
+def test_purity_tells_a_label_over_two_surfaces():
+    depth_m = np.full((120, 160), 2.0)
+    depth_m[:, 120:] = 3.0
+    planes = np.array([(0, 0, -1, 2.0, 4)], PLANE_FIELDS)
+    error, = plane_errors(planes, np.full((120, 160), 4, np.uint32), depth_m, CAMERA)
+    assert error.purity == pytest.approx(0.75)
+    assert error.normal_deg < 0.01
+    assert error.label == 4
+
+
+def test_plane_without_measured_pixels_is_left_out():
+    planes = np.array([(0, 0, -1, 2.0, 1)], PLANE_FIELDS)
+    nothing = np.full((120, 160), np.nan)
+    assert plane_errors(planes, np.ones((120, 160), np.uint32), nothing, CAMERA) == []
+    assert np.isnan(depth_error(np.ones((3, 3)), np.full((3, 3), np.nan))).all()
+
+
+def test_depth_error_of_a_scaled_depth():
+    true_m = np.linspace(1, 5, 100)
+    assert depth_error(1.1 * true_m, true_m) == (pytest.approx(0.1), pytest.approx(1.1))
+
+
+def test_cloud_from_msg_follows_the_fields():
+    pytest.importorskip('rclpy')
+    from sensor_msgs.msg import PointCloud2, PointField
+
+    from plane_detector.tools.demo.node_client import cloud_from_msg
+    dtype = np.dtype({'names': ['x', 'label'], 'formats': ['<f4', '<u4'], 'offsets': [0, 8],
+                      'itemsize': 16})
+    cloud = np.zeros((2, 3), dtype)
+    cloud['x'], cloud['label'] = np.arange(6).reshape(2, 3), 7
+    msg = PointCloud2(height=2, width=3, point_step=16, row_step=48, fields=[
+        PointField(name='x', offset=0, datatype=PointField.FLOAT32, count=1),
+        PointField(name='label', offset=8, datatype=PointField.UINT32, count=1)])
+    msg.data = array.array('B', cloud.tobytes())
+    decoded = cloud_from_msg(msg)
+    np.testing.assert_array_equal(decoded['x'], cloud['x'])
+    assert (decoded['label'] == 7).all()
+
+
+def test_demo_runs_the_node_over_dds(tmp_path, pictures):
+    pytest.importorskip('rclpy')
+    run = subprocess.run(
+        [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
+         str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=240)
+    assert run.returncode == 0, run.stderr
+    assert 'frames per second' in run.stdout
+    assert 'segmentation' in run.stdout
+    name = 'stereo_motorcycle_depth_topic'
+    rgb = pictures['stereo_motorcycle'].rgb
+    figure = cv2.imread(str(tmp_path / f'{name}.png'))
+    assert figure.shape[0] > 2 * rgb.shape[0]
+    assert figure.shape[1] > 2 * rgb.shape[1]
+    with open(tmp_path / f'{name}.csv', newline='') as file:
+        planes = list(csv.DictReader(file))
+    floor = planes[0]
+    assert float(floor['normal_y']) < -0.9
+    assert 0.9 < float(floor['d']) < 1.2
+    vertices = read_ply(tmp_path / f'{name}.ply')[1]
+    assert len(vertices) == np.isfinite(pictures['stereo_motorcycle'].true_depth_m).sum()
+    assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
+
+
+@pytest.mark.parametrize('arguments, reason', [
+    (['--images', '.'], 'demo: no picture in'), (['--fx', '525'], 'demo: a calibration')])
+def test_demo_says_what_is_wrong(tmp_path, arguments, reason):
+    pytest.importorskip('rclpy')
+    run = subprocess.run(
+        [sys.executable, '-m', 'plane_detector.tools.demo', *arguments], cwd=tmp_path,
+        capture_output=True, text=True, timeout=60,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    assert run.returncode == 1
+    assert run.stderr.strip().startswith(reason)

@@ -1,0 +1,235 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Bags in and bags out: every format, the truth, the options."""
+
+import array
+import csv
+import shutil
+import signal
+
+import cv2
+import numpy as np
+import pytest
+from bags import FORMATS, ROS1, messages_of, read_bag, write_bag
+from onnx_models import millimetres_as_rgb, write_depth_network
+from rclpy.parameter import Parameter
+from replay_helpers import (
+    CAMERA,
+    DEPTH,
+    IMAGE,
+    INFO,
+    START_S,
+    assert_true,
+    camera_messages,
+    planes_of,
+    stamp_s,
+    stamps_of,
+    time_ns,
+)
+from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
+from sensor_msgs.msg import CompressedImage, Image
+
+from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.tools.replay.bag_reader import BagReader, to_message
+from plane_detector.tools.replay.bag_topics import input_class
+
+FLOORLESS = '/plane_detector/points_without_floor'  # only where gravity is known
+
+
+@pytest.mark.parametrize('bag_format', [*FORMATS, ROS1])
+def test_planes_of_every_format_are_true(tmp_path, scenes, replay, bag_format):
+    source = write_bag(tmp_path / f'walk_{bag_format}', camera_messages(scenes), bag_format)
+    code, target, text = replay(source)
+    assert code == 0, text
+    written = read_bag(target)
+    assert set(written) == {f'/plane_detector/{name}' for name in OUTPUTS} - {FLOORLESS}
+    assert all(len(messages) == len(scenes) for messages in written.values())
+    assert_true(target, scenes)
+    assert f'{len(scenes)} frames in' in text
+
+
+@pytest.mark.parametrize('options', [
+    ('--storage', 'sqlite3'), ('--compress',), ('--storage', 'sqlite3', '--compress')])
+def test_the_new_bag_in_other_formats(bag, scenes, replay, options):
+    code, target, _ = replay(bag, *options)
+    assert code == 0
+    assert_true(target, scenes)
+
+
+def test_depth_from_a_network_and_compressed_pictures(tmp_path, scenes, replay):
+    """The network reads millimetres out of the colours, which png keeps."""
+    messages = [(INFO, time_ns(0) - 1000, camera_info_msg(CAMERA, stamp_s(0)))]
+    for index, scene in enumerate(scenes):
+        png = cv2.imencode('.png', millimetres_as_rgb(scene.depth_m)[..., ::-1])[1]
+        msg = CompressedImage(header=header(stamp_s(index)), format='rgb8; png compressed bgr8')
+        msg.data = array.array('B', png.tobytes())
+        messages.append((f'{IMAGE}/compressed', time_ns(index), msg))
+    network = write_depth_network(tmp_path / 'depth.onnx', height=120, width=160)
+    code, target, text = replay(
+        write_bag(tmp_path / 'walk', messages), '-p', f'depth.model:={network}',
+        '-p', 'depth.output:=metric_depth', '-p', 'depth.mean:=[0.0, 0.0, 0.0]',
+        '-p', 'depth.std:=[1.0, 1.0, 1.0]', depth='')
+    assert code == 0, text
+    assert_true(target, scenes)
+
+
+def test_a_plane_keeps_its_label(bag, scenes, replay):
+    _, target, _ = replay(bag)
+    seen = {}
+    for scene, msg in zip(scenes, messages_of(target, '/plane_detector/labels', Image),
+                          strict=True):
+        pixels = np.frombuffer(msg.data, '<u2').reshape(scene.labels.shape)
+        for k, rectangle in enumerate(scene.rectangles):
+            if (scene.labels == k).mean() > 0.03:
+                label = np.bincount(pixels[scene.labels == k]).argmax()
+                seen.setdefault(rectangle, set()).add(label)
+    assert len(seen) >= 4
+    assert all(len(labels) == 1 for labels in seen.values())
+
+
+def test_the_live_node_gives_the_same(bag, scenes, replay):
+    """Its frames are published one at a time, so that it has the time to see all of them."""
+    _, target, _ = replay(bag)
+    robot = Robot()
+    try:
+        node = PlaneDetectorNode(context=robot.context, parameter_overrides=[
+            Parameter('depth.source', value='topic')])
+        robot.add(node)
+        assert robot.spin(lambda: node.state == 'active'), robot.log()
+        names = {IMAGE: 'image', INFO: 'camera_info', DEPTH: 'depth'}
+        with BagReader(bag) as reader:
+            for index, recorded in enumerate(reader.read(list(names))):
+                robot.publish(names[recorded.topic],
+                              to_message(recorded, input_class(reader, recorded.topic)))
+                if (index + 1) % len(names) == 0:
+                    robot.wait_for('planes', (index + 1) // len(names))
+        for name in ('planes', 'points', 'labels', 'markers', 'plane_poses'):
+            live = robot.wait_for(name, len(scenes))
+            assert live == messages_of(target, f'/plane_detector/{name}', OUTPUTS[name].msg_type)
+    finally:
+        robot.shutdown()
+
+
+def test_inputs_are_copied_on_request(bag, replay):
+    _, target, _ = replay(bag, '--copy')
+    source, copied = read_bag(bag), read_bag(target)
+    assert {topic: copied[topic] for topic in source} == source
+
+
+def test_other_topics_are_copied_by_name_whatever_their_type(tmp_path, scenes, replay):
+    messages = camera_messages(scenes) + [('/bumper', time_ns(2), 'bang')]
+    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
+    code, target, text = replay(source, '--copy', '/bumper')
+    assert code == 0, text
+    assert read_bag(target)['/bumper'] == read_bag(source)['/bumper']
+    assert IMAGE not in read_bag(target)
+    code, _, text = replay(source, '--copy', '/nothing')
+    assert code == 1
+
+
+def test_part_of_a_bag(bag, replay):
+    _, target, _ = replay(bag, '--start', 0.05, '--duration', 0.2)
+    assert stamps_of(planes_of(target)) == [0.1, 0.2]
+
+
+@pytest.mark.parametrize('asked', [
+    ('--start', 5), ('--start', 0.1, '--duration', 0), ('--start', 0.11, '--duration', 0.05),
+    ('--start', 1e300)])
+def test_a_part_without_pictures_is_told_and_nothing_is_written(bag, replay, tmp_path, asked):
+    code, target, text = replay(bag, *asked, '--figures', tmp_path / 'figures')
+    assert code == 1
+    asked_for = ' '.join(f'{word:g}' if isinstance(word, float) else str(word) for word in asked)
+    assert text.startswith(f'replay: {bag} spans 0 to 0.300 s, and in what is asked for, '
+                           f'{asked_for}')
+    assert text.count('\n') == 1
+    assert list(tmp_path.iterdir()) == [bag], target
+
+
+def test_every_nth_frame_and_chosen_outputs(bag, replay):
+    _, target, _ = replay(bag, '--every', 2, '--outputs', 'planes', 'labels')
+    assert stamps_of(planes_of(target)) == [0.0, 0.2]
+    assert set(read_bag(target)) == {'/plane_detector/planes', '/plane_detector/labels'}
+
+
+def test_a_calibration_that_comes_once_serves_all_pictures(tmp_path, scenes, replay):
+    """Even those from before it, and those after a late start."""
+    messages = [entry for entry in camera_messages(scenes) if entry[0] != INFO]
+    messages.insert(5, (INFO, time_ns(1) + 3000, camera_info_msg(CAMERA, stamp_s(1))))
+    source = write_bag(tmp_path / 'walk', messages)
+    _, target, _ = replay(source)
+    assert_true(target, scenes)
+    shutil.rmtree(target)
+    _, target, _ = replay(source, '--start', 0.25)
+    assert stamps_of(planes_of(target)) == [0.3]
+
+
+def test_figures_clouds_and_table(bag, scenes, replay, tmp_path):
+    code, target, _ = replay(bag, '--figures', tmp_path / 'figures', '--ply', tmp_path / 'ply',
+                             '--csv', tmp_path / 'planes.csv', '--outputs', 'labels')
+    assert code == 0
+    assert set(read_bag(target)) == {'/plane_detector/labels'}
+    names = [f'{index:06d}' for index in range(len(scenes))]
+    assert sorted(path.stem for path in (tmp_path / 'figures').iterdir()) == names
+    assert sorted(path.stem for path in (tmp_path / 'ply').iterdir()) == names
+    figure = cv2.imread(str(tmp_path / 'figures' / '000000.jpg'))
+    assert figure.shape[1] >= 3 * CAMERA.width
+    assert (tmp_path / 'ply' / '000000.ply').read_bytes().startswith(b'ply\n')
+    with open(tmp_path / 'planes.csv', encoding='utf-8') as file:
+        rows = list(csv.DictReader(file))
+    assert {row['frame'] for row in rows} == {str(index) for index in range(len(scenes))}
+    assert float(rows[0]['stamp']) == START_S
+    assert all(float(row['d']) >= 0 and int(row['label']) >= 1 for row in rows)
+
+
+def test_parameters_from_a_file(bag, replay, tmp_path):
+    file = tmp_path / 'parameters.yaml'
+    file.write_text('/**:\n  ros__parameters:\n    use_sim_time: true\n    segmentation:\n'
+                    '      max_planes: 1\nother_node:\n  ros__parameters:\n    speed: 3\n')
+    _, target, _ = replay(bag, '--params-file', file)
+    assert all(msg.width == 1 for msg in planes_of(target))
+
+
+def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
+    """The network's relative disparity is 3 / z: its unit is that of the depth topic."""
+    messages = camera_messages(scenes)
+    for (_, _, msg), scene in zip(messages[::3], scenes, strict=True):
+        msg.data = image_msg(millimetres_as_rgb(3 / scene.depth_m), 'rgb8').data
+    network = write_depth_network(tmp_path / 'disparity.onnx', height=120, width=160)
+    code, target, text = replay(
+        write_bag(tmp_path / 'walk', messages), '-p', 'depth.source:=model',
+        '-p', f'depth.model:={network}', '-p', 'depth.output:=relative_disparity',
+        '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]')
+    assert code == 0, text
+    assert f'Reading {IMAGE}, {INFO}, {DEPTH}' in text
+    for scene, msg in zip(scenes, planes_of(target), strict=True):
+        offsets_m = cloud_array(msg)[0]['d'][:3]
+        assert (np.abs(offsets_m[:, None] - scene.planes[:, 3]).min(axis=1) < 0.05).all()
+
+
+@pytest.mark.parametrize('options, told', [
+    (('-p', 'segmentation.max_plane:=1'), 'unknown parameter segmentation.max_plane'),
+    (('-p', 'segmentation.max_planes:=0'), 'max_planes must be in'),
+    (('-p', 'segmentation.max_planes=1'), 'NAME:=VALUE'),
+    (('--params-file', 'nowhere.yaml'), 'nowhere.yaml')])
+def test_wrong_parameters_are_told(bag, replay, options, told):
+    code, target, text = replay(bag, *options)
+    assert (code, target.exists()) == (1, False)
+    assert told in text
+
+
+def test_an_interrupted_replay_leaves_a_bag_of_what_was_done(bag, replay, monkeypatch):
+    process = FrameProcessor.process
+
+    def interrupted(self, frame, wanted):
+        if frame.image.header.stamp.nanosec:
+            signal.raise_signal(signal.SIGINT)
+        return process(self, frame, wanted)
+
+    monkeypatch.setattr(FrameProcessor, 'process', interrupted)
+    code, target, text = replay(bag)
+    assert code == 130
+    assert 'interrupted' in text
+    assert stamps_of(planes_of(target)) == [0.0, 0.1]
+    assert {len(messages) for messages in read_bag(target).values()} == {2}

@@ -1,0 +1,200 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay takes out of a bag, and what can be wrong with one."""
+
+import shutil
+import sys
+
+import numpy as np
+import pytest
+from bags import CUSTOM_TYPE, ROS1, write_bag
+from replay_helpers import (
+    DEPTH,
+    IMAGE,
+    INFO,
+    assert_true,
+    camera_messages,
+    planes_of,
+    stamp_s,
+    stamps_of,
+    time_ns,
+)
+from ros_helpers import image_msg
+
+
+def test_a_frame_that_cannot_be_used_is_told_and_left_out(tmp_path, scenes, replay):
+    messages = camera_messages(scenes)
+    messages[3][2].encoding = 'rainbow'
+    code, target, text = replay(write_bag(tmp_path / 'walk', messages))
+    assert code == 0
+    assert stamps_of(planes_of(target)) == [0.0, 0.2, 0.3]
+    assert "1 frames skipped: image encoding 'rainbow' is not known" in text
+
+
+def test_no_planes_are_claimed_where_no_frame_could_be_used(tmp_path, scenes, replay):
+    messages = camera_messages(scenes[:1])
+    messages[0][2].encoding = 'rainbow'
+    code, _, text = replay(write_bag(tmp_path / 'walk', messages))
+    assert code == 1
+    assert 'no frame could be processed' in text
+    assert 'The planes are in' not in text
+
+
+def test_pictures_without_depth_are_counted(tmp_path, scenes, replay):
+    messages = [entry for index, entry in enumerate(camera_messages(scenes)) if index != 5]
+    code, target, text = replay(write_bag(tmp_path / 'walk', messages))
+    assert code == 0
+    assert stamps_of(planes_of(target)) == [0.0, 0.2, 0.3]
+    assert '1 pictures had no calibration or depth' in text
+
+
+def test_depth_of_the_pictures_frame_is_found(tmp_path, scenes, replay):
+    other = camera_messages(scenes)
+    for entry in other:
+        entry[2].header.frame_id = 'another_frame'
+    messages = camera_messages(scenes) + [
+        ('/other/depth', when, msg) for topic, when, msg in other if topic == DEPTH]
+    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
+    code, target, text = replay(source, '-p', 'depth.source:=topic', depth='')
+    assert code == 0, text
+    assert_true(target, scenes)
+
+
+def test_of_several_pictures_the_rectified_colour_one_is_taken(tmp_path, scenes, replay):
+    messages = camera_messages(scenes)
+    for index, scene in enumerate(scenes):
+        for name, pixels, encoding in (('/cam/image_rect', scene.rgb, 'rgb8'),
+                                       ('/cam/grey_rect', scene.rgb[..., 0], 'mono8')):
+            messages.append((name, time_ns(index) + 3000,
+                             image_msg(np.ascontiguousarray(pixels), encoding, stamp_s(index))))
+    code, _, text = replay(write_bag(tmp_path / 'walk', messages))
+    assert code == 0
+    assert 'Reading /cam/image_rect, /cam/camera_info, /cam/depth' in text
+
+
+def test_of_two_cameras_one_must_be_named(tmp_path, scenes, replay):
+    right = ('/right/image_raw', '/right/camera_info', '/right/depth')
+    messages = camera_messages(scenes) + camera_messages(scenes, names=right)
+    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
+    code, target, text = replay(source)
+    assert (code, target.exists()) == (1, False)
+    assert '/cam/image_raw, /right/image_raw may all be meant: say which by --image' in text
+    code, _, text = replay(source, '--image', right[0], depth=right[2])
+    assert code == 0
+    assert f'Reading {", ".join(right)}' in text
+
+
+@pytest.mark.parametrize('options, told', [
+    (('--image', '/cam/picture'), 'there is no topic /cam/picture, as --image says'),
+    (('--image', '/bumper'), f'/bumper is of type {CUSTOM_TYPE}, but --image must be '
+                             'sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage'),
+    (('--camera-info', IMAGE), '--camera-info must be sensor_msgs/msg/CameraInfo')])
+def test_wrong_topics_are_told_with_what_is_there(tmp_path, scenes, replay, options, told):
+    messages = [*camera_messages(scenes), ('/bumper', time_ns(9), 'bang')]
+    code, target, text = replay(write_bag(tmp_path / 'walk', messages), *options)
+    assert (code, target.exists()) == (1, False)
+    assert told in text
+    for topic in (IMAGE, INFO, DEPTH, '/bumper'):
+        assert topic in text.partition('holds')[2]
+    assert f'{CUSTOM_TYPE}, 1 messages' in text
+
+
+@pytest.mark.parametrize('missing, told', [
+    (IMAGE, 'no topic for --image'), (INFO, 'no topic for --camera-info'),
+    (DEPTH, 'no topic for --depth')])
+def test_missing_topics_are_told(tmp_path, scenes, replay, missing, told):
+    messages = [entry for entry in camera_messages(scenes) if entry[0] != missing]
+    source = write_bag(tmp_path / 'walk', messages)
+    code, target, text = replay(source, '-p', 'depth.source:=topic', depth='')
+    assert (code, target.exists()) == (1, False)
+    assert told in text
+
+
+def damaged(tmp_path, scenes, kind):
+    bag_format = {'sqlite3': 'sqlite3', 'ros1': ROS1}.get(kind.split('_')[0], 'mcap')
+    path = write_bag(tmp_path / f'walk_{bag_format}', camera_messages(scenes), bag_format)
+    if kind == 'metadata':
+        (path / 'metadata.yaml').write_text('rosbag2_bagfile_information: {version: 5')
+        return path
+    file = path if path.is_file() else next(p for p in path.iterdir() if p.suffix != '.yaml')
+    data = file.read_bytes()
+    if kind.endswith('cut'):
+        file.write_bytes(data[:len(data) // 2])
+    elif kind.endswith('garbled'):
+        file.write_bytes(b'\x5a' * len(data))
+    elif kind.endswith('gone'):
+        file.unlink()
+    return path
+
+
+@pytest.mark.parametrize('kind', ['mcap_cut', 'mcap_garbled', 'mcap_gone', 'sqlite3_cut',
+                                  'sqlite3_garbled', 'ros1_cut', 'ros1_garbled', 'metadata'])
+def test_damaged_bags_are_told_in_one_line(tmp_path, scenes, replay, kind):
+    source = damaged(tmp_path, scenes, kind)
+    code, _, text = replay(source)
+    assert code == 1
+    assert text.startswith(f'replay: {source} cannot be read: ')
+    assert text.count('\n') == 1
+    assert 'There is ' in text
+
+
+def test_a_bag_that_breaks_off_leaves_what_was_read(tmp_path, scenes, replay):
+    """A record in the middle is garbled, the index at the end is whole."""
+    source = write_bag(tmp_path / ROS1, camera_messages(scenes), ROS1)
+    data = bytearray(source.read_bytes())
+    pixels = bytes(data).rindex(scenes[2].depth_m.tobytes())
+    data[pixels - 120:pixels] = b'\xff' * 120
+    source.write_bytes(bytes(data))
+    code, target, text = replay(source)
+    assert code == 1
+    assert 'Traceback' not in text
+    assert stamps_of(planes_of(target)) == [0.0, 0.1]
+
+
+@pytest.mark.parametrize('bag_format', ['mcap', 'sqlite3'])
+def test_a_recording_without_metadata_and_a_single_file_are_read(
+        tmp_path, scenes, replay, bag_format):
+    folder = write_bag(tmp_path / 'walk', camera_messages(scenes), bag_format)
+    (folder / 'metadata.yaml').unlink()
+    code, target, _ = replay(folder)
+    assert code == 0
+    assert_true(target, scenes)
+    shutil.rmtree(target)
+    (file,) = folder.iterdir()
+    assert replay(file)[0] == 0
+
+
+def test_what_is_no_bag_is_told(tmp_path, replay):
+    (tmp_path / 'folder').mkdir()
+    (tmp_path / 'folder' / 'notes.txt').write_text('no bag')
+    (tmp_path / 'walk.avi').write_bytes(b'RIFF')
+    for name, told in (('nowhere', 'there is no bag'), ('folder', 'There is notes.txt (6 bytes)'),
+                       ('walk.avi', 'is no bag')):
+        code, _, text = replay(tmp_path / name)
+        assert code == 1
+        assert told in text
+
+
+def test_an_empty_bag_is_told(tmp_path, replay):
+    code, _, text = replay(write_bag(tmp_path / 'empty', []))
+    assert code == 1
+    assert 'holds no topic' in text
+
+
+def test_nothing_is_overwritten(bag, replay, tmp_path):
+    (tmp_path / 'planes').mkdir()
+    code, target, text = replay(bag)
+    assert code == 1
+    assert 'is there already' in text
+    assert list(target.iterdir()) == []
+
+
+def test_without_rosbags_it_says_what_to_install(bag, replay, monkeypatch):
+    modules = ('rosbags', 'plane_detector.tools.replay.bag_',
+               'plane_detector.tools.replay.run')
+    for name in [name for name in sys.modules if name.startswith(modules)]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, 'rosbags', None)
+    code, _, text = replay(bag)
+    assert code == 1
+    assert 'pip install rosbags' in text

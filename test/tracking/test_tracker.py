@@ -1,0 +1,295 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Labels from picture to picture: by hand, on a camera that walks through a room, on real ones."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector.config import TrackingConfig
+from plane_detector.evaluation.scenes.rooms import (
+    box,
+    camera_rotation,
+    render,
+    with_disparity_noise,
+)
+from plane_detector.segmentation.segment import segment_planes
+from plane_detector.tracking.camera_motion import NO_MOTION, PlaneMotion, estimate_motion
+from plane_detector.tracking.tracker import PlaneTracker
+from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
+
+CAMERA = CameraIntrinsics(200.0, 200.0, 159.5, 119.5, 320, 240)
+SHAPE = (120, 160)
+COVARIANCE = np.diag([1e-6, 1e-6, 1e-6, 1e-6])
+FRAME_RATE_HZ = 30.0
+WALK_M_S, TURN_DEG_S = 1.2, 45.0
+
+
+def plane(normal, distance_m, at=(0.0, 0.0, 2.0), area_m2=1.0):
+    """Return a plane at a distance from the camera, its centroid near a point."""
+    normal = np.asarray(normal, float) / np.linalg.norm(normal)
+    centroid_m = np.asarray(at, float)
+    centroid_m = centroid_m - (centroid_m @ normal + distance_m) * normal
+    return Plane(normal, distance_m, centroid_m, 100, 0.001, area_m2, COVARIANCE, 1.0)
+
+
+FLOOR = plane([0, -1, 0], 1.4, (0, 1.4, 2))
+LEFT = plane([1, 0, 0], 1.5, (-1.5, 0, 2.5))
+BACK = plane([0, 0, -1], 4.0, (0, 0, 4))
+BOX = plane([0.2, 0, -1], 2.0, (0.5, 0.5, 2), 0.2)
+PATCHES = (np.s_[80:, :], np.s_[:80, :60], np.s_[:80, 60:], np.s_[50:90, 90:130])
+
+
+def picture(*planes, patches=PATCHES, shape=SHAPE):
+    """Return a segmentation in which each plane fills its patch; later ones lie before."""
+    labels = np.full(shape, -1, np.int32)
+    for index, patch in zip(range(len(planes)), patches, strict=False):
+        labels[patch] = index
+    return PlaneSegmentation(planes, labels, 0.001)
+
+
+ROOM = picture(FLOOR, LEFT, BACK, BOX)
+
+
+def labels_of(tracker, segmentation):
+    return tracker.update(segmentation)[1]
+
+
+def test_new_planes_are_counted_from_one():
+    assert labels_of(PlaneTracker(), ROOM) == (1, 2, 3, 4)
+
+
+def test_labels_follow_the_plane_and_not_the_order():
+    tracker = PlaneTracker()
+    tracker.update(ROOM)
+    turned = picture(BOX, BACK, FLOOR, LEFT,
+                     patches=(PATCHES[3], PATCHES[2], PATCHES[0], PATCHES[1]))
+    turned.labels[PATCHES[3]] = 0
+    assert labels_of(tracker, turned) == (4, 3, 1, 2)
+
+
+def test_without_planes_there_are_no_labels_and_the_old_ones_stay():
+    tracker = PlaneTracker()
+    tracker.update(ROOM)
+    assert labels_of(tracker, picture()) == ()
+    assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
+
+
+def test_a_plane_missed_for_a_while_comes_back_under_its_label():
+    tracker = PlaneTracker(TrackingConfig(keep_frames=5))
+    tracker.update(ROOM)
+    for _ in range(5):
+        assert labels_of(tracker, picture(FLOOR, LEFT, BACK)) == (1, 2, 3)
+    assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
+
+
+def test_a_label_is_free_once_its_plane_is_forgotten():
+    tracker = PlaneTracker(TrackingConfig(keep_frames=3))
+    tracker.update(ROOM)
+    for _ in range(4):
+        tracker.update(picture(FLOOR, LEFT, BACK))
+    other = plane([0, -1, -1], 3.0, (1, 0, 3))
+    assert labels_of(tracker, picture(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 4)
+
+
+def test_the_label_of_a_missed_plane_is_not_given_away():
+    tracker = PlaneTracker(TrackingConfig(keep_frames=3))
+    tracker.update(ROOM)
+    tracker.update(picture(FLOOR, LEFT, BACK))
+    other = plane([0, -1, -1], 3.0, (1, 0, 3))
+    assert labels_of(tracker, picture(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 5)
+
+
+@pytest.mark.parametrize('stranger', [
+    plane([0, 0, -1], 3.2, (0, 0, 3.2)), plane([0, 0, -1], 5.0, (0, 0, 5)),
+    plane([1, 0, -1], 3.0, (0, 0, 4)), plane([0, 1, 0], 1.2, (0, -1.2, 4))])
+def test_another_plane_at_the_same_pixels_gets_another_label(stranger):
+    tracker = PlaneTracker()
+    tracker.update(ROOM)
+    assert labels_of(tracker, picture(FLOOR, LEFT, stranger, BOX)) == (1, 2, 5, 4)
+
+
+def test_parts_of_one_plane_are_told_apart_by_their_pixels():
+    tracker = PlaneTracker()
+    patches = (np.s_[:, :60], np.s_[:, 100:])
+    left, right = plane([0, 0, -1], 3.0, (-1, 0, 3)), plane([0, 0, -1], 3.0, (1, 0, 3))
+    assert labels_of(tracker, picture(left, right, patches=patches)) == (1, 2)
+    assert labels_of(tracker, picture(right, left, patches=patches[::-1])) == (2, 1)
+    assert labels_of(tracker, picture(right, patches=patches[1:])) == (2,)
+
+
+@pytest.mark.parametrize('factor', [0.4, 0.9, 1.3, 5.0])
+def test_a_change_of_unit_changes_no_label(factor):
+    tracker = PlaneTracker()
+    tracker.update(ROOM)
+    unit = PlaneMotion(np.eye(3), np.zeros(3), factor)
+    assert labels_of(tracker, replace(ROOM, planes=tuple(map(unit.move, ROOM.planes)))) == (
+        1, 2, 3, 4)
+
+
+def test_a_turn_changes_no_label_where_no_pixel_is_shared():
+    """A slow network sees a turning camera at 20 degrees a picture; the small plane moves away."""
+    tracker = PlaneTracker()
+    tracker.update(ROOM)
+    motion = PlaneMotion(cv2.Rodrigues(np.radians([0.0, 20.0, 0.0]))[0],
+                         np.array([0.05, 0.0, 0.1]), 1.0)
+    moved = picture(*map(motion.move, ROOM.planes),
+                    patches=(np.s_[80:, :], np.s_[:80, :90], np.s_[:80, 90:],
+                             np.s_[50:90, 132:160]))
+    assert labels_of(tracker, moved) == (1, 2, 3, 4)
+
+
+def test_another_picture_size_and_reset_start_anew():
+    tracker = PlaneTracker()
+    tracker.update(picture(BACK, BOX))
+    tracker.update(picture(FLOOR, LEFT))
+    assert labels_of(tracker, picture(FLOOR, LEFT)) == (3, 4)
+    assert labels_of(tracker, picture(FLOOR, LEFT, shape=(240, 320))) == (1, 2)
+    tracker.reset()
+    assert labels_of(tracker, picture(LEFT, FLOOR, shape=(240, 320))) == (1, 2)
+
+
+def test_labels_stay_small_and_unique_whatever_comes():
+    rng = np.random.default_rng(0)
+    tracker = PlaneTracker(TrackingConfig(keep_frames=2))
+    for _ in range(60):
+        planes = [plane(rng.normal(size=3), rng.uniform(0.1, 5), rng.normal(size=3))
+                  for _ in range(rng.integers(0, 6))]
+        segmentation = PlaneSegmentation(
+            tuple(planes), rng.integers(-1, max(len(planes), 1), SHAPE).astype(np.int32)
+            - (not planes), 0.001)
+        labels = labels_of(tracker, segmentation)
+        assert len(set(labels)) == len(labels) == len(planes)
+        assert all(1 <= label <= 5 * 4 for label in labels)
+
+
+def test_smoothing_takes_the_noise_and_leaves_the_changes():
+    rng = np.random.default_rng(1)
+    rough, smooth = [], []
+    tracker = PlaneTracker(TrackingConfig(smoothing=0.8))
+    for _ in range(60):
+        noisy = plane(BACK.normal + rng.normal(0, 1e-3, 3), 4 + rng.normal(0, 2e-3), (0, 0, 4))
+        (tracked,) = tracker.update(picture(noisy))[0].planes
+        assert np.linalg.norm(tracked.normal) == pytest.approx(1)
+        assert tracked.normal @ tracked.centroid_m + tracked.offset_m == pytest.approx(0)
+        rough.append(noisy.offset_m)
+        smooth.append(tracked.offset_m)
+    assert np.std(smooth[20:]) < 0.6 * np.std(rough[20:])
+    stepped, labels = tracker.update(picture(plane([0, 0, -1], 3.9, (0, 0, 3.9))))
+    assert labels == (1,)
+    assert stepped.planes[0].offset_m == 3.9
+
+
+def test_without_smoothing_the_planes_are_what_was_found():
+    tracker = PlaneTracker()
+    for _ in range(2):
+        tracked, _ = tracker.update(ROOM)
+        assert all(a is b for a, b in zip(tracked.planes, ROOM.planes, strict=True))
+        assert tracked.labels is ROOM.labels
+
+
+def test_motion_of_planes_that_fix_it():
+    truth = PlaneMotion(cv2.Rodrigues(np.radians([1.0, 3.0, -2.0]))[0],
+                        np.array([0.02, -0.01, 0.05]), 1.0)
+    before = [FLOOR, LEFT, BACK, BOX, plane([-1, -1, 0], 2.0, (1, 1, 3))]
+    motion = estimate_motion(before, list(map(truth.move, before)), np.ones(5))
+    turn = cv2.Rodrigues(motion.rotation @ truth.rotation.T)[0]
+    assert np.degrees(np.linalg.norm(turn)) < 0.2
+    assert np.linalg.norm(motion.translation_m - truth.translation_m) < 0.03
+    assert motion.scale == pytest.approx(1, abs=0.02)
+    assert estimate_motion([], [], np.zeros(0)) is NO_MOTION
+
+
+def test_a_wrong_pair_does_not_turn_the_camera():
+    before = [FLOOR, LEFT, BACK, BOX]
+    after = [FLOOR, LEFT, BACK, plane([1, 0, -1], 2.0)]
+    motion = estimate_motion(before, after, np.array([5.0, 3.0, 3.0, 1.0]))
+    assert np.degrees(np.linalg.norm(cv2.Rodrigues(motion.rotation)[0])) < 1.0
+
+
+def walk(frame_count):
+    """Yield rotation and place of a head that walks, sways and looks around."""
+    period_s = 1.5
+    for time_s in np.arange(frame_count) / FRAME_RATE_HZ:
+        sway = np.sin(2 * np.pi * 1.8 * time_s)
+        look = TURN_DEG_S * period_s / (2 * np.pi) * np.sin(2 * np.pi * time_s / period_s)
+        yield (camera_rotation(look, -20 + 2 * sway, 1.5 * sway),
+               np.array([2.3 + 0.03 * sway, 0.3 + WALK_M_S * time_s, 1.5 + 0.02 * sway]))
+
+
+@pytest.fixture(scope='module')
+def walked_room():
+    """A furnished room of 5 x 6 m, seen at every step of a walk."""
+    size = np.array([5.0, 6.0, 2.6])
+    furniture = [((0.9, 4.4, 0.45), (1.0, 1.6, 0.9), 0), ((4.1, 4.2, 0.4), (1.3, 0.9, 0.8), 20),
+                 ((3.4, 5.75, 1.0), (1.6, 0.5, 2.0), 0), ((1.3, 5.98, 1.6), (0.9, 0.04, 0.7), 0)]
+    rectangles = box(size / 2, size)
+    for center, extent, yaw_deg in furniture:
+        rectangles += box(np.array(center), np.array(extent), yaw_deg)
+    return [render(rectangles, rotation, place, CAMERA, np.random.default_rng(0))
+            for rotation, place in walk(45)]
+
+
+def label_switches(scenes, sigma, every=1):
+    """Return for each rectangle in view throughout how often its label changes."""
+    tracker, rng = PlaneTracker(), np.random.default_rng(2)
+    labels_seen, smallest = {}, {}
+    for scene in scenes[::every]:
+        depth_m = with_disparity_noise(scene.depth_m, sigma, rng) if sigma else scene.depth_m
+        found, track_labels = tracker.update(segment_planes(depth_m, CAMERA))
+        for truth, index in matches(scene, found).items():
+            labels_seen.setdefault(truth, []).append(track_labels[index])
+        for truth, rectangle in enumerate(scene.rectangles):
+            smallest.setdefault(rectangle, []).append((scene.labels == truth).sum())
+    throughout = [r for r, sizes in smallest.items()
+                  if len(sizes) == len(scenes[::every]) and min(sizes) > 0.01 * CAMERA.width
+                  * CAMERA.height and r in labels_seen]
+    return {r: int(np.count_nonzero(np.diff(labels_seen[r]))) for r in throughout}
+
+
+def matches(scene, found):
+    """Return found plane by rectangle, where it is found whole: their pixels overlap by 0.7."""
+    result = {}
+    for truth, rectangle in enumerate(scene.rectangles):
+        mask = scene.labels == truth
+        for index in np.unique(found.labels[mask & (found.labels >= 0)]):
+            other = found.labels == index
+            if (mask & other).sum() > 0.7 * (mask | other).sum():
+                result[int(rectangle)] = int(index)
+    return result
+
+
+@pytest.mark.parametrize('sigma', [0.0, 0.004])
+@pytest.mark.parametrize('every', [1, 3])
+def test_planes_in_view_keep_their_labels_while_the_camera_walks(walked_room, sigma, every):
+    switches = label_switches(walked_room, sigma, every)
+    assert len(switches) >= 6
+    assert not any(switches.values()), switches
+
+
+def test_planes_of_a_real_sequence_keep_their_labels(data_folder):
+    """Without true labels: planes that overlap by half in two pictures are the same."""
+    folder = data_folder / 'living_room'
+    camera = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
+    tracker, before, same, switched = PlaneTracker(), None, 0, 0
+    for path in sorted(folder.glob('*_depth.png')):
+        millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        depth_m = np.where(millimetres > 0, millimetres * np.float32(0.001), np.nan)
+        now = tracker.update(segment_planes(depth_m.astype(np.float32), camera))
+        if before is not None:
+            pairs = overlapping(before[0].labels, now[0].labels)
+            same += len(pairs)
+            switched += sum(before[1][i] != now[1][j] for i, j in pairs)
+        before = now
+    assert same > 500
+    assert switched <= 0.005 * same
+
+
+def overlapping(first, second):
+    """Return pairs of labels whose pixels overlap by more than half."""
+    first, second = first[::2, ::2], second[::2, ::2]
+    return [(i, j) for i in range(first.max() + 1) for j in np.unique(second[first == i])
+            if j >= 0 and ((first == i) & (second == j)).sum()
+            > 0.5 * ((first == i) | (second == j)).sum()]
