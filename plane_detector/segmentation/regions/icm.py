@@ -32,6 +32,8 @@ AGREEMENT = 1.5
 SURE_VOTES = 8
 # A plane competes for cells up to this many cells away from its own.
 REACH_CELLS = 2
+# derived: CV_CN_MAX of OpenCV 5 (512 in OpenCV 4); an array with more is no image to it.
+MOST_CHANNELS = 128
 
 
 def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: float,
@@ -89,9 +91,17 @@ def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
     # A cell on an edge says nothing itself: its neighbours decide.
     cost[~model.planar] = 0
     members = np.eye(count + 1, count, dtype=np.uint8)[patches.labels]
-    near = cv2.dilate(members, _square(REACH_CELLS)).reshape(-1, count)
+    near = _dilated_each(members).reshape(-1, count)
     np.copyto(cost[:, :count], cap, where=near == 0)
     return cost
+
+
+def _dilated_each(members: np.ndarray) -> np.ndarray:
+    """Return the members (R, C, K) uint8 of each plane, grown by the reach."""
+    starts = range(0, members.shape[2], MOST_CHANNELS)
+    parts = [cv2.dilate(np.ascontiguousarray(members[..., k:k + MOST_CHANNELS]),
+                        _square(REACH_CELLS)) for k in starts]
+    return np.concatenate([part.reshape(*members.shape[:2], -1) for part in parts], axis=2)
 
 
 def _unsettled(cost: np.ndarray, labels: np.ndarray) -> np.ndarray:
