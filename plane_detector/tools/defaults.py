@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters as a yaml file and as README tables, made from config.py.
+The parameters as a yaml file and as a table in the documentation, made from config.py.
 
     python -m plane_detector.tools.defaults --write
 """
@@ -46,7 +46,7 @@ def yaml_text() -> str:
     return '\n'.join(lines) + '\n'
 
 
-def readme_table() -> str:
+def parameter_table() -> str:
     """Return the parameters as a Markdown table."""
     lines = ['| parameter | default | unit | range | meaning |', '|---|---|---|---|---|']
     for group, settings in _groups():
@@ -58,9 +58,9 @@ def readme_table() -> str:
     return '\n'.join(lines) + '\n'
 
 
-def with_table(readme: str) -> str:
+def with_table(page: str) -> str:
     """
-    Return the README with its table of parameters made anew.
+    Return docs/parameters.md with its table of parameters made anew.
 
     Raises
     ------
@@ -68,11 +68,11 @@ def with_table(readme: str) -> str:
         The two comments that enclose the table are not there.
 
     """
-    head, begin, rest = readme.partition(_BEGIN)
+    head, begin, rest = page.partition(_BEGIN)
     _, end, tail = rest.partition(_END)
     if not (begin and end):
-        raise ValueError(f'the README lacks the lines {_BEGIN} and {_END}')
-    return f'{head}{_BEGIN}\n\n{readme_table()}\n{_END}{tail}'
+        raise ValueError(f'the page lacks the lines {_BEGIN} and {_END}')
+    return f'{head}{_BEGIN}\n\n{parameter_table()}\n{_END}{tail}'
 
 
 def _groups() -> Iterator[tuple[str, list[tuple[str, Any, Any]]]]:
@@ -115,14 +115,14 @@ def main() -> None:
     """Print the yaml file and the table, or write them to where they belong."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--write', action='store_true',
-                        help='write config/plane_detector.yaml and the table in README.md')
+                        help='write config/plane_detector.yaml and docs/parameters.md')
     if parser.parse_args().write:
-        readme = _ROOT / 'README.md'
+        page = _ROOT / 'docs' / 'parameters.md'
         (_ROOT / 'config' / 'plane_detector.yaml').write_text(yaml_text(), encoding='utf-8')
-        readme.write_text(with_table(readme.read_text(encoding='utf-8')), encoding='utf-8')
+        page.write_text(with_table(page.read_text(encoding='utf-8')), encoding='utf-8')
     else:
         print(yaml_text())
-        print(readme_table())
+        print(parameter_table())
 
 
 if __name__ == '__main__':

@@ -40,16 +40,16 @@ def test_yaml_file_is_as_generated():
     assert YAML.read_text(encoding='utf-8') == parameters.yaml_text(), 'run `make defaults`'
 
 
-def test_readme_table_is_as_generated():
-    readme = (ROOT / 'README.md').read_text(encoding='utf-8')
-    assert readme == parameters.with_table(readme), 'run `make defaults`'
+def test_table_is_as_generated():
+    page = (ROOT / 'docs' / 'parameters.md').read_text(encoding='utf-8')
+    assert page == parameters.with_table(page), 'run `make defaults`'
     for name in DEFAULTS:
-        assert readme.count(f'| `{name}` |') == 1
+        assert page.count(f'| `{name}` |') == 1
 
 
 def test_table_without_its_place_is_an_error():
     with pytest.raises(ValueError, match='lacks the lines'):
-        parameters.with_table('# a README without the comments')
+        parameters.with_table('# a page without the comments')
 
 
 def test_every_parameter_is_described():

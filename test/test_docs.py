@@ -1,0 +1,139 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What README.md and docs/ promise holds: links, commands, snippets, tables."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+README = ROOT / 'README.md'
+PAGES = [README, *sorted((ROOT / 'docs').glob('*.md'))]
+LINES = README.read_text(encoding='utf-8').splitlines()
+MOST_README_LINES = 150
+
+
+def text_of(page: Path) -> str:
+    return page.read_text(encoding='utf-8')
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf'```{language}\n(.*?)```', text_of(page), re.DOTALL)
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    """Return page and words of every command: of the shell blocks and of inline code."""
+    found = []
+    for page in PAGES:
+        inline = [code.replace('\n', ' ') for code in
+                  re.findall(r'(?<!`)`([^`]+)`(?!`)', re.sub(r'```.*?```', '', text_of(page),
+                                                             flags=re.DOTALL))]
+        lines = [line for block in blocks(page, 'bash')
+                 for line in block.replace('\\\n', ' ').splitlines()]
+        for line in [*lines, *inline]:
+            for part in re.split(r'\s*(?:&&|;|\|)\s*', line.split(' #')[0]):
+                try:
+                    words = shlex.split(part, comments=True)
+                except ValueError:
+                    continue
+                found += [(page.name, words)] if words else []
+    return found
+
+
+def uses(*start: str) -> list[tuple[str, list[str]]]:
+    """Return page and the words after each command that starts like this."""
+    return [(page, words[k + len(start):]) for page, words in commands()
+            for k in range(len(words)) if tuple(words[k:k + len(start)]) == start]
+
+
+def test_readme_is_short_with_image_and_command_early():
+    assert len(LINES) <= MOST_README_LINES
+    assert any(line.startswith('![') for line in LINES[:14])
+    assert any(line.startswith('make demo') for line in LINES[:29])
+
+
+@pytest.mark.parametrize('page', PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page):
+    for link in re.findall(r'\]\(([^)#]+)(?:#[^)]*)?\)', text_of(page)):
+        if '://' not in link:
+            assert (page.parent / link).exists(), link
+
+
+def test_every_page_is_linked_from_the_readme():
+    linked = set(re.findall(r'\]\(docs/([^)#]+)\)', text_of(README)))
+    assert {page.name for page in PAGES[1:]} <= linked
+
+
+def test_snippet_finds_the_wall_it_speaks_of(capsys):
+    snippet, = blocks(README, 'python')
+    names: dict = {}
+    exec(compile(snippet, 'README.md', 'exec'), names)
+    promised = [line.split('# ')[1] for line in snippet.splitlines() if 'print(' in line][:2]
+    assert capsys.readouterr().out.splitlines()[:2] == promised
+    assert len(names['found'].labels) == 480
+    assert len(names['found'].planes) == 1
+
+
+def test_make_targets_exist():
+    makefile = text_of(ROOT / 'Makefile')
+    used = [(page, words[1:]) for page, words in commands() if words[0] == 'make']
+    assert len(used) > 5
+    for page, words in used:
+        for target in [word for word in words if '=' not in word][:1]:
+            assert re.search(rf'^{target}:', makefile, re.MULTILINE), f'{page}: make {target}'
+
+
+def test_programs_are_entry_points():
+    setup = text_of(ROOT / 'setup.py')
+    used = uses('ros2', 'run', 'plane_detector')
+    assert len(used) > 2
+    for page, (program, *_) in used:
+        assert f"f'{program} = " in setup, f'{page}: {program}'
+
+
+def test_modules_that_are_started_exist():
+    used = [(page, words[0]) for page, words in uses('-m') if words]
+    assert len(used) > 2
+    for page, module in used:
+        assert importlib.util.find_spec(module), f'{page}: {module}'
+
+
+def test_launch_file_and_its_arguments_exist():
+    used = uses('ros2', 'launch', 'plane_detector')
+    assert used
+    for page, (name, *arguments) in used:
+        source = text_of(ROOT / 'launch' / name)
+        for argument in [word.split(':=')[0] for word in arguments if ':=' in word]:
+            assert f"'{argument}': (" in source, f'{page}: {argument}'
+
+
+def test_parameters_that_are_named_exist():
+    from plane_detector.config import Config, NodeConfig
+    from plane_detector.settings import parameters_of
+    known = {name for part in (NodeConfig(), Config()) for name, _, _ in parameters_of(part)}
+    groups = {name.split('.')[0] for name in known if '.' in name}
+    for page in PAGES:
+        for name in re.findall(r'`([a-z_]+\.[a-z_]+)(?::[^`]*)?`', text_of(page)):
+            if name.split('.')[0] in groups and not name.endswith(('.py', '.md')):
+                assert name in known, f'{page.name}: {name}'
+
+
+@pytest.mark.parametrize('page', [README, ROOT / 'docs' / 'topics.md'], ids=lambda page: page.name)
+def test_every_output_of_the_node_is_in_the_tables(page):
+    from plane_detector.ros.outputs.topics import OUTPUTS
+    for name, output in OUTPUTS.items():
+        rows = [line for line in text_of(page).splitlines() if line.startswith(f'| `~/{name}` |')]
+        assert len(rows) == 1, name
+        assert output.msg_type.__name__ in rows[0]
+
+
+def test_every_field_of_the_planes_is_in_the_table():
+    from plane_detector.ros.outputs.messages import PLANE_DTYPE
+    text = text_of(ROOT / 'docs' / 'topics.md')
+    for field in PLANE_DTYPE.names:
+        assert re.search(rf'^\|[^|]*`{field}`', text, re.MULTILINE), field
