@@ -34,7 +34,7 @@ setup(
     zip_safe=True,
     maintainer='The plane_detector authors',
     maintainer_email='maintainers@plane-detector.invalid',
-    description='Planes in the picture of one ordinary camera: labelled points and plane '
+    description='Planes from one ordinary camera: labelled points and plane '
                 'equations from monocular depth.',
     license='Apache-2.0',
     entry_points={'console_scripts': [

@@ -3,21 +3,21 @@
 """
 Every setting of the pipeline: one frozen dataclass per stage.
 
-This is the only place where a default lives. The ROS parameters, the yaml file and the
-README table are made from these fields; a field's metadata holds its description, unit,
-range and choices, and every instance is checked against them when it is made.
+A default is written here and nowhere else. The ROS parameters, the yaml file and the table in
+docs/parameters.md are made from these fields. The metadata of a field holds its description,
+unit, range and choices; every instance is checked against them when it is made.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from plane_detector.settings import Checked, setting
+from plane_detector.settings import Settings, setting
 
 
 @dataclass(frozen=True)
-class DepthConfig(Checked, section='depth'):
-    """Where depth comes from, and how the network is run."""
+class DepthConfig(Settings, section='depth'):
+    """Where depth comes from and how the network is run."""
 
     source: str = setting(
         'model', 'depth from the network (model) or from the depth topic (topic)',
@@ -31,39 +31,39 @@ class DepthConfig(Checked, section='depth'):
         'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'),
         read_only=True)
     input_width: int = setting(
-        0, 'width of the network input, which the picture is stretched to; 0: fixed by the '
+        0, 'width of the network input, which the image is stretched to; 0: fixed by the '
         'network or by short_side', 'px', 0, 8192, read_only=True)
     input_height: int = setting(
-        0, 'height of the network input, which the picture is stretched to; 0: fixed by the '
+        0, 'height of the network input, which the image is stretched to; 0: fixed by the '
         'network or by short_side', 'px', 0, 8192, read_only=True)
     short_side: int = setting(
-        0, 'short side of a network input of free size, the other keeps the aspect of the '
-        'picture; 0: the network\'s own', 'px', 0, 8192, read_only=True)
+        0, 'short side of a network input of free size, the other side keeps the aspect of the '
+        'image; 0: the network\'s own', 'px', 0, 8192, read_only=True)
     side_multiple: int = setting(
-        14, 'the sides of a network input of free size are multiples of this; a network of the '
-        'zoo brings its own', 'px', 1, 1024, read_only=True)
+        14, 'the sides of a network input of free size are multiples of this; ignored for '
+        'networks of the zoo', 'px', 1, 1024, read_only=True)
     mean: tuple[float, ...] = setting(
-        (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; a network of the zoo brings its '
-        'own', read_only=True)
+        (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; ignored for networks of the '
+        'zoo', read_only=True)
     std: tuple[float, ...] = setting(
-        (0.229, 0.224, 0.225), 'the scaled RGB less the mean is divided by this; a network of '
-        'the zoo brings its own', low=1e-6, read_only=True)
+        (0.229, 0.224, 0.225), 'the scaled RGB minus the mean is divided by this; ignored for '
+        'networks of the zoo', low=1e-6, read_only=True)
     input_scale: float = setting(
-        1.0 / 255.0, 'pixel values are multiplied with this first; a network of the zoo brings '
-        'its own', low=1e-9, read_only=True)
+        1.0 / 255.0, 'pixel values are multiplied by this first; ignored for networks of the '
+        'zoo', low=1e-9, read_only=True)
     max_depth: float = setting(
-        80.0, 'depth beyond this is taken as invalid', 'm', 0.01, 1e4)
+        80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
     damping: float = setting(
-        0.8, 'share of the disparity kept from the pictures before, while the camera stands still '
-        'and nothing moves, against flicker of the network; 0: none', '', 0.0, 0.99)
+        0.8, 'share of the disparity kept from earlier images while nothing moves, to reduce the '
+        'flicker of the network; 0: none', '', 0.0, 0.99)
     providers: tuple[str, ...] = setting(
-        ('CPUExecutionProvider',), 'ONNX Runtime execution providers, the first that runs is '
-        'taken', read_only=True)
+        ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
+        'runs is used', read_only=True)
     threads: int = setting(
         0, 'threads within one operator of the network, 0: ONNX Runtime\'s choice', '', 0, 256,
         read_only=True)
     cache_dir: str = setting(
-        '', 'folder of the downloaded networks, empty: $XDG_CACHE_HOME/plane_detector',
+        '', 'folder of the downloaded networks; empty: $XDG_CACHE_HOME/plane_detector',
         read_only=True)
 
     def __post_init__(self) -> None:
@@ -79,19 +79,19 @@ class DepthConfig(Checked, section='depth'):
 
 
 @dataclass(frozen=True)
-class ScaleConfig(Checked, section='scale'):
+class ScaleConfig(Settings, section='scale'):
     """From disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift."""
 
     method: str = setting(
         'auto', 'what fixes the unit of depth; auto: the first of metric, depth_topic, '
-        'camera_height, manhattan, fixed that the network, the inputs and the scene allow',
+        'camera_height, manhattan, fixed for which the network, the inputs and the scene suffice',
         choices=('auto', 'metric', 'depth_topic', 'camera_height', 'manhattan', 'fixed', 'none'))
     disparity_scale: float = setting(
         0.0, 'factor on the network\'s relative disparity, 0: unknown', '1/m', 0.0, 1e6)
     disparity_shift: float = setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
     reference_focal_px: float = setting(
-        0.0, 'focal length, at the width of this picture, of the camera that a metric network '
+        0.0, 'focal length, at the width of this image, of the camera that a metric network '
         'assumes: depth is multiplied by fx / this; 0: no correction; -1: the one that a network '
         'of the zoo is known to be trained with', 'px', -1.0, 1e5)
     camera_height: float = setting(
@@ -108,11 +108,11 @@ class ScaleConfig(Checked, section='scale'):
     smoothing: float = setting(
         0.8, 'share of the previous scale and shift kept at every frame, 0: none', '', 0.0, 0.999)
     max_jump: float = setting(
-        0.15, 'a frame whose scale and shift would change depth by a larger share is an outlier',
-        '', 0.001, 10.0)
+        0.15, 'a frame whose scale and shift would change depth by more than this share is an '
+        'outlier', '', 0.001, 10.0)
     reset_after: int = setting(
-        3, 'outlier frames in a row that agree with each other are a new scene', 'frames', 1,
-        1000)
+        3, 'as many outlier frames in a row that agree with each other start a new scene',
+        'frames', 1, 1000)
     hold_frames: int = setting(
         90, 'how long the last scale and shift are held while nothing fixes them', 'frames', 0,
         1000000)
@@ -127,67 +127,68 @@ class ScaleConfig(Checked, section='scale'):
 
 
 @dataclass(frozen=True)
-class SegmentationConfig(Checked, section='segmentation'):
-    """Which planes are looked for."""
+class SegmentationConfig(Settings, section='segmentation'):
+    """Which planes are searched for."""
 
     method: str = setting(
-        'disparity', 'disparity: ours; paper: pyRANSAC-3D peeled plane by plane, then DBSCAN, '
-        'with metric thresholds', choices=('disparity', 'paper'))
-    max_planes: int = setting(32, 'most planes to find', '', 1, 255)
+        'disparity', 'disparity: the method of this package; paper: sequential RANSAC of '
+        'pyRANSAC-3D, then DBSCAN, with metric thresholds', choices=('disparity', 'paper'))
+    max_planes: int = setting(32, 'at most this many planes are found', '', 1, 255)
     min_plane_share: float = setting(
-        0.004, 'smallest plane as a share of the pixels', '', 0.0, 1.0)
+        0.004, 'size of the smallest plane, as a share of the pixels', '', 0.0, 1.0)
     disparity_noise: float = setting(
-        0.0, 'standard deviation of 1/depth, 0: estimated from the picture, at least what the '
-        'network is known for', '1/m', 0.0, 10.0)
+        0.0, 'standard deviation of 1/depth; 0: estimated from the image, but at least the '
+        'noise that is known of the network', '1/m', 0.0, 10.0)
     snap_to_picture: bool = setting(
-        True, 'with the depth of a network, borders of planes move to the edges of the picture '
-        'within some 3 pixels of the network input')
+        True, 'with the depth of a network, borders of planes move to edges of the image '
+        'within about 3 pixels of the network input')
 
 
 @dataclass(frozen=True)
-class RansacConfig(Checked, section='ransac'):
-    """The search for the best plane."""
+class RansacConfig(Settings, section='ransac'):
+    """The search for planes."""
 
     inlier_threshold: float = setting(
-        3.0, 'a pixel within this many standard deviations of the noise is an inlier', '', 0.1,
+        3.0, 'a pixel within this many standard deviations of a plane is an inlier', '', 0.1,
         100.0)
     noise_floor: float = setting(
-        0.0005, 'depth noise is taken to be at least this', 'm', 1e-6, 1.0)
+        0.0005, 'lower bound of the depth noise', 'm', 1e-6, 1.0)
     confidence: float = setting(
-        0.99, 'probability with which the search may stop early', '', 0.0, 0.999999)
-    max_iterations: int = setting(1000, 'most hypotheses per search', '', 1, 1000000)
+        0.99, 'probability of having seen the largest plane at which the search stops early', '',
+        0.0, 0.999999)
+    max_iterations: int = setting(1000, 'at most this many hypotheses per search', '', 1, 1000000)
     seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1)
 
 
 @dataclass(frozen=True)
-class DbscanConfig(Checked, section='dbscan'):
-    """Density clustering of the cells of one plane, in the grid of the picture."""
+class DbscanConfig(Settings, section='dbscan'):
+    """Density clustering of the cells of one plane, in the grid of the image."""
 
     eps: float = setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
-    min_samples: int = setting(3, 'neighbours, itself included, of a core cell', '', 1, 1000)
+    min_samples: int = setting(3, 'neighbours of a core cell, itself included', '', 1, 1000)
 
 
 @dataclass(frozen=True)
-class TrackingConfig(Checked, section='tracking'):
-    """How planes keep their labels from picture to picture."""
+class TrackingConfig(Settings, section='tracking'):
+    """How planes keep their labels from image to image."""
 
     enabled: bool = setting(
-        True, 'the same plane keeps its label; off: labels by size, anew in every picture')
+        True, 'the same plane keeps its label; off: labels by size in every image')
     keep_frames: int = setting(
         30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250)
     angle_tolerance: float = setting(
-        10.0, 'normals of the same plane differ by about this under noise, once the motion of '
-        'the camera is taken out', 'deg', 0.01, 45.0)
+        10.0, 'standard deviation between normals of the same plane, without the motion of '
+        'the camera', 'deg', 0.01, 45.0)
     offset_tolerance: float = setting(
-        0.03, 'the same for the distance from the plane, as a share of the distance from the '
-        'camera', '', 1e-4, 1.0)
+        0.03, 'standard deviation of the distance from the plane, as a share of the distance from '
+        'the camera', '', 1e-4, 1.0)
     smoothing: float = setting(
         0.0, 'share of the previous coefficients kept while they change by no more than their '
         'noise, 0: none', '', 0.0, 0.999)
 
 
 @dataclass(frozen=True)
-class PaperConfig(Checked, section='paper'):
+class PaperConfig(Settings, section='paper'):
     """The metric thresholds of the paper's own method, the baseline."""
 
     distance_threshold: float = setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
@@ -195,11 +196,11 @@ class PaperConfig(Checked, section='paper'):
     dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 10.0)
     dbscan_min_samples: int = setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
     max_points: int = setting(
-        20000, 'points are thinned to this many before the search', '', 100, 10000000)
+        20000, 'points are reduced to this many before the search', '', 100, 10000000)
 
 
 @dataclass(frozen=True)
-class Config(Checked):
+class Config(Settings):
     """All settings of the pipeline."""
 
     depth: DepthConfig = field(default_factory=DepthConfig)
@@ -212,8 +213,8 @@ class Config(Checked):
 
 
 @dataclass(frozen=True)
-class NodeConfig(Checked):
-    """What only the ROS node needs."""
+class NodeConfig(Settings):
+    """Settings of the ROS node only."""
 
     autostart: bool = setting(
         True, 'configure and activate at start, without a lifecycle manager', read_only=True)
@@ -224,18 +225,18 @@ class NodeConfig(Checked):
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
         'image/compressed', choices=('raw', 'compressed'), read_only=True)
     rectify: str = setting(
-        'auto', 'undo the lens distortion that CameraInfo tells of; auto: where there is any and '
-        'the topic is not named as rectified', choices=('auto', 'true', 'false'))
+        'auto', 'undo the lens distortion of CameraInfo; auto: where there is any and the name of '
+        'the topic does not say rectified', choices=('auto', 'true', 'false'))
     stamp_slop: float = setting(
-        0.02, 'a depth image this far in time from its picture still belongs to it, if none has '
-        'the very same stamp', 's', 0.0, 10.0)
+        0.02, 'largest difference of the stamps of an image and its depth image, if none has '
+        'the same stamp', 's', 0.0, 10.0)
     use_imu: bool = setting(
-        False, 'take the direction of gravity from sensor_msgs/Imu on imu, whose mounting is '
+        False, 'take the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
         'scale.imu_to_camera', read_only=True)
     mode: str = setting(
-        'continuous', 'continuous: every frame, as far as there is time; on_demand: one frame per '
+        'continuous', 'continuous: the newest frame, again and again; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))
     points_decimation: int = setting(
-        1, 'the clouds hold every n-th row and column, 1: all', '', 1, 64)
+        1, 'the clouds hold every n-th row and column; 1: all', '', 1, 64)
     marker_lifetime: float = setting(
-        0.0, 'markers vanish after this time without new ones, 0: never', 's', 0.0, 1e6)
+        0.0, 'markers vanish after this time without new ones; 0: never', 's', 0.0, 1e6)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Settings that say what they mean and check themselves, for :mod:`plane_detector.config`."""
+"""Declared, range-checked settings, for :mod:`plane_detector.config`."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
             high: float | None = None, choices: tuple[str, ...] = (),
             read_only: bool = False) -> Any:
-    """Declare a field with what a user must know of it."""
+    """Declare a field with its description, unit, range and choices."""
     return field(default=default, metadata={
         'doc': doc, 'unit': unit, 'low': low, 'high': high,
         'choices': choices, 'read_only': read_only})
 
 
-class Checked:
+class Settings:
     """Base of the settings: raises ValueError, with the parameter's name, for a wrong value."""
 
     def __init_subclass__(cls, section: str = '') -> None:
@@ -27,7 +27,7 @@ class Checked:
     def __post_init__(self) -> None:
         for f in fields(self):
             value = getattr(self, f.name)
-            if not isinstance(value, Checked):
+            if not isinstance(value, Settings):
                 check_value(self._prefix + f.name, value, f.default, f.metadata)
 
 
@@ -38,7 +38,7 @@ def check_value(name: str, value: Any, default: Any, metadata: Any) -> None:
     Raises
     ------
     ValueError
-        The type is another one, or the value is out of range or not one of the choices.
+        The value has the wrong type, is out of range or is not one of the choices.
 
     """
     if not _same_type(value, default):
@@ -60,11 +60,11 @@ def _same_type(value: Any, default: Any) -> bool:
     return type(value) is type(default)
 
 
-def parameters_of(settings: Checked, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
+def parameters_of(settings: Settings, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
     """Yield name, field and value of every setting; a nested one is named ``depth.model``."""
     for f in fields(settings):
         value = getattr(settings, f.name)
-        if isinstance(value, Checked):
+        if isinstance(value, Settings):
             yield from parameters_of(value, f'{prefix}{f.name}.')
         else:
             yield prefix + f.name, f, value

@@ -19,13 +19,13 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.settings import Checked, parameters_of
+from plane_detector.settings import Settings, parameters_of
 
-Settings = TypeVar('Settings', bound=Checked)
+AnySettings = TypeVar('AnySettings', bound=Settings)
 _LARGEST = 1.7e308
 
 
-def declare(node: Node, defaults: Settings) -> Settings:
+def declare(node: Node, defaults: AnySettings) -> AnySettings:
     """
     Declare every field as a parameter, and return the settings with their initial values.
 
@@ -60,7 +60,7 @@ def warn_of_unknown(node: Node) -> None:
             f'ignored, because no parameter has this name: {", ".join(told)}')
 
 
-def updated(settings: Settings, parameters: Iterable[Parameter]) -> Settings:
+def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettings:
     """
     Return settings with the values of those parameters that are theirs; others are left out.
 
@@ -115,11 +115,11 @@ def _field_value(field: Field, value: Any) -> Any:
     return tuple(value) if isinstance(value, (list, array.array)) else value
 
 
-def _replaced(settings: Settings, values: dict[str, Any], prefix: str) -> Settings:
+def _replaced(settings: AnySettings, values: dict[str, Any], prefix: str) -> AnySettings:
     changes = {}
     for field in fields(settings):
         name, old = prefix + field.name, getattr(settings, field.name)
-        if isinstance(old, Checked):
+        if isinstance(old, Settings):
             changes[field.name] = _replaced(old, values, f'{name}.')
         elif name in values:
             changes[field.name] = _field_value(field, values[name])

@@ -13,17 +13,17 @@ from rclpy.parameter import Parameter
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
-from plane_detector.settings import Checked, parameters_of, setting
+from plane_detector.settings import Settings, parameters_of, setting
 
 
 @dataclass(frozen=True)
-class Inner(Checked):
+class Inner(Settings):
     count: int = setting(3, 'how many', 'px', 0, 10, read_only=True)
     names: tuple[str, ...] = setting(('a', 'b'), 'which')
 
 
 @dataclass(frozen=True)
-class Outer(Checked):
+class Outer(Settings):
     inner: Inner = field(default_factory=Inner)
     gain: float = setting(0.5, 'how much', 'm', 0.0, None)
     weights: tuple[float, ...] = setting((1.0, 2.0), 'weights', low=0.5)
