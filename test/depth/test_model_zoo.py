@@ -1,6 +1,5 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-import http.server
 import os
 import socket
 import subprocess
@@ -9,7 +8,7 @@ import threading
 import time
 
 import pytest
-from zoo_helpers import CONTENT, SHA256, files_in, put
+from zoo_helpers import CONTENT, SHA256, files_in, put, serving
 
 from plane_detector.depth import download, model_zoo
 from plane_detector.depth.model_zoo import (
@@ -23,41 +22,11 @@ from plane_detector.depth.model_zoo import (
 )
 
 
-class Handler(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT whole, damaged, broken off, stalled or too long; counts the questions."""
-
-    def do_GET(self):
-        self.server.asked.append(self.path)
-        if self.path == '/missing.onnx':
-            self.send_error(404)
-            return
-        content = {'/other.onnx': CONTENT[:-1] + b'!', '/longer.onnx': CONTENT * 2}.get(
-            self.path, CONTENT)
-        self.send_response(200)
-        self.send_header('Content-Length', str(len(content)))
-        self.end_headers()
-        if self.path in ('/broken.onnx', '/stalled.onnx'):
-            content = content[:1000]
-        self.wfile.write(content)
-        if self.path == '/stalled.onnx':
-            self.server.ended.wait(60)
-
-    def log_message(self, *_):
-        pass
-
-
 @pytest.fixture(name='server')
 def fixture_server(monkeypatch):
     monkeypatch.setenv('no_proxy', '*')
-    server = http.server.ThreadingHTTPServer(('127.0.0.1', 0), Handler)
-    server.asked = []
-    server.ended = threading.Event()
-    server.url = f'http://127.0.0.1:{server.server_port}'
-    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
-    yield server
-    server.ended.set()
-    server.shutdown()
-    server.server_close()
+    with serving() as server:
+        yield server
 
 
 @pytest.fixture(name='silent_url')

