@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from setuptools import find_packages
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
@@ -182,6 +183,17 @@ def test_public_names_are_found():
         assert getattr(plane_detector, name).__module__.startswith('plane_detector.')
     with pytest.raises(AttributeError, match='no attribute'):
         plane_detector.nothing_of_this_name  # noqa: B018
+
+
+def test_evaluation_is_not_installed():
+    call = next(node for node in ast.walk(ast.parse((ROOT / 'setup.py').read_text('utf-8')))
+                if isinstance(node, ast.Call) and getattr(node.func, 'id', '') == 'find_packages')
+    options = {option.arg: eval(compile(ast.Expression(option.value), 'setup.py', 'eval'),
+                                {'NAME': 'plane_detector'}) for option in call.keywords}
+    found = find_packages(str(ROOT), **options)
+    assert {'plane_detector.ros', 'plane_detector.tools.replay'} <= set(found)
+    assert not [name for name in found if 'evaluation' in name]
+    assert {name.split('.')[0] for name in found} == {PACKAGE.name}
 
 
 def test_entry_points_lead_to_a_main():

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How the camera moved between two pictures, as far as their planes tell.
+The motion of the camera between two images, estimated from their planes.
 
 A point moves from p to scale * R p + t, so a plane (n, d) becomes (R n, scale * d - R n . t). The
-scale is there for depth of unknown unit, where it may jump from picture to picture. What the
-planes do not tell, a turn about the only normal in sight for example, is taken as no motion.
+scale is needed for depth of unknown unit, which may jump from image to image. Motion that the
+planes do not show, for example a turn about the only visible normal, is taken to be zero.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 from plane_detector.types import Plane
 
 _ROUNDS = 8
-# Weight of no rotation, against 1 of all planes together.
+# Weight of the prior of no rotation; all planes together weigh 1.
 _NO_TURN_WEIGHT = 0.03
-# Normals differ by this even where the fit claims to know them better.
+# Normals differ by at least this, however small the covariance of their fit.
 _NORMAL_SPREAD_RAD = np.radians(1.0)
 _TURN_SPREAD_RAD = np.radians(2.0)
-# How planes of one rigid scene stray, and how far a camera moves between two pictures, as shares
-# of the distance of what it sees.
+# Spread of the offsets of one rigid scene, and of the step of a camera between two images, as
+# shares of the distance of what it sees.
 _OFFSET_SPREAD, _STEP_SPREAD, _SCALE_SPREAD = 0.02, 0.1, 0.04
-# At first any turn, and a jump of the unit by any factor, is nearly as likely as none.
+# In the first round any turn, and any change of the unit, is nearly as likely as none.
 _FIRST_CAUTION = 0.01
 
 
@@ -38,7 +38,7 @@ class PlaneMotion:
     ----------
     rotation : (3, 3) float64
     translation_m : (3,) float64
-        In the unit of the present picture.
+        In the unit of the present image.
     scale : float
         Factor on lengths; 1 where the unit is known.
 
@@ -66,22 +66,24 @@ NO_MOTION = PlaneMotion(np.eye(3), np.zeros(3), 1.0)
 
 def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray) -> PlaneMotion:
     """
-    Estimate the motion from planes seen in both pictures.
+    Estimate the motion from planes seen in both images.
 
-    The rotation is Kabsch's of the normals, then translation and scale follow by least squares;
-    both are reweighted by Cauchy's function, so that a few wrong pairs do no harm.
+    1. The rotation between the normals (Kabsch 1976).
+    2. Translation and scale by least squares.
+
+    Both are iteratively reweighted with Cauchy's function, so that a few wrong pairs do no harm.
 
     Parameters
     ----------
     before, after : list of Plane
         The same planes in the previous and in the present camera frame.
     weights : (N,) float
-        How much each pair counts.
+        Weight of each pair.
 
     Returns
     -------
     PlaneMotion
-        No motion where there is no pair.
+        No motion if there is no pair.
 
     """
     if not before:
@@ -123,7 +125,7 @@ def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.
 def _translation_and_scale(normals: np.ndarray, before: np.ndarray, after: np.ndarray,
                            distances_m: np.ndarray, weights: np.ndarray
                            ) -> tuple[np.ndarray, float]:
-    """Solve after = scale * before - normals . t; t and scale - 1 are small or needed."""
+    """Solve after = scale * before - normals . t, with priors that keep t and scale - 1 small."""
     typical_m = float(np.average(distances_m, weights=weights))
     # Unknowns: t as a share of the typical distance, and scale - 1.
     system = np.column_stack([-normals * typical_m, before]) / distances_m[:, None]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How much planes of two pictures are alike: by their pixels, their place, their coefficients."""
+"""Similarity of planes of two images: by their pixels, their place, their coefficients."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Overlap:
     of_union : (T, N) float64
         As a share of the pixels of either: 1 only for the same pixels.
     of_known : (T, N) float64
-        As a share of those of the known plane: 1 also for each of the parts that have become one.
+        As a share of the pixels of the known plane: 1 also for each part of planes that merged.
 
     """
 
@@ -33,7 +33,7 @@ class Overlap:
 
 
 def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> Overlap:
-    """Return what planes share, each given by the indices of its pixels."""
+    """Return what planes share; each plane is given by the indices of its pixels."""
     size = 1 + max((int(pixels.max(initial=0)) for pixels in (*before, *after)), default=0)
     plane = np.zeros(size, np.intp)
     for index, pixels in enumerate(after):
@@ -48,10 +48,10 @@ def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -
 
 def places_agree(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap) -> np.ndarray:
     """
-    Return how far planes are at the same place, (T, N), 0 to 1.
+    Return to which degree planes are at the same place, (T, N), 0 to 1.
 
-    By the pixels that they share or, where the camera turned so far that they share none, by
-    how near their centroids are for their size.
+    By the pixels that they share or, where the camera turned so far that they share none, by the
+    distance of their centroids relative to their size.
     """
     shared = (overlap.of_union + overlap.of_known) / 2
     return np.maximum(shared, _nearness(_stack(before), _stack(after)))
@@ -60,7 +60,7 @@ def places_agree(before: Sequence[Plane], after: Sequence[Plane], overlap: Overl
 def squared_deviation(before: Sequence[Plane], after: Sequence[Plane], angle_deg: float,
                       offset_share: float, growth: np.ndarray | float = 1.0) -> np.ndarray:
     """
-    Return by how many standard deviations coefficients differ, (T, N), squared.
+    Return the squared number of standard deviations by which coefficients differ, (T, N).
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def _stack(planes: Sequence[Plane]) -> _Stack:
 
 
 def _nearness(before: _Stack, after: _Stack) -> np.ndarray:
-    """Return (T, N): 1 for the same centroid, less the farther apart for the smaller's size."""
+    """Return (T, N): 1 for the same centroid; falls with distance over the smaller size."""
     apart_m = before.centroid_m[:, None] - after.centroid_m
     smaller_m2 = np.maximum(np.minimum.outer(before.area_m2, after.area_m2), _TINY)
     larger_m2 = np.maximum(np.maximum.outer(before.area_m2, after.area_m2), _TINY)

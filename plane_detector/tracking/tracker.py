@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The same plane keeps its label from picture to picture, without odometry.
+The same plane keeps its label from image to image, without odometry.
 
-The planes that lie on each other in two pictures tell how the camera moved; known planes are
-moved along. A known plane and a found one are the same as far as they share pixels, or lie at
-the same place, and their coefficients agree within their uncertainty; the Hungarian method
-assigns them one to one. Labels are taken anew only once their plane is forgotten.
+1. Planes that overlap in two images give the motion of the camera; known planes move with it.
+2. A known and a found plane score by the pixels or the place that they share, and by how well
+   their coefficients agree within their uncertainty.
+3. The Hungarian method [Kuhn 1955] assigns them one to one.
+
+A label is used again only after its plane is forgotten.
 """
 
 from __future__ import annotations
@@ -31,13 +33,13 @@ from plane_detector.types import Plane, PlaneSegmentation
 # Overlap is measured on about this many rows.
 _ROWS = 120
 _MIN_SCORE = 0.05
-# Of two known planes that a found one may be, the one of the picture before comes first.
+# A plane that was missed in the last image counts less than one that was seen in it.
 _MISSED = 0.3
-# And one found only once comes last: it may be a part of an older one that broke for a picture.
+# A plane seen only once counts least: it may be a fragment of an older one.
 _YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
 _MOTION_MAX_TURN_RAD = np.radians(30.0)
-# Coefficients that change by more are not noise, and are not smoothed.
+# Larger changes of the coefficients are not noise and are not smoothed.
 _NOISE_DEVIATIONS, _NOISE_ANGLE_DEG, _NOISE_OFFSET = 3.0, 0.3, 0.003
 
 
@@ -53,11 +55,11 @@ class Track:
     plane : Plane
         Its coefficients in the latest camera frame.
     pixels : (M,) int
-        Indices into the thinned picture where it was seen last.
+        Indices into the thinned image where it was seen last.
     streak : int
-        Pictures in a row that it was found in, up to when it was found last.
+        Number of consecutive images in which it was found, up to the last one.
     missed : int
-        Pictures since it was found last.
+        Images since it was found last.
 
     """
 
@@ -70,7 +72,7 @@ class Track:
 
 class PlaneTracker:
     """
-    Gives planes their labels; call it with every picture in order.
+    Gives planes their labels; call it with every image in order.
 
     Parameters
     ----------
@@ -86,13 +88,13 @@ class PlaneTracker:
 
     def update(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         """
-        Take the planes of the next picture.
+        Take the planes of the next image.
 
         Parameters
         ----------
         found : PlaneSegmentation
-            In any unit, which may change from picture to picture. A picture of another size
-            starts anew.
+            In any unit, which may change from image to image. An image of another size starts
+            anew.
 
         Returns
         -------
@@ -117,22 +119,22 @@ class PlaneTracker:
 def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: TrackingConfig
                   ) -> tuple[tuple[Track, ...], tuple[Track, ...]]:
     """
-    Match the planes of a picture with the known ones.
+    Match the planes of an image with the known ones.
 
     Parameters
     ----------
     tracks : tuple of Track
         Known planes.
     found : PlaneSegmentation
-        Of the next picture.
+        Of the next image.
     config : TrackingConfig
 
     Returns
     -------
     known : tuple of Track
-        What is known now: planes of this picture and those missed for a while.
+        What is known now: planes of this image and those that are missing for a while.
     seen : tuple of Track
-        The track of each plane of this picture, in its order.
+        The track of each plane of this image, in its order.
 
     """
     pixels = _pixels_of_planes(found)
@@ -155,7 +157,7 @@ def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: T
 
 
 def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
-    """Return the indices of each plane's pixels in the thinned picture."""
+    """Return the indices of each plane's pixels in the thinned image."""
     step = max(1, min(found.labels.shape) // _ROWS)
     labels = found.labels[::step, ::step].ravel()
     order = np.argsort(labels, kind='stable')
@@ -165,7 +167,7 @@ def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
 
 def _move_along(tracks: Sequence[Track], planes: Sequence[Plane], pixels: Sequence[np.ndarray],
                 overlap: Overlap) -> list[Track]:
-    """Move known planes as the camera's motion moves those that surely are in both pictures."""
+    """Move known planes by the motion of those that are certainly in both images."""
     if not tracks:
         return []
     share = overlap.of_union
@@ -184,7 +186,7 @@ def _is_sure(track: Track, plane: Plane, overlap: float) -> bool:
 
 def _match(tracks: Sequence[Track], planes: Sequence[Plane], overlap: Overlap,
            config: TrackingConfig) -> dict[int, int]:
-    """Return which track each found plane is; planes that are none of them are left out."""
+    """Return the track of each found plane; unmatched planes are left out."""
     if not tracks or not planes:
         return {}
     before = [track.plane for track in tracks]
@@ -200,12 +202,12 @@ def _match(tracks: Sequence[Track], planes: Sequence[Plane], overlap: Overlap,
 
 
 def _free_labels(taken: Collection[int]) -> Iterator[int]:
-    """Yield the smallest labels that no known plane has."""
+    """Yield the smallest free labels."""
     return (label for label in count(1) if label not in taken)
 
 
 def _smoothed(track: Track, plane: Plane, share: float) -> Plane:
-    """Return the plane drawn towards what it was, unless it has changed beyond the noise."""
+    """Return the plane averaged with its past, unless it changed by more than the noise."""
     old = track.plane
     if share == 0 or track.missed:
         return plane
