@@ -16,7 +16,8 @@ from tqdm import tqdm
 
 from plane_detector.evaluation.metrics import overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
-from plane_detector.evaluation.scenes.rooms import Scene, random_room, with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, confidence_features
 from plane_detector.segmentation.segment import segment_planes
 

@@ -8,13 +8,8 @@ import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.evaluation.metrics import overlap
-from plane_detector.evaluation.scenes.rooms import (
-    VGA,
-    Rectangle,
-    camera_rotation,
-    render,
-    with_disparity_noise,
-)
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, camera_rotation, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
 from plane_detector.segmentation.cells.grid import fit_planes, make_cells
 from plane_detector.segmentation.cells.model import Patches, make_model

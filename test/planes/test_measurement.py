@@ -9,7 +9,7 @@ import pytest
 
 from plane_detector import segment_planes
 from plane_detector.evaluation.scenes.living_rooms import living_room
-from plane_detector.evaluation.scenes.rooms import with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.labels import count_labels, renumber

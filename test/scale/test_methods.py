@@ -7,6 +7,7 @@ import pytest
 
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.scenes import rooms as scenes
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.scale.disparity_planes import fit_disparity_planes
 from plane_detector.scale.methods import apply_scale, estimate_scale, to_disparity
 from plane_detector.scale.sensor_depth import fit_measured_depth
@@ -18,8 +19,8 @@ SCALE, SHIFT = 0.4, -0.12  # 1/z = SCALE * D + SHIFT
 
 def relative_disparity(depth_m, noise=0.0, seed=0):
     if noise:
-        depth_m = scenes.with_disparity_noise(depth_m, noise, np.random.default_rng(seed),
-                                              correlation_px=6.0)
+        depth_m = with_disparity_noise(depth_m, noise, np.random.default_rng(seed),
+                                       correlation_px=6.0)
     return ((1.0 / depth_m - SHIFT) / SCALE).astype(np.float32)
 
 

@@ -12,12 +12,12 @@ from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import (
     Rectangle,
     camera_rotation,
     render,
     single_wall,
-    with_disparity_noise,
 )
 from plane_detector.evaluation.scenes.rooms import box as upright_box
 from plane_detector.segmentation.baselines import paper_labels

@@ -9,6 +9,7 @@ from plane_detector import Config, segment_planes
 from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.metrics import overlap, score
 from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import (
     VGA,
     Rectangle,
@@ -17,7 +18,6 @@ from plane_detector.evaluation.scenes.rooms import (
     render,
     single_wall,
     staircase,
-    with_disparity_noise,
 )
 from plane_detector.evaluation.scenes.rooms import box as upright_box
 from plane_detector.segmentation.segment import measure_labels, segment_disparity

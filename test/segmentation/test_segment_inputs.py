@@ -8,7 +8,8 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.rooms import VGA, with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import VGA
 from plane_detector.segmentation.segment import segment_disparity
 
 SEEDS = (3, 7)

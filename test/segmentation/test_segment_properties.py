@@ -8,14 +8,8 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.rooms import (
-    VGA,
-    Rectangle,
-    box,
-    camera_rotation,
-    render,
-    with_disparity_noise,
-)
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, box, camera_rotation, render
 from plane_detector.segmentation.segment import segment_disparity
 
 SEEDS = (3, 7)

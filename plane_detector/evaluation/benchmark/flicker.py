@@ -28,7 +28,7 @@ from plane_detector.evaluation.benchmark.real_images import collect_frames, load
 from plane_detector.evaluation.benchmark.tables import emit, provenance, table
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.metrics import score
-from plane_detector.evaluation.scenes.rooms import with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.sequences import FRAMES, MOTIONS, View, sequence
 from plane_detector.scale.estimate import to_disparity
 from plane_detector.segmentation.segment import disparity_range, segment_disparity

@@ -25,13 +25,14 @@ from plane_detector.evaluation.metrics import (
     score,
 )
 from plane_detector.evaluation.peers import Method, Ours
-from plane_detector.evaluation.scenes.rooms import Scene, random_room, with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.segmentation.segment import segment_planes
 from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
-HELD_OUT = 5000
+HELD_OUT = 9000
 """Rooms from this seed on were not looked at while the method was made."""
 SceneOfSeed = Callable[[int], Scene]
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)

@@ -23,6 +23,7 @@ import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
 from plane_detector.evaluation.scenes import rooms as scenes
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
 from plane_detector.scale.disparity_planes import fit_disparity_planes
 from plane_detector.scale.methods import ScaleEstimate, estimate_scale
@@ -83,7 +84,7 @@ def look(depth_m: np.ndarray, intrinsics: CameraIntrinsics, down_camera: np.ndar
     """Return what a network of random scale and shift makes of a picture, and its planes."""
     scale = np.exp(rng.uniform(*np.log(SCALE_RANGE)))
     shift = rng.uniform(*SHIFT_RANGE_PER_M)
-    noisy_m = scenes.with_disparity_noise(depth_m, NOISE_PER_M, rng)
+    noisy_m = with_disparity_noise(depth_m, NOISE_PER_M, rng)
     disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
     truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
     labels = segment_disparity(disparity, Config())

@@ -1,10 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered scenes with exact depth, labels and plane coefficients, and noise for them."""
+"""Rendered scenes with exact depth, labels and plane coefficients."""
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.evaluation.scenes.rendering import (
@@ -68,7 +67,7 @@ def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
 
 def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
                 distance_m: float = 3.0) -> Scene:
-    """Return one wall that fills the picture, turned away by the yaw."""
+    """Return one wall that fills the image, turned away by the yaw."""
     wall = Rectangle(np.array([-500.0, distance_m, -500.0]), np.array([1000.0, 0, 0]),
                      np.array([0, 0, 1000.0]))
     return render([wall], camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
@@ -83,37 +82,6 @@ def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
     planes = np.zeros((0, 4))
     return Scene(colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
                  labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]), np.zeros(0, int))
-
-
-def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Generator,
-                         smooth_share: float = 0.5, correlation_px: float = 12.0) -> np.ndarray:
-    """
-    Add noise of constant standard deviation to 1/depth, as stereo and depth networks have it.
-
-    Parameters
-    ----------
-    depth_m : (H, W) floating
-    sigma : float
-        Standard deviation of the sum, per metre.
-    rng : numpy.random.Generator
-    smooth_share : float
-        Share of the variance that is smooth over the picture; the rest is grain.
-    correlation_px : float
-        Standard deviation of the Gaussian that the smooth part is blurred with.
-
-    Returns
-    -------
-    (H, W) float32
-        NaN where the disparity would not be positive.
-
-    """
-    grain, smooth = rng.standard_normal((2, *depth_m.shape)).astype(np.float32)
-    smooth = cv2.GaussianBlur(smooth, (0, 0), correlation_px)
-    smooth /= max(float(smooth.std()), 1e-12)
-    disparity = 1.0 / depth_m + sigma * (
-        np.sqrt(1.0 - smooth_share) * grain + np.sqrt(smooth_share) * smooth)
-    with np.errstate(divide='ignore'):
-        return np.where(disparity > 0, 1.0 / disparity, np.nan).astype(np.float32)
 
 
 def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:

@@ -21,7 +21,8 @@ from plane_detector.evaluation.benchmark.clean_depth import (
 )
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.reference_labels import ExactLabels
-from plane_detector.evaluation.scenes.rooms import single_wall, with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import single_wall
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 WALL = single_wall(SMALL, yaw_deg=20, distance_m=2.0)

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import (
     VGA,
     Rectangle,
@@ -17,7 +18,6 @@ from plane_detector.evaluation.scenes.rooms import (
     render,
     single_wall,
     staircase,
-    with_disparity_noise,
 )
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics

@@ -8,12 +8,8 @@ import pytest
 from plane_detector import segment_planes
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.rooms import (
-    VGA,
-    random_room,
-    single_wall,
-    with_disparity_noise,
-)
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_rounding
 from plane_detector.segmentation.segment import to_disparity

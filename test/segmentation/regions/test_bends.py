@@ -10,8 +10,8 @@ from cell_helpers import FLOOR, ball, best_iou, cell_model, fold, hand_made, vie
 
 from plane_detector import segment_planes
 from plane_detector.config import Config
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
-from plane_detector.evaluation.scenes.rooms import with_disparity_noise
 from plane_detector.evaluation.scenes.surfaces import cone
 from plane_detector.segmentation.cells.labels import without
 from plane_detector.segmentation.cells.noise import Noise

@@ -10,7 +10,8 @@ import pytest
 from cell_helpers import EXACT, best_iou, cell_model, hand_made, one_patch, rectangle, view, wall
 
 from plane_detector import segment_planes
-from plane_detector.evaluation.scenes.rooms import VGA, single_wall, with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import VGA, single_wall
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.regions.depth_steps import split_at_steps

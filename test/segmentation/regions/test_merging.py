@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from cell_helpers import EXACT, cell_model, hand_made, view, wall
 
-from plane_detector.evaluation.scenes.rooms import with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.segmentation.cells.grid import fit_planes
 from plane_detector.segmentation.regions.merging import (
     MAX_JOINT_VARIANCES,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from cell_helpers import EXACT, cell_model, rectangle, view, wall
 
-from plane_detector.evaluation.scenes.rooms import VGA, bumps, staircase, with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import VGA, bumps, staircase
 from plane_detector.evaluation.scenes.surfaces import cone
 from plane_detector.segmentation.cells.grid import N, make_cells
 from plane_detector.segmentation.cells.noise import estimate_noise

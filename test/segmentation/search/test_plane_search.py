@@ -7,7 +7,7 @@ import pytest
 from cell_helpers import EXACT, best_iou, view, wall
 
 from plane_detector.config import Config, SegmentationConfig
-from plane_detector.evaluation.scenes.rooms import with_disparity_noise
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.search import plane_search as search
