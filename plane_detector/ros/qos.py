@@ -4,23 +4,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
 from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.subscription import Subscription
 
 _RELIABILITY = {'auto': ReliabilityPolicy.BEST_AVAILABLE,
                 'reliable': ReliabilityPolicy.RELIABLE,
                 'best_effort': ReliabilityPolicy.BEST_EFFORT}
 
 
-def overriding_options() -> QoSOverridingOptions:
-    """Return which policies of an endpoint the qos_overrides parameters may change."""
+def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | None = None
+                       ) -> QoSOverridingOptions:
+    """
+    Return which policies of an endpoint the qos_overrides parameters may change.
+
+    Parameters
+    ----------
+    settle : callable, optional
+        Called with the profile once these parameters are applied; it may change or refuse it.
+
+    """
     return QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
-                                 QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
+                                 QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY),
+                                callback=settle)
 
 
 def output_profile() -> QoSProfile:
@@ -32,58 +44,101 @@ class InputSubscription:
     """
     A subscription that keeps the last message only and can follow its publishers.
 
-    With reliability ``auto`` the middleware takes what the publishers offer when the
-    subscription is made: reliable where all of them are. When a publisher turns up later that
-    this does not fit, or the last best-effort one leaves, the subscription is made anew.
+    With reliability ``auto`` it starts with what matches everybody: best effort while no publisher
+    is known, reliable where all of them are. When they change, a second subscription with the
+    other reliability is opened, and the first one is closed once the second has received
+    something, so that no message is lost in between.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Subscribes and logs.
+    msg_type, topic : type, str
+        Of the messages.
+    callback : callable
+        Called with each message, in the thread of the executor.
+    reliability : str
+        ``auto``, ``reliable`` or ``best_effort``.
+
     """
 
     def __init__(self, node: Node, msg_type: Any, topic: str, callback: Callable[[Any], None],
                  reliability: str):
         self._node = node
-        self._arguments = msg_type, topic, callback
+        self._arguments = msg_type, topic
+        self._callback = callback
         self._wanted = _RELIABILITY[reliability]
-        self._subscribe()
-
-    @property
-    def topic(self) -> str:
-        """The resolved name."""
-        return self._subscription.topic_name
+        self._follows = False
+        self._last_sent_ns = 0
+        self.topic = node.resolve_topic_name(topic)
+        self._next: Subscription | None = None
+        self._current = self._subscribe(self._on_message)
 
     def destroy(self) -> None:
         """End the subscription."""
-        self._node.destroy_subscription(self._subscription)
+        self._destroy_next()
+        self._node.destroy_subscription(self._current)
 
-    def _subscribe(self) -> None:
+    def _subscribe(self, callback: Callable[..., None]) -> Subscription:
         events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible,
                                             matched=self._on_matched)
-        self._subscription = self._node.create_subscription(
-            *self._arguments, QoSProfile(depth=1, reliability=self._wanted),
-            event_callbacks=events, qos_overriding_options=overriding_options())
-        self._reliable = self._all_reliable()
+        return self._node.create_subscription(
+            *self._arguments, callback, QoSProfile(depth=1, reliability=self._wanted),
+            event_callbacks=events, qos_overriding_options=overriding_options(self._settle))
 
-    def _follows(self) -> bool:
-        """An override may have replaced ``auto``, then it stands."""
-        return self._subscription.qos_profile.reliability == ReliabilityPolicy.BEST_AVAILABLE
+    def _settle(self, profile: QoSProfile) -> SetParametersResult:
+        """Replace ``auto``, unless an override has done so, before the subscription is made."""
+        self._follows = profile.reliability == ReliabilityPolicy.BEST_AVAILABLE
+        if self._follows:
+            profile.reliability = self._offered()
+        return SetParametersResult(successful=True)
 
-    def _all_reliable(self) -> bool:
+    def _offered(self) -> ReliabilityPolicy:
+        """Return the strongest reliability that matches all publishers, known or to come."""
         infos = self._node.get_publishers_info_by_topic(self.topic)
-        return all(i.qos_profile.reliability == ReliabilityPolicy.RELIABLE for i in infos)
+        if infos and all(i.qos_profile.reliability == ReliabilityPolicy.RELIABLE for i in infos):
+            return ReliabilityPolicy.RELIABLE
+        return ReliabilityPolicy.BEST_EFFORT
+
+    def _on_message(self, msg: Any, info: Mapping[str, int]) -> None:
+        self._last_sent_ns = info['source_timestamp']
+        self._callback(msg)
+
+    def _on_first_of_next(self, msg: Any, info: Mapping[str, int]) -> None:
+        """Close the first subscription; it may have delivered this very message already."""
+        self._node.destroy_subscription(self._current)
+        self._current, self._next = self._next, None
+        self._current.callback = self._on_message
+        if info['source_timestamp'] != self._last_sent_ns:
+            self._on_message(msg, info)
 
     def _on_incompatible(self, event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        if self._follows() and policy == 'RELIABILITY':
-            self._resubscribe()
-        else:
-            self._node.get_logger().warning(
-                f'a publisher of {self.topic} offers another {policy} than this node asks for: '
-                'nothing will be received from it; see the qos_overrides parameters')
+        if self._follows and policy == 'RELIABILITY':
+            self._follow()
+            return
+        remedy = 'see the qos_overrides parameters'
+        if policy == 'RELIABILITY' and self._wanted == ReliabilityPolicy.RELIABLE:
+            remedy = ('the parameter input_reliability asks for reliable, the publisher is best '
+                      'effort: set it to auto or best_effort')
+        self._node.get_logger().warning(
+            f'a publisher of {self.topic} offers another {policy} than this node asks for: '
+            f'nothing will be received from it; {remedy}')
 
     def _on_matched(self, _event: Any) -> None:
-        if self._follows() and self._all_reliable() != self._reliable:
-            self._resubscribe()
+        if self._follows:
+            self._follow()
 
-    def _resubscribe(self) -> None:
-        self.destroy()
-        self._subscribe()
-        offer = 'reliable' if self._reliable else 'best effort'
-        self._node.get_logger().info(f'subscribed to {self.topic} anew, {offer} as its publishers')
+    def _follow(self) -> None:
+        """Open a subscription with what the publishers offer now, if it is another one."""
+        offered = self._offered()
+        if self._next is not None and self._next.qos_profile.reliability == offered:
+            return
+        self._destroy_next()
+        if self._current.qos_profile.reliability != offered:
+            self._next = self._subscribe(self._on_first_of_next)
+
+    def _destroy_next(self) -> None:
+        if self._next is not None:
+            self._node.destroy_subscription(self._next)
+            self._next = None

@@ -7,9 +7,11 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, change_state, send, small_room, start
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import camera_info_msg, cloud_array, header, image_msg
+from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 
@@ -122,20 +124,50 @@ def test_lifecycle_without_autostart(robot, room):
         assert node.count_publishers('plane_detector/planes') == 0
 
 
+def reliabilities(robot):
+    """Return the reliability of each subscription to the image."""
+    return [info.qos_profile.reliability
+            for info in robot.node.get_subscriptions_info_by_topic('/image')]
+
+
 def test_reliability_follows_the_publishers(robot, room):
     start(robot, lambda rgb: room.depth_m)
-    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
     robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
-
-    def offered():
-        infos = robot.node.get_subscriptions_info_by_topic('/image')
-        return [info.qos_profile.reliability for info in infos]
-
-    assert robot.spin(lambda: offered() == [ReliabilityPolicy.RELIABLE])
-    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0), best_effort)
-    assert robot.spin(lambda: offered() == [ReliabilityPolicy.BEST_EFFORT])
-    robot.publish('image', image_msg(room.rgb, 'rgb8', 2.0))
+    assert robot.spin(lambda: reliabilities(robot) == [ReliabilityPolicy.BEST_EFFORT])
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
     robot.wait_for('planes')
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 2.0))
+    robot.wait_for('planes', 2)
+    assert robot.spin(lambda: reliabilities(robot) == [ReliabilityPolicy.RELIABLE])
+    best_effort = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
+    other = robot.node.create_publisher(Image, 'image', best_effort)
+    assert robot.spin(lambda: other.get_subscription_count() > 0)
+    other.publish(image_msg(room.rgb, 'rgb8', 3.0))
+    robot.wait_for('planes', 3)
+    assert robot.spin(lambda: reliabilities(robot) == [ReliabilityPolicy.BEST_EFFORT])
+    robot.publish('image', image_msg(room.rgb, 'rgb8', 4.0))
+    planes = robot.wait_for('planes', 4)
+    assert [msg.header for msg in planes] == [header(s) for s in (1.0, 2.0, 3.0, 4.0)]
+
+
+@pytest.mark.parametrize('reliability', [ReliabilityPolicy.BEST_EFFORT,
+                                         ReliabilityPolicy.RELIABLE])
+def test_a_publisher_is_never_asked_for_what_it_does_not_offer(robot, reliability):
+    incompatible = []
+    events = PublisherEventCallbacks(incompatible_qos=incompatible.append)
+    start(robot, lambda rgb: None)
+    publisher = robot.node.create_publisher(
+        Image, 'image', QoSProfile(depth=5, reliability=reliability), event_callbacks=events)
+    assert robot.spin(lambda: publisher.get_subscription_count() > 0)
+    robot.spin(timeout_s=0.5)
+    assert incompatible == []
+
+
+def test_reliable_asked_for_of_a_best_effort_camera_names_the_parameter(robot):
+    start(robot, lambda rgb: None, input_reliability='reliable')
+    robot.node.create_publisher(
+        Image, 'image', QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
+    assert robot.is_logged('the parameter input_reliability asks for reliable')
 
 
 def test_an_override_of_the_reliability_stands(robot):
