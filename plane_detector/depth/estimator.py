@@ -10,6 +10,7 @@ import numpy as np
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.model_zoo import NETWORKS, Network, choose, fetch
+from plane_detector.depth.onnx_file import check_external_data
 from plane_detector.depth.onnx_session import OnnxSession, ProviderError, available_providers
 from plane_detector.depth.preprocessing import (
     InputRecipe,
@@ -71,6 +72,7 @@ class DepthEstimator:
         self._recipe = _recipe(config, network)
         short_side = config.short_side or (network.short_side if network else 0)
         multiple = network.side_multiple if network else config.side_multiple
+        check_external_data(path)
         self._session, self.provider, passed_over = _first_that_runs(
             path, config, short_side, multiple)
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])

@@ -147,9 +147,11 @@ def test_a_network_that_fails_on_its_input_is_told(tmp_path):
 
 
 def test_a_file_that_is_no_network_is_refused(tmp_path):
-    (tmp_path / 'n.onnx').write_bytes(b'not a network')
-    with pytest.raises(ValueError, match=r'no execution provider runs .*n\.onnx'):
-        DepthEstimator(config_for(tmp_path / 'n.onnx'))
+    for content, said in ((b'not a network', r'n\.onnx is no whole ONNX file'),
+                          (b'\x08\x08', r'no execution provider runs .*n\.onnx')):
+        (tmp_path / 'n.onnx').write_bytes(content)
+        with pytest.raises(ValueError, match=said):
+            DepthEstimator(config_for(tmp_path / 'n.onnx'))
 
 
 def test_a_size_that_the_network_cannot_take_is_refused(tmp_path):

@@ -1,0 +1,172 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What an ONNX file may read beside itself."""
+
+import numpy as np
+import pytest
+from onnx_models import PLAIN, write_depth_network, write_network
+
+from plane_detector.config import DepthConfig
+from plane_detector.depth import onnx_file
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.onnx_file import MESSAGES, check_external_data, external_locations
+
+onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
+helper, numpy_helper, FLOAT = onnx.helper, onnx.numpy_helper, onnx.TensorProto.FLOAT
+
+
+def external(location, offset=0, shape=(1, 3, 1, 1)):
+    """Return a tensor whose numbers lie in another file."""
+    tensor = onnx.TensorProto(name='kernel', data_type=FLOAT, dims=shape,
+                              data_location=onnx.TensorProto.EXTERNAL)
+    for key, value in (('location', location), ('offset', str(offset)), ('length', '12')):
+        tensor.external_data.add(key=key, value=value)
+    return tensor
+
+
+def write_with(path, location):
+    """Write a network R + 2 G + 4 B whose kernel lies at a location."""
+    graph = helper.make_graph(
+        [helper.make_node('Conv', ['image', 'kernel'], ['depth'])], 'test',
+        [helper.make_tensor_value_info('image', FLOAT, [1, 3, 4, 4])],
+        [helper.make_tensor_value_info('depth', FLOAT, [1, 1, 4, 4])], [external(location)])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid('', 13)], ir_version=8)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def kernel(folder, name='weights.bin'):
+    (folder / name).write_bytes(np.float32([1, 2, 4]).tobytes())
+
+
+def depth_of_white(path):
+    estimate = DepthEstimator(DepthConfig(model=str(path), output='metric_depth', **PLAIN))
+    return estimate(np.full((4, 4, 3), 255, np.uint8))
+
+
+def test_weights_beside_the_file_are_read(tmp_path):
+    kernel(tmp_path)
+    np.testing.assert_allclose(depth_of_white(write_with(tmp_path / 'n.onnx', 'weights.bin')), 7)
+
+
+def test_weights_beside_what_a_link_leads_to_are_read(tmp_path):
+    # As the cache of Hugging Face lays its files out.
+    for folder in ('blobs', 'snapshot'):
+        (tmp_path / folder).mkdir()
+    kernel(tmp_path / 'blobs', 'ab12')
+    write_with(tmp_path / 'blobs' / 'cd34', 'weights.bin')
+    (tmp_path / 'snapshot' / 'n.onnx').symlink_to('../blobs/cd34')
+    (tmp_path / 'snapshot' / 'weights.bin').symlink_to('../blobs/ab12')
+    np.testing.assert_allclose(depth_of_white(tmp_path / 'snapshot' / 'n.onnx'), 7)
+
+
+@pytest.mark.parametrize('location', [
+    '../secret', '{folder}/secret', 'sub/../../secret', 'link', 'missing', '.', '', 'pipe',
+    '*/_ORT_MEM_ADDR_/*', 'zero\0byte', 'x' * 5000])
+def test_anything_else_is_not_even_looked_at(tmp_path, location, monkeypatch):
+    folder = tmp_path / 'model'
+    (folder / '*' / '_ORT_MEM_ADDR_').mkdir(parents=True)
+    kernel(folder / '*' / '_ORT_MEM_ADDR_', '*')
+    kernel(tmp_path, 'secret')
+    (folder / 'link').symlink_to('../secret')
+    onnx_file.os.mkfifo(folder / 'pipe')
+    path = write_with(folder / 'n.onnx', location.format(folder=tmp_path))
+    monkeypatch.setattr('onnxruntime.InferenceSession', lambda *_, **__: pytest.fail('loaded'))
+    with pytest.raises(ValueError, match=r'n\.onnx keeps its weights in .* is not loaded'):
+        depth_of_white(path)
+
+
+def everywhere():
+    """Return a model with external data at every place that can hold a tensor."""
+    def sparse(name):
+        return onnx.SparseTensorProto(values=external(name + 'v'), indices=external(name + 'i'))
+
+    def graph(name, depth=1):
+        attributes = [onnx.AttributeProto(name='t', t=external(name + 't')),
+                      onnx.AttributeProto(name='s', tensors=[external(name + 's')]),
+                      onnx.AttributeProto(name='p', sparse_tensor=sparse(name + 'p')),
+                      onnx.AttributeProto(name='q', sparse_tensors=[sparse(name + 'q')])]
+        if depth:
+            attributes += [onnx.AttributeProto(name='g', g=graph(name + 'g', depth - 1)),
+                           onnx.AttributeProto(name='h', graphs=[graph(name + 'h', depth - 1)])]
+        return onnx.GraphProto(node=[onnx.NodeProto(attribute=attributes)],
+                               initializer=[external(name + 'n')],
+                               sparse_initializer=[sparse(name + 'z')])
+
+    function = onnx.FunctionProto(
+        node=[onnx.NodeProto(attribute=[onnx.AttributeProto(t=external('ft'))])],
+        attribute_proto=[onnx.AttributeProto(t=external('fa'))])
+    training = onnx.TrainingInfoProto(initialization=graph('ti', 0), algorithm=graph('ta', 0))
+    return onnx.ModelProto(graph=graph(''), functions=[function], training_info=[training])
+
+
+def test_no_place_for_a_tensor_is_forgotten(tmp_path):
+    model = everywhere()
+    (tmp_path / 'n.onnx').write_bytes(model.SerializeToString())
+    names = []
+
+    def collect(message):
+        for field, value in message.ListFields():
+            if field.name == 'external_data':
+                names.extend(entry.value for entry in value if entry.key == 'location')
+            elif field.message_type:
+                for part in ([value] if hasattr(value, 'ListFields') else value):
+                    collect(part)
+
+    collect(model)
+    assert len(set(names)) == len(names) > 40
+    assert external_locations(tmp_path / 'n.onnx') == set(names)
+
+
+def test_the_places_are_those_of_onnx_itself():
+    for name, fields in MESSAGES.items():
+        described = getattr(onnx, name).DESCRIPTOR.fields_by_number
+        assert all(described[number].message_type.name == kind
+                   for number, kind in fields.items())
+
+
+def test_a_field_that_comes_twice_hides_nothing(tmp_path):
+    # Readers join a message that comes twice, and take the last of two texts.
+    entry = onnx.StringStringEntryProto(key='location', value='shown').SerializeToString()
+    entry += onnx.StringStringEntryProto(key='x', value='hidden').SerializeToString()
+    entry += onnx.StringStringEntryProto(key='location').SerializeToString()
+    tensor = b'\x6a' + bytes([len(entry)]) + entry
+    graph = b'\x2a' + bytes([len(tensor)]) + tensor
+    first = onnx.ModelProto(graph=onnx.GraphProto(name='first')).SerializeToString()
+    (tmp_path / 'n.onnx').write_bytes(first + b'\x3a' + bytes([len(graph)]) + graph)
+    assert external_locations(tmp_path / 'n.onnx') == {'shown', 'hidden'}
+
+
+@pytest.mark.parametrize('content', [
+    b'', b'not a network', b'\x3a\xff\xff\xff\xff\x0f', b'\x3a', b'\x80' * 11, b'\x3b\x3c',
+    b'\xba\x80\x80\x80\x10\x00',  # field 7 once the 33rd bit is cut off
+    b'\x09\x00'])
+def test_what_is_no_onnx_file_is_refused(tmp_path, content):
+    (tmp_path / 'n.onnx').write_bytes(content)
+    with pytest.raises(ValueError, match=r'n\.onnx is (no whole ONNX file|empty)'):
+        check_external_data(tmp_path / 'n.onnx')
+
+
+def test_a_file_cut_anywhere_is_refused_or_names_nothing_new(tmp_path):
+    content = write_depth_network(tmp_path / 'whole.onnx').read_bytes()
+    for length in range(1, len(content)):
+        (tmp_path / 'n.onnx').write_bytes(content[:length])
+        try:
+            assert external_locations(tmp_path / 'n.onnx') == set()
+        except ValueError as error:
+            assert 'no whole ONNX file' in str(error)
+
+
+def test_a_file_of_nothing_but_fields_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(onnx_file, 'MOST_FIELDS', 1000)
+    (tmp_path / 'n.onnx').write_bytes(b'\x08\x01' * 1001)
+    with pytest.raises(ValueError, match='more than 1000 fields'):
+        check_external_data(tmp_path / 'n.onnx')
+
+
+def test_another_format_than_onnx_is_refused(tmp_path):
+    (tmp_path / 'n.ort').write_bytes(write_network(
+        tmp_path / 'n.onnx', [helper.make_node('Identity', ['a'], ['b'])],
+        [('a', FLOAT, [1])], [('b', FLOAT, [1])]).read_bytes())
+    with pytest.raises(ValueError, match='in the format of ONNX Runtime'):
+        check_external_data(tmp_path / 'n.ort')
