@@ -5,7 +5,7 @@
 # make demo IMAGES=folder FX=..  the same on your own (FX FY CX CY in pixels, or FOV in degrees)
 # make test                      the tests
 # make lint                      ruff
-# make benchmark                 the tables of docs/results.md (ARGS='--only rooms')
+# make benchmark                 the tables of docs/results.md (ARGS='segmentation --only rooms')
 # make defaults                  config/plane_detector.yaml and docs/parameters.md from config.py
 #
 # ROS need not be installed: it comes as wheels into .venv, made on first use by the python3

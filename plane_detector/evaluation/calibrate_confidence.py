@@ -1,19 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Fit the confidence of planes on rendered rooms, of boxes and lived in, and check it on others.
-
-    python3 -m plane_detector.evaluation.calibrate_confidence
-"""
+"""Fit the confidence of planes on rendered rooms, of boxes and lived in; check it on others."""
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable
 
 import numpy as np
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.metrics import overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -22,7 +20,7 @@ from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, confidence_fea
 from plane_detector.segmentation.segment import segment_planes
 
 SCENES = (random_room, living_room)
-FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(1200, 1250)
+FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(HELD_OUT, HELD_OUT + 50)
 NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
@@ -57,7 +55,11 @@ def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
     return '\n'.join(lines)
 
 
-def main() -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare no options."""
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the fitted weights and how reliable the ones in use are on unseen scenes."""
     features, matched = (np.concatenate(part) for part in zip(
         *(samples(make_scene, FIT_SEEDS) for make_scene in SCENES), strict=True))
@@ -68,7 +70,3 @@ def main() -> None:
         confidence = 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
         print(f'\n{make_scene.__name__}, seeds {CHECK_SEEDS[0]} to {CHECK_SEEDS[-1]}\n')
         print(reliability(confidence, matched))
-
-
-if __name__ == '__main__':
-    main()

@@ -5,8 +5,6 @@ Export the architecture of Depth Anything V2 Small with random weights.
 
 Where the true weights cannot be had, it shows that their shapes run through the package, and how
 long they take; what it says about depth is meaningless. Needs the development extra ``export``.
-
-    python3 -m plane_detector.evaluation.export_depth_anything depth_anything_random.onnx
 """
 
 from __future__ import annotations
@@ -69,7 +67,7 @@ def largest_difference(model, path: Path, size: tuple[int, int]) -> float:
     """
     Return the largest difference of torch and ONNX at (height, width), over the largest value.
 
-    The picture goes through `plane_detector.depth.estimator.DepthEstimator`, as in the package.
+    The image goes through `plane_detector.depth.estimator.DepthEstimator`, as in the package.
     """
     import torch
 
@@ -87,24 +85,22 @@ def largest_difference(model, path: Path, size: tuple[int, int]) -> float:
     return float(np.abs(found - expected).max() / expected.max())
 
 
-def main() -> None:
-    """Export, then compare with torch at several sizes."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument('path', type=Path, help='the .onnx file to write')
     parser.add_argument('--seed', type=int, default=0, help='of the random weights')
-    arguments = parser.parse_args()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Export, then compare with torch at several sizes."""
     try:
-        model = build(arguments.seed)
+        model = build(options.seed)
     except ImportError as error:
-        parser.error(f'{error}: install the development extra, plane_detector[export]')
+        raise ImportError(f'{error}: install the extra, plane_detector[export]') from error
     parameters = sum(parameter.numel() for parameter in model.parameters())
     print(f'Depth Anything V2 Small, {parameters / 1e6:.2f} million random weights')
-    export(model, arguments.path)
-    print(f'{arguments.path}: {arguments.path.stat().st_size} bytes')
+    export(model, options.path)
+    print(f'{options.path}: {options.path.stat().st_size} bytes')
     for size in _CHECKED_SIZES:
-        difference = largest_difference(model, arguments.path, size)
+        difference = largest_difference(model, options.path, size)
         print(f'{size[1]} x {size[0]}: largest difference from torch {difference:.1e}')
-
-
-if __name__ == '__main__':
-    main()

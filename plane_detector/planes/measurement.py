@@ -141,7 +141,7 @@ def confidence(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
     Logistic in the logarithms of its share of the picture and of the standard deviation of its
     normal, fitted to whether planes of rendered rooms, of boxes and lived in, match a true one:
-    ``python3 -m plane_detector.evaluation.calibrate_confidence`` fits and checks it.
+    ``python3 -m plane_detector.evaluation.benchmark confidence`` fits and checks it.
 
     Parameters
     ----------

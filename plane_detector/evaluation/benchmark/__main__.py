@@ -1,101 +1,72 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure the plane segmentation, beside its peers, and print the tables as Markdown.
+Measure the package and print the results as Markdown. One program, one subcommand per subject.
 
-    python3 -m plane_detector.evaluation.benchmark > results.md
-    python3 -m plane_detector.evaluation.benchmark --only rooms --seeds 5
-    python3 -m plane_detector.evaluation.benchmark --only real --data folder --model fastdepth
+    python3 -m plane_detector.evaluation.benchmark segmentation --only rooms
+    python3 -m plane_detector.evaluation.benchmark SUBCOMMAND --help
 
-The sections: `rooms` of boxes, `living` rooms and `curved` things are rendered, with exact truth;
-`living_room` is clean depth of a room that others rendered, with labels grown from it (see
-evaluation/reference_labels.py), and how little noise changes what is found; `real` pictures have a
-sensor's depth. Contact sheets of living rooms and real pictures are written to benchmark_output/.
-Peers that are not installed are named as absent.
+Every run first prints its command, the machine, the versions and the commit. What is measured
+here is not installed with the package.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
-from pathlib import Path
+from collections.abc import Sequence
 
-from plane_detector.evaluation.benchmark.clean_depth import held_out_frames, report_exact
-from plane_detector.evaluation.benchmark.curved import report_curved
-from plane_detector.evaluation.benchmark.living_rooms import furnished, report_living
-from plane_detector.evaluation.benchmark.missed_planes import report_misses
-from plane_detector.evaluation.benchmark.real_images import (
-    collect_frames,
-    report_consistency,
-    report_real,
-)
-from plane_detector.evaluation.benchmark.rooms import report_rooms, room, room_sets
-from plane_detector.evaluation.benchmark.runtime import report_times
-from plane_detector.evaluation.benchmark.tables import emit, provenance
-from plane_detector.evaluation.peers import all_methods
+from plane_detector.evaluation.benchmark.provenance import PROGRAM, provenance
+from plane_detector.evaluation.benchmark.tables import emit
 
-SECTIONS = ('rooms', 'living', 'curved', 'living_room', 'real', 'time')
-
-
-def parsed() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--only', type=_sections, default=SECTIONS, metavar='SECTION,...',
-                        help=f'some of {", ".join(SECTIONS)}; default all')
-    parser.add_argument('--seeds', type=int, default=20, help='rooms of each set')
-    parser.add_argument('--slow-seeds', type=int, default=3,
-                        help='rooms of each set for methods that take seconds')
-    parser.add_argument('--repeats', type=int, default=15, help='runs of everything timed')
-    parser.add_argument('--data', type=Path, default=Path('../shared/data'),
-                        help='folder of real pictures, see evaluation/datasets.py')
-    parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
-    parser.add_argument('--output', type=Path, default=Path('benchmark_output'),
-                        help='folder of the contact sheets')
-    arguments = parser.parse_args()
-    if min(arguments.seeds, arguments.slow_seeds, arguments.repeats) < 1:
-        parser.error('--seeds, --slow-seeds and --repeats must be at least 1')
-    return arguments
+# Subcommand: its module, which has add_arguments(parser) and run(options), and a summary. A module
+# is imported when its subcommand runs: some need ROS, others packages that are extras.
+COMMANDS = {
+    'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
+    'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
+    'depth': ('benchmark.depth_network', 'time of the depth network'),
+    'flicker': ('benchmark.flicker', 'the temporal filter of the depth'),
+    'node': ('benchmark.node', 'the node as a process, over DDS'),
+    'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
+    'export': ('export_depth_anything', 'write a depth network with random weights'),
+}
 
 
-def _sections(text: str) -> tuple[str, ...]:
-    wanted = tuple(text.split(','))
-    unknown = sorted(set(wanted) - set(SECTIONS))
-    if unknown:
-        raise argparse.ArgumentTypeError(f'no section {", ".join(unknown)}; there are '
-                                         f'{", ".join(SECTIONS)}')
-    return wanted
+def main(arguments: Sequence[str] | None = None) -> None:
+    """
+    Run a subcommand.
 
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Default: the command line.
 
-def report(arguments: argparse.Namespace) -> None:
-    """Print the sections that were asked for."""
-    emit(provenance())
-    methods = all_methods()
-    if 'rooms' in arguments.only:
-        report_rooms(methods, arguments.seeds, arguments.slow_seeds)
-        report_misses('Rendered rooms', room, room_sets(arguments.seeds, 0)[1].seeds)
-    if 'living' in arguments.only:
-        report_living(methods, arguments.seeds, arguments.slow_seeds, arguments.output)
-        report_misses('Rendered living rooms', furnished, room_sets(arguments.seeds, 0)[1].seeds)
-    if 'curved' in arguments.only:
-        report_curved(methods)
-    if {'living_room', 'real'} & set(arguments.only):
-        found = collect_frames(arguments.data)
-        if 'living_room' in arguments.only:
-            held_out = held_out_frames(arguments.data)
-            report_exact(methods, found, held_out, arguments.output)
-            report_consistency(found)
-        if 'real' in arguments.only:
-            report_real(found, arguments.model, arguments.output)
-    if 'time' in arguments.only:
-        report_times(methods, arguments.repeats)
+    Raises
+    ------
+    SystemExit
+        The arguments or the input are wrong; the message says what to change.
 
-
-def main() -> None:
-    """Print the report; what is wrong with the input ends it with a line."""
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    width = max(map(len, COMMANDS))
+    parser = argparse.ArgumentParser(
+        prog=PROGRAM, description=__doc__.splitlines()[1],
+        formatter_class=argparse.RawDescriptionHelpFormatter, epilog='\n'.join(
+            f'{name:{width}}  {summary}' for name, (_, summary) in COMMANDS.items()))
+    parser.add_argument('subcommand', choices=COMMANDS, metavar='SUBCOMMAND',
+                        help='one of those below; each has a --help of its own')
+    name = parser.parse_args(arguments[:1]).subcommand
+    module_name, summary = COMMANDS[name]
+    module = importlib.import_module(f'plane_detector.evaluation.{module_name}')
+    subparser = argparse.ArgumentParser(prog=f'{PROGRAM} {name}', description=summary)
+    module.add_arguments(subparser)
+    options = subparser.parse_args(arguments[1:])
+    emit(provenance(arguments))
     try:
-        report(parsed())
-    except (ValueError, FileNotFoundError) as error:
-        sys.exit(f'{error}')
+        module.run(options)
+    except (ValueError, OSError, ImportError, RuntimeError) as error:
+        sys.exit(f'{PROGRAM} {name}: {error}')
 
 
 if __name__ == '__main__':

@@ -1,22 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure what damping the flicker of a network is good for, and where it does harm; Markdown.
+What the temporal filter of the depth improves, and where it does harm.
 
-    python3 -m plane_detector.evaluation.benchmark.flicker
-    python3 -m plane_detector.evaluation.benchmark.flicker --seeds 20 --keep 0 0.5 0.8
-
-Rendered rooms are seen by a pretended network: true disparity with noise that is new in every
-picture, once metric and once with scale and shift of its own in every picture. Real pictures are
-seen by a real network, with sensor noise that is new every time: what of its planes stays?
+Rendered rooms are seen by a simulated network: true disparity with noise that is new in every
+image, once metric and once with a scale and shift of its own in every image. Real images are seen
+by a real network, each time with new sensor noise; measured is how much of the planes stays.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
@@ -24,8 +19,10 @@ from tqdm import tqdm
 from plane_detector.config import Config
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.real_images import collect_frames, load_network
-from plane_detector.evaluation.benchmark.tables import emit, provenance, table
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT
+from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -34,15 +31,15 @@ from plane_detector.scale.estimate import to_disparity
 from plane_detector.segmentation.segment import disparity_range, segment_disparity
 
 SIGMAS = (0.004, 0.01)
-"""Standard deviations of the pretended network's noise, per metre."""
+"""Standard deviations of the simulated network's noise, per metre."""
 SENSOR_NOISES = (2.0, 5.0)
-"""Standard deviations of the noise of real pictures, grey levels."""
+"""Standard deviations of the noise of real images, grey levels."""
 _JUDGED = 4
 
 
 def predictions(views: Sequence[View], sigma: float, seed: int,
                 relative: bool) -> Iterator[tuple[np.ndarray, float, float]]:
-    """Yield what the pretended network gives for each picture: disparity, scale and shift."""
+    """Yield what the simulated network gives for each image: disparity, scale and shift."""
     rng = np.random.default_rng([seed, 2])
     for view in views:
         disparity = 1.0 / with_disparity_noise(view.scene.depth_m, sigma, rng)
@@ -53,7 +50,7 @@ def predictions(views: Sequence[View], sigma: float, seed: int,
 def judged(views: Sequence[View], sigma: float, seed: int, relative: bool,
            keeps: Sequence[float]) -> list[list[float]]:
     """
-    Return how good the planes of the last picture are, for each value of damping.
+    Return the accuracy of the planes of the last image, for each value of damping.
 
     Returns
     -------
@@ -99,7 +96,7 @@ def report_rooms(seeds: Sequence[int], keeps: Sequence[float]) -> None:
             rows += [[motion.name, f'{sigma:g}', f'{keep:g}', *_cells(numbers[:, s, k])]
                      for s, sigma in enumerate(SIGMAS) for k, keep in enumerate(keeps)]
         emit(f'### {"Relative" if relative else "Metric"} network, rooms {seeds[0]} to '
-             f'{seeds[-1]}, picture {FRAMES} of each',
+             f'{seeds[-1]}, image {FRAMES} of each',
              table(('', 'noise (1/m)', 'depth.damping', 'SC', 'worst SC', 'recall', 'precision',
                     'error where it moved (1/m)', 'error elsewhere (1/m)'), rows))
 
@@ -114,7 +111,7 @@ def _cells(numbers: np.ndarray) -> list[str]:
 
 
 def report_real(frames: Sequence[Frame], estimate: DepthEstimator, keeps: Sequence[float]) -> None:
-    """Print how well the planes of neighbouring pictures agree, set by set."""
+    """Print how well the planes of consecutive images agree, set by set."""
     sets = list(dict.fromkeys(frame.set_name for frame in frames))
     rows = []
     for name in sets:
@@ -124,16 +121,16 @@ def report_real(frames: Sequence[Frame], estimate: DepthEstimator, keeps: Sequen
                                 for frame in tqdm(of_set, name, leave=False)])
             rows.append([name, str(len(of_set)), f'{sigma:g}',
                          *(f'{value:.3f}' for value in numbers.mean(axis=0))])
-    emit(f'### {estimate.name} on real pictures that stand still',
-         table(('set', 'pictures', 'sensor noise (grey levels)',
-                *(f'SC of neighbours, depth.damping {keep:g}' for keep in keeps)), rows),
-         f'Each picture is seen {FRAMES} times; SC between the planes of one time and of the '
+    emit(f'### {estimate.name} on real images that stand still',
+         table(('set', 'images', 'sensor noise (grey levels)',
+                *(f'SC of consecutive images, depth.damping {keep:g}' for keep in keeps)), rows),
+         f'Each image is seen {FRAMES} times; SC between the planes of one time and of the '
          f'next, mean over the last {_JUDGED}.')
 
 
 def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
               keeps: Sequence[float]) -> list[float]:
-    """Return the SC between the planes of neighbouring pictures for each value of damping."""
+    """Return the SC between the planes of consecutive images for each value of damping."""
     rng = np.random.default_rng(0)
     states: list[DampedDisparity | None] = [None] * len(keeps)
     labels: list[list[np.ndarray]] = [[] for _ in keeps]
@@ -154,36 +151,29 @@ def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
         for one, other in zip(found[:-1], found[1:], strict=True)])) for found in labels]
 
 
-def parsed() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
-    parser.add_argument('--seeds', type=int, default=10, help='rooms')
-    parser.add_argument('--keep', type=float, nargs='+', default=[0.0, 0.5, 0.8],
-                        help='values of depth.damping')
-    parser.add_argument('--data', type=Path, default=Path('../shared/data'),
-                        help='folder of real pictures, see evaluation/datasets.py')
-    parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
-    arguments = parser.parse_args()
-    if arguments.seeds < 1 or not all(0 <= keep < 1 for keep in arguments.keep):
-        parser.error('--seeds must be at least 1, --keep from 0 to below 1')
-    return arguments
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--seeds', type=shared.at_least_one, default=10, help='rooms')
+    parser.add_argument('--first-seed', type=int, default=HELD_OUT)
+    parser.add_argument('--keep', type=_keep, nargs='+', default=[0.0, 0.5, 0.8],
+                        help='values of depth.damping, from 0 to below 1')
+    shared.add_data(parser)
+    shared.add_model(parser)
 
 
-def main() -> None:
-    """Print the command, the machine and the tables."""
-    arguments = parsed()
-    emit(provenance('benchmark_damping'))
-    report_rooms(range(arguments.seeds), arguments.keep)
-    try:
-        estimate, title = load_network(arguments.model)
-        frames = collect_frames(arguments.data)
-    except (ValueError, FileNotFoundError) as error:
-        sys.exit(f'{error}')
+def _keep(text: str) -> float:
+    keep = float(text)
+    if not 0 <= keep < 1:
+        raise argparse.ArgumentTypeError(f'{text} must be from 0 to below 1')
+    return keep
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the tables."""
+    report_rooms(range(options.first_seed, options.first_seed + options.seeds), options.keep)
+    estimate, title = load_network(options.model)
+    frames = collect_frames(options.data)
     if estimate is None:
-        emit(f'{arguments.model}: {title}')
+        emit(f'{options.model}: {title}')
     elif frames:
-        report_real(frames, estimate, arguments.keep)
-
-
-if __name__ == '__main__':
-    main()
+        report_real(frames, estimate, options.keep)

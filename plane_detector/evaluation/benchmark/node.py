@@ -1,20 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure the node as a process of its own over DDS, and print the tables as Markdown.
+The node as a process of its own over DDS: rate, time per stage, time on the cores.
 
-    python3 -m plane_detector.evaluation.benchmark.node
-    python3 -m plane_detector.evaluation.benchmark.node --model none --seconds 30
-
-A rendered room is published at a constant rate, as image, camera_info and, where the depth comes
-from there, depth. Then the same frame is worked on without DDS, and each message is timed alone.
+A rendered room is published at a constant rate: image, camera_info and, where the depth comes
+from a topic, depth. Then the same frame is processed without DDS, and each message timed alone.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +27,7 @@ from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.depth.model_zoo import fetch
 from plane_detector.evaluation.benchmark.node_load import CameraLoad, Load, input_messages
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
-from plane_detector.evaluation.benchmark.tables import emit, provenance, table
+from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.allocator import keep_freed_memory
 from plane_detector.ros.frame_processor import FrameProcessor
@@ -47,18 +43,25 @@ _NODE_ALONE = ('convert', 'tracking', 'messages')
 _REPEATS = 50
 
 
-def parsed() -> argparse.Namespace:
-    """Return the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument('--model', default='fastdepth',
                         help='network of the second source, as depth.model; none: leave it out')
-    parser.add_argument('--rate', type=float, default=30.0, help='of the pictures, Hz')
-    parser.add_argument('--seconds', type=float, default=10.0, help='of every row')
-    arguments = parser.parse_args()
-    if not 0 < arguments.rate <= 1000 or arguments.seconds < 2:
-        parser.error('--rate must be above 0, --seconds at least 2: the diagnostics come once '
-                     'a second')
-    return arguments
+    parser.add_argument('--rate', type=_rate, default=30.0, help='of the images, Hz')
+    parser.add_argument('--seconds', type=_seconds, default=10.0, help='of every row')
+
+
+def _rate(text: str) -> float:
+    if not 0 < float(text) <= 1000:
+        raise argparse.ArgumentTypeError(f'{text} must be above 0 and at most 1000')
+    return float(text)
+
+
+def _seconds(text: str) -> float:
+    if float(text) < 2:
+        raise argparse.ArgumentTypeError(f'{text} must be at least 2: the diagnostics come once '
+                                         'a second')
+    return float(text)
 
 
 def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
@@ -82,7 +85,7 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], rate_hz: float,
             load_before = os.getloadavg()[0]
             load = _load(depth, outputs, rate_hz, seconds)
             rows.append([name, subscribed, *_cells(load), f'{load_before:.1f}'])
-    emit(f'### The node over DDS, room {HELD_OUT} at 640 x 480, pictures at {rate_hz:g} Hz',
+    emit(f'### The node over DDS, room {HELD_OUT} at 640 x 480, images at {rate_hz:g} Hz',
          table(('depth', 'subscribed', 'rate (Hz)', *(f'{one} (ms)' for one in _STAGES),
                 'messages\' share', 'core time (ms)', 'without a core (ms)', 'load before'), rows),
          'Medians of what /diagnostics says. Messages\' share: making and publishing them. Core '
@@ -159,23 +162,15 @@ def _median_ms(call: Callable[[], object]) -> float:
     return 1e3 * float(np.median(taken))
 
 
-def main() -> None:
-    """Print the report; what is wrong ends it with a line."""
-    arguments = parsed()
+def run(options: argparse.Namespace) -> None:
+    """Print the tables."""
     keep_freed_memory()  # as the node does
     use_private_domain()
-    emit(provenance('benchmark_node'))
-    found = list(sources(arguments.model))
+    found = list(sources(options.model))
     rclpy.init()
     try:
-        report_load(found, arguments.rate, arguments.seconds)
-    except RuntimeError as error:
-        sys.exit(f'{error}')
+        report_load(found, options.rate, options.seconds)
     finally:
         rclpy.try_shutdown()
     report_in_process(found)
     report_messages()
-
-
-if __name__ == '__main__':
-    main()

@@ -1,18 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How right angles and distances are after each way to find the scale; prints Markdown tables.
+Accuracy of angles and distances after each way to find the scale.
 
-Pictures are seen by a pretended relative network: true depth becomes disparity with noise, of
-random scale and shift. Its planes are found, scale and shift are estimated from them, and the
-planes' angles and distances compared with those of the true depth on the same pixels.
+A relative-depth network is simulated: true depth becomes disparity with noise, of random scale
+and shift. Its planes are found, scale and shift are estimated from them, and the planes' angles
+and distances are compared with those of the true depth on the same pixels.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -22,6 +21,8 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
+from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
@@ -38,15 +39,15 @@ CLASS_TOLERANCE_DEG = 8.0
 GRAVITY_ERROR_DEG, HEIGHT_ERROR_SHARE = 1.0, 0.02
 COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG = 10.0, 20.0
 SPARSE_POINTS, WRONG_POINT_SHARE = 200, 0.1
-# Real pictures are few: each is seen by this many pretended networks.
-DRAWS_PER_PICTURE = 10
+# Real images are few: each is seen by this many simulated networks.
+DRAWS_PER_IMAGE = 10
 BENT_DEG = 6.0
 UP_TO_A_FACTOR = ' (up to one factor)'
 
 
 @dataclass(frozen=True)
 class View:
-    """What the pretended network makes of a picture, its planes, and the truth."""
+    """What the simulated network makes of an image, its planes, and the truth."""
 
     disparity: np.ndarray
     labels: np.ndarray
@@ -81,7 +82,7 @@ class Errors:
 
 def look(depth_m: np.ndarray, intrinsics: CameraIntrinsics, down_camera: np.ndarray,
          height_m: float, rng: np.random.Generator) -> View:
-    """Return what a network of random scale and shift makes of a picture, and its planes."""
+    """Return what a network of random scale and shift makes of an image, and its planes."""
     scale = np.exp(rng.uniform(*np.log(SCALE_RANGE)))
     shift = rng.uniform(*SHIFT_RANGE_PER_M)
     noisy_m = with_disparity_noise(depth_m, NOISE_PER_M, rng)
@@ -100,7 +101,7 @@ def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
 
 
 def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
-    """Read a set of real pictures; gravity and height are those of the sensor's floor."""
+    """Read a set of real images; gravity and height are those of the sensor's floor."""
     facts = json.loads((folder / 'intrinsics.json').read_text())
     intrinsics = CameraIntrinsics(*(facts[k] for k in ('fx', 'fy', 'cx', 'cy', 'width', 'height')))
     for path in sorted(folder.glob('*_depth.png')):
@@ -113,7 +114,7 @@ def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
         if not floors:
             print(f'{path.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
             continue
-        for _ in range(DRAWS_PER_PICTURE):
+        for _ in range(DRAWS_PER_IMAGE):
             yield look(depth_m, intrinsics, -floors[0].normal, floors[0].offset_m, rng)
 
 
@@ -250,32 +251,28 @@ def refusal_row(name: str, views: Iterable[View]) -> str:
             f'{len(accepted) - bent} | {bent} |')
 
 
-def main(arguments: list[str] | None = None) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--rooms', type=shared.at_least_one, default=50,
+                        help='rendered scenes of each kind')
+    parser.add_argument('--first-seed', type=int, default=HELD_OUT)
+    shared.add_data(parser)
+
+
+def run(options: argparse.Namespace) -> None:
     """Print all tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--rooms', type=int, default=50, help='rendered scenes of each kind')
-    parser.add_argument('--first-seed', type=int, default=1000)
-    parser.add_argument('--data', type=Path, help='folder of the real pictures',
-                        default=Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')))
-    options = parser.parse_args(arguments)
     seeds = range(options.first_seed, options.first_seed + options.rooms)
-    print(f'`python -m plane_detector.evaluation.benchmark.scale --rooms {options.rooms} '
-          f'--first-seed {options.first_seed}`\n')
     print(accuracy_table(f'{options.rooms} rendered rooms',
                          list(rendered_views(scenes.random_room, seeds))))
     for name in ('kinect', 'nyu'):
         if (options.data / name).is_dir():
             views = list(real_views(options.data / name, np.random.default_rng(seeds.start)))
-            title = (f'Real pictures, {name}: {len(views) // DRAWS_PER_PICTURE} with a floor, '
-                     f'each seen by {DRAWS_PER_PICTURE} networks')
+            title = (f'Real images, {name}: {len(views) // DRAWS_PER_IMAGE} with a floor, '
+                     f'each seen by {DRAWS_PER_IMAGE} networks')
             print(accuracy_table(title, views))
         else:
             print(f'{options.data / name} is not there: no table of it', file=sys.stderr)
-    print('### The vote of right angles\n\n| room | pictures | refused | right | bent by more '
+    print('### The vote of right angles\n\n| room | images | refused | right | bent by more '
           f'than {BENT_DEG:.0f} deg |\n|---|---|---|---|---|')
     for make in (scenes.random_room, scenes.attic, scenes.hexagon_room):
         print(refusal_row(make.__name__, rendered_views(make, seeds)))
-
-
-if __name__ == '__main__':
-    main()

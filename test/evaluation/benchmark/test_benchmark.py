@@ -3,8 +3,6 @@
 """The benchmark judges right, names what is absent, and prints its tables."""
 
 import json
-import subprocess
-import sys
 
 import cv2
 import numpy as np
@@ -268,14 +266,3 @@ def test_a_depth_camera_is_not_taken_for_a_network(data_folder):
              for frame in frames(data_folder, ('nyu', 'kinect'))}
     assert max(noise.values()) < 0.005, noise
     assert min(noise.values()) > 0.0005, noise
-
-
-@pytest.mark.parametrize(('arguments', 'message'), [
-    (['--only', 'rooms,nothing'], 'no section nothing'), (['--seeds', '0'], 'at least 1'),
-    (['--only', 'real', '--model', 'no_such_network'], 'no_such_network')])
-def test_wrong_arguments_are_explained(arguments, message):
-    run = subprocess.run([sys.executable, '-m', 'plane_detector.evaluation.benchmark', *arguments],
-                         capture_output=True, text=True, check=False)
-    assert run.returncode in (1, 2)
-    assert 'Traceback' not in run.stderr
-    assert message in run.stderr

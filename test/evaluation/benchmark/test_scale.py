@@ -1,17 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of the scale runs, and real pictures keep its promise."""
+"""The benchmark of the scale runs, and real images keep its promise."""
 
 import numpy as np
 import pytest
 
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.benchmark import scale as benchmark_scale
+from plane_detector.evaluation.benchmark.__main__ import main
 from plane_detector.scale.methods import estimate_scale
 
 
 def test_benchmark_prints_every_way_and_every_room(capsys, tmp_path):
-    benchmark_scale.main(['--rooms', '1', '--first-seed', '2000', '--data', str(tmp_path)])
+    main(['scale', '--rooms', '1', '--first-seed', '2000', '--data', str(tmp_path)])
     told = capsys.readouterr()
     assert all(f'| {way} | ' in told.out for way in benchmark_scale.WAYS)
     assert all(f'| {room} | 1 | ' in told.out for room in ('random_room', 'attic', 'hexagon_room'))
@@ -19,8 +20,8 @@ def test_benchmark_prints_every_way_and_every_room(capsys, tmp_path):
 
 
 @pytest.mark.parametrize('name', ['kinect', 'nyu'])
-def test_camera_height_brings_real_pictures_to_metres(name, data_folder, monkeypatch):
-    monkeypatch.setattr(benchmark_scale, 'DRAWS_PER_PICTURE', 1)
+def test_camera_height_brings_real_images_to_metres(name, data_folder, monkeypatch):
+    monkeypatch.setattr(benchmark_scale, 'DRAWS_PER_IMAGE', 1)
     for view in benchmark_scale.real_views(data_folder / name, np.random.default_rng(5)):
         config = ScaleConfig(camera_height=view.height_m, gravity=tuple(view.down_camera),
                              gravity_tolerance=0.5)

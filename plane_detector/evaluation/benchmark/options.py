@@ -1,0 +1,36 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Options that several subcommands of the benchmark share."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+
+def at_least_one(text: str) -> int:
+    """Return a number of the command line that must be 1 or more."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f'{number} must be at least 1')
+    return number
+
+
+def add_data(parser: argparse.ArgumentParser) -> None:
+    """Add the folder of real images."""
+    parser.add_argument('--data', type=Path,
+                        default=Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')),
+                        help='folder of real images, see evaluation/datasets.py; default: '
+                             'PLANE_DETECTOR_DATA or %(default)s')
+
+
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """Add the depth network."""
+    parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
+
+
+def add_output(parser: argparse.ArgumentParser) -> None:
+    """Add the folder of what is written."""
+    parser.add_argument('--output', type=Path, default=Path('benchmark_output'),
+                        help='folder of the images that are written')

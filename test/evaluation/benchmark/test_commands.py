@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""One program with subcommands: each has its help, and wrong input is explained in a line."""
+
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from plane_detector.evaluation.benchmark import __main__ as program
+from plane_detector.evaluation.benchmark.__main__ import COMMANDS, main
+
+MODULE = 'plane_detector.evaluation.benchmark'
+
+
+def test_help_lists_every_subcommand(capsys):
+    with pytest.raises(SystemExit, match='0'):
+        main(['--help'])
+    text = capsys.readouterr().out
+    assert all(f'{name} ' in text and summary in text for name, (_, summary) in COMMANDS.items())
+
+
+@pytest.mark.parametrize('name', COMMANDS)
+def test_every_subcommand_has_its_own_help(name, capsys):
+    with pytest.raises(SystemExit, match='0'):
+        main([name, '--help'])
+    assert f'{MODULE} {name} ' in ' '.join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(('arguments', 'message'), [
+    ([], 'SUBCOMMAND'), (['nothing'], 'nothing'),
+    (['segmentation', '--only', 'rooms,nothing'], 'no section nothing'),
+    (['segmentation', '--seeds', '0'], 'at least 1'), (['flicker', '--keep', '1'], 'below 1'),
+    (['node', '--rate', '0'], 'above 0'), (['node', '--seconds', '1'], 'at least 2')])
+def test_wrong_arguments_are_explained(arguments, message, capsys):
+    with pytest.raises(SystemExit, match='2'):
+        main(arguments)
+    assert message in capsys.readouterr().err
+
+
+def test_wrong_input_ends_a_process_with_a_line():
+    run = subprocess.run([sys.executable, '-m', MODULE, 'depth', 'no_such_network'],
+                         capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert 'Traceback' not in run.stderr
+    assert 'no_such_network' in run.stderr
+
+
+def test_a_run_names_its_command_machine_and_commit_first(monkeypatch, capsys):
+    given = []
+    command = SimpleNamespace(
+        add_arguments=lambda parser: parser.add_argument('--size', type=int),
+        run=lambda options: (given.append(options.size), print('the results')))
+    monkeypatch.setattr(program.importlib, 'import_module', lambda name: command)
+    main(['scale', '--size', '3'])
+    first, *_, last = capsys.readouterr().out.strip().splitlines()
+    assert first == f'`python3 -m {MODULE} scale --size 3`'
+    assert last == 'the results'
+    assert given == [3]
+
+
+def test_where_a_result_comes_from_is_stated():
+    text = program.provenance(['scale', 'with space'])
+    assert text.startswith(f"`python3 -m {MODULE} scale 'with space'`\n\n")
+    assert all(part in text for part in ('cores, Python 3.', 'numpy 2', '; commit '))
