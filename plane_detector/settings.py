@@ -12,7 +12,11 @@ from typing import Any
 def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
             high: float | None = None, choices: tuple[str, ...] = (),
             read_only: bool = False) -> Any:
-    """Declare a field with its description, unit, range and choices."""
+    """
+    Declare a field with its description, unit, range and choices.
+
+    A ``read_only`` one is read when the node is configured and fixed while the node is active.
+    """
     return field(default=default, metadata={
         'doc': doc, 'unit': unit, 'low': low, 'high': high,
         'choices': choices, 'read_only': read_only})

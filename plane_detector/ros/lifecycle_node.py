@@ -67,6 +67,7 @@ class PlaneDetectorNode(LifecycleNode):
         self._config = parameters.declare(self, Config())
         self._settings = parameters.declare(self, NodeConfig())
         parameters.warn_of_unknown(self)
+        self.add_pre_set_parameters_callback(self._with_floats)
         self.add_on_set_parameters_callback(self._check_parameters)
         self.add_post_set_parameters_callback(self._take_parameters)
         self._statistics = Statistics()
@@ -117,7 +118,9 @@ class PlaneDetectorNode(LifecycleNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe and start the worker."""
         try:
-            self._inputs = Inputs(self, self._config, self._settings, self._processor.output,
+            processor = self._processor
+            self._inputs = Inputs(self, processor.detector.config, processor.settings,
+                                  processor.output,
                                   self._accept, self._statistics.add_dropped)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
@@ -182,21 +185,30 @@ class PlaneDetectorNode(LifecycleNode):
     def _apply_changes(self) -> None:
         """Take over, between two frames, what was asked for in the meantime."""
         processor = self._processor
-        processor.settings = self._settings
-        if processor.detector.config is not self._config:
-            processor.detector.config = self._config
+        processor.settings = parameters.with_live(processor.settings, self._settings)
+        config = parameters.with_live(processor.detector.config, self._config)
+        if processor.detector.config != config:
+            processor.detector.config = config
         if self._reset_requested:
             self._reset_requested = False
             processor.reset()
 
     # Parameters and services
 
+    def _with_floats(self, changed: list[Parameter]) -> list[Parameter]:
+        return parameters.with_floats(self._settings,
+                                      parameters.with_floats(self._config, changed))
+
     def _check_parameters(self, changed: list[Parameter]) -> SetParametersResult:
         try:
-            parameters.updated(self._config, changed)
-            parameters.updated(self._settings, changed)
+            fixed = [name for old in (self._config, self._settings)
+                     for name in parameters.fixed_changes(old, parameters.updated(old, changed))]
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        if fixed and self.state == 'active':
+            return SetParametersResult(successful=False, reason=(
+                f'{", ".join(fixed)}: read when the node is configured; deactivate the node, set '
+                'it, then clean up and configure'))
         return SetParametersResult(successful=True)
 
     def _take_parameters(self, changed: list[Parameter]) -> None:
@@ -223,8 +235,8 @@ class PlaneDetectorNode(LifecycleNode):
         """Return level, message and facts for the diagnostics."""
         facts = {'state': self.state, 'mode': self._settings.mode, **self._scale_facts}
         if self._processor is not None:
-            facts.update(model_facts(self._config.depth.source,
-                                     self._processor.detector.estimate_depth))
+            detector = self._processor.detector
+            facts.update(model_facts(detector.config.depth.source, detector.estimate_depth))
         if self._failure:
             return DiagnosticStatus.ERROR, self._failure, facts
         if self._worker is None:

@@ -37,10 +37,8 @@ def declare(node: Node, defaults: AnySettings) -> AnySettings:
         An initial value has another type.
 
     """
-    values = [node.declare_parameter(name, list(value) if isinstance(value, tuple) else value,
-                                     descriptor(field, value))
-              for name, field, value in parameters_of(defaults)]
-    return updated(defaults, values)
+    return updated(defaults, [_declare_one(node, name, descriptor(field, value), value)
+                              for name, field, value in parameters_of(defaults)])
 
 
 def warn_of_unknown(node: Node) -> None:
@@ -74,11 +72,43 @@ def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettin
     return _replaced(settings, values, '')
 
 
+def with_floats(settings: Settings, parameters: Iterable[Parameter]) -> list[Parameter]:
+    """Return the parameters, with whole numbers as floats where the setting is a float."""
+    defaults = {name: value for name, _, value in parameters_of(settings)}
+    return [Parameter(parameter.name, value=_as_float(defaults[parameter.name], parameter.value))
+            if parameter.name in defaults else parameter for parameter in parameters]
+
+
+def fixed_changes(old: AnySettings, new: AnySettings) -> list[str]:
+    """Return the names of the settings that differ and are read only at configure."""
+    return [name for (name, field, before), (_, _, after)
+            in zip(parameters_of(old), parameters_of(new), strict=True)
+            if field.metadata['read_only'] and before != after]
+
+
+def with_live(configured: AnySettings, wanted: AnySettings) -> AnySettings:
+    """Return what is wanted, except for what is read only at configure: that stays."""
+    changes = {}
+    for field in fields(configured):
+        old, new = getattr(configured, field.name), getattr(wanted, field.name)
+        if isinstance(old, Settings):
+            changes[field.name] = with_live(old, new)
+        elif not field.metadata['read_only']:
+            changes[field.name] = new
+    return replace(configured, **changes)
+
+
 def descriptor(field: Field, default: Any) -> ParameterDescriptor:
-    """Return what `ros2 param describe` shows: description, unit, range, choices."""
+    """
+    Return what `ros2 param describe` shows: description, unit, range, choices.
+
+    No parameter is read-only for ROS, which refuses even the same value again, as `ros2 param
+    load` of a dump sets it: what is fixed while the node is active the node refuses itself.
+    """
     meta = field.metadata
     unit = f' [{meta["unit"]}]' if meta['unit'] else ''
-    result = ParameterDescriptor(description=meta['doc'] + unit, read_only=meta['read_only'])
+    when = '; read at configure' if meta['read_only'] else ''
+    result = ParameterDescriptor(description=meta['doc'] + unit + when)
     result.additional_constraints = _constraints(meta)
     result.dynamic_typing = _is_switch(meta)
     low, high = meta['low'], meta['high']
@@ -93,6 +123,31 @@ def descriptor(field: Field, default: Any) -> ParameterDescriptor:
             from_value=int(-2**63 if low is None else low),
             to_value=int(2**63 - 1 if high is None else high))]
     return result
+
+
+def _declare_one(node: Node, name: str, described: ParameterDescriptor, default: Any) -> Parameter:
+    """Declare a parameter; a whole number is taken for a float, which rclpy refuses."""
+    if isinstance(_first(default), float):
+        given = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
+        node.undeclare_parameter(name)
+        value = _as_float(default, given)
+        if value is not given:
+            return node.declare_parameter(name, value, described, ignore_override=True)
+    value = list(default) if isinstance(default, tuple) else default
+    return node.declare_parameter(name, value, described)
+
+
+def _first(value: Any) -> Any:
+    return next(iter(value), None) if isinstance(value, (tuple, list, array.array)) else value
+
+
+def _as_float(default: Any, value: Any) -> Any:
+    """Return a whole number, or an array of such, as floats where the default is one."""
+    if not isinstance(_first(default), float) or type(_first(value)) is not int:
+        return value
+    if isinstance(default, tuple) != isinstance(value, (list, tuple, array.array)):
+        return value
+    return [float(v) for v in value] if isinstance(default, tuple) else float(value)
 
 
 def _constraints(meta: Any) -> str:
@@ -122,5 +177,5 @@ def _replaced(settings: AnySettings, values: dict[str, Any], prefix: str) -> Any
         if isinstance(old, Settings):
             changes[field.name] = _replaced(old, values, f'{name}.')
         elif name in values:
-            changes[field.name] = _field_value(field, values[name])
+            changes[field.name] = _field_value(field, _as_float(old, values[name]))
     return replace(settings, **changes)

@@ -53,7 +53,7 @@ def parameter_table() -> str:
         for name, meta, value in settings:
             cells = (f'`{group}.{name}`' if group else f'`{name}`', f'`{_yaml(value)}`',
                      meta['unit'], _range(meta),
-                     meta['doc'] + ('; fixed at start' if meta['read_only'] else ''))
+                     meta['doc'] + ('; read at configure' if meta['read_only'] else ''))
             lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
     return '\n'.join(lines) + '\n'
 
@@ -86,7 +86,7 @@ def _groups() -> Iterator[tuple[str, list[tuple[str, Any, Any]]]]:
 
 def _description(meta: Any) -> str:
     notes = [f'in {meta["unit"]}' if meta['unit'] else '', _range(meta),
-             'fixed at start' if meta['read_only'] else '']
+             'read at configure' if meta['read_only'] else '']
     known = '; '.join(note for note in notes if note)
     return meta['doc'] + (f' ({known})' if known else '')
 

@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node under control: parameters, services, lifecycle, quality of service."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, change_state, send, small_room, start
+from onnx_models import millimetres_as_rgb, write_depth_network
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -84,7 +87,7 @@ def test_parameters_change_between_frames(robot, room):
     ('segmentation.max_planes', 0, 'out of range'),
     ('segmentation.max_planes', 2.0, 'type'),
     ('mode', 'sometimes', 'must be one of'),
-    ('depth.model', 'other.onnx', 'read-only')])
+    ('depth.model', 'other.onnx', 'depth.model: read when the node is configured')])
 def test_impossible_changes_are_refused_and_change_nothing(robot, name, value, reason):
     node = start(robot, lambda rgb: None)
     before = node.get_parameter(name).value
@@ -102,6 +105,31 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     assert 'missing.onnx' in values['last_error']
     assert node.state == 'unconfigured'
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
+
+
+def test_what_is_read_at_configure_can_be_set_before_it(robot, room, tmp_path):
+    """A wrong network is mended without a restart; a dump loads quietly into an active node."""
+    network = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
+    node = start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'),
+                 depth__output='metric_depth', depth__mean=[0, 0, 0], depth__std=[1, 1, 1])
+    assert robot.is_logged('cannot be configured')
+    model = Parameter('depth.model', value=str(network))
+    assert node.set_parameters([model])[0].successful
+    assert change_state(robot, Transition.TRANSITION_CONFIGURE)
+    assert change_state(robot, Transition.TRANSITION_ACTIVATE)
+    assert node.set_parameters([model])[0].successful, 'the same value again'
+    assert node.set_parameters([Parameter('scale.camera_height', value=1)])[0].successful
+    assert node.get_parameter('scale.camera_height').value == 1.0
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert node.set_parameters([Parameter('depth.source', value='topic')])[0].successful
+    assert change_state(robot, Transition.TRANSITION_ACTIVATE)
+    send(robot, replace(room, rgb=millimetres_as_rgb(room.depth_m)), 1.0)
+    robot.wait_for('planes')
+    assert robot.diagnosis()[1]['depth_model'] == str(network), 'until the next configure'
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
+                       Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        assert change_state(robot, transition)
+    assert 'topic' in robot.diagnosis()[1]['depth_model']
 
 
 def test_lifecycle_without_autostart(robot, room):

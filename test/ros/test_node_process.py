@@ -185,7 +185,7 @@ def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
 
 @pytest.mark.parametrize('arguments, reason', [
     (('-p', 'segmentation.max_planes:=0'), 'segmentation.max_planes'),
-    (('-p', 'depth.max_depth:=80'), 'depth.max_depth'),
+    (('-p', 'depth.max_depth:=far'), 'depth.max_depth'),
     (('-p', 'mode:=sometimes'), 'mode must be one of'),
     (('--params-file', '/nowhere.yaml'), '/nowhere.yaml'),
     (('-r', 'image'), "remap rule: '-r image'"),

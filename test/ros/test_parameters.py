@@ -72,11 +72,36 @@ def test_a_switch_takes_what_yaml_makes_of_true(make_node, value, expected):
     ({'inner__count': 11}, InvalidParameterValueException),
     ({'inner__count': 1.5}, InvalidParameterTypeException),
     ({'gain': -0.1}, InvalidParameterValueException),
+    ({'gain': -1}, InvalidParameterValueException),
+    ({'gain': True}, InvalidParameterTypeException),
+    ({'gain': [1]}, InvalidParameterTypeException),
     ({'weights': [0.1]}, ValueError),
     ({'switch': 'maybe'}, ValueError)])
 def test_impossible_overrides_are_refused(make_node, overrides, error):
     with pytest.raises(error):
         parameters.declare(make_node(**overrides), Outer())
+
+
+def test_whole_numbers_are_taken_for_floats(make_node):
+    node = make_node(gain=2, weights=[1, 3])
+    assert parameters.declare(node, Outer()) == Outer(gain=2.0, weights=(1.0, 3.0))
+    assert node.get_parameter('gain').type_ == Parameter.Type.DOUBLE
+    assert node.get_parameter('weights').type_ == Parameter.Type.DOUBLE_ARRAY
+    changed = parameters.with_floats(Outer(), [
+        Parameter('gain', value=3), Parameter('weights', value=[4, 5]),
+        Parameter('inner.count', value=6), Parameter('other', value=7)])
+    assert [(p.name, p.value, type(p.value)) for p in changed if p.name != 'weights'] == [
+        ('gain', 3.0, float), ('inner.count', 6, int), ('other', 7, int)]
+    assert list(changed[1].value) == [4.0, 5.0]
+    settings = parameters.updated(Outer(), [Parameter('gain', value=3)])
+    assert isinstance(settings.gain, float)
+
+
+def test_what_is_read_at_configure_is_told_apart():
+    old, new = Outer(), Outer(Inner(4, ('c',)), gain=0.7)
+    assert parameters.fixed_changes(old, new) == ['inner.count']
+    assert parameters.fixed_changes(new, new) == []
+    assert parameters.with_live(old, new) == Outer(Inner(3, ('c',)), gain=0.7)
 
 
 def warnings_of(node, monkeypatch):
@@ -105,13 +130,12 @@ def test_descriptors_tell_unit_range_and_choices(make_node):
     parameters.declare(node, Outer())
     count = node.describe_parameter('inner.count')
     assert count.type == ParameterType.PARAMETER_INTEGER
-    assert count.description == 'how many [px]'
-    assert count.read_only
+    assert count.description == 'how many [px]; read at configure'
     assert (count.integer_range[0].from_value, count.integer_range[0].to_value) == (0, 10)
     gain = node.describe_parameter('gain')
     assert gain.floating_point_range[0].from_value == 0.0
     assert gain.floating_point_range[0].to_value > 1e300
-    assert not gain.read_only
+    assert gain.description == 'how much [m]'
     assert node.describe_parameter('weights').additional_constraints == 'at least 0.5'
     assert node.describe_parameter('switch').additional_constraints == 'one of auto, true, false'
 
