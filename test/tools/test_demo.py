@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 
-from plane_detector.geometry.projection import depth_to_points, points_to_pixels
+from plane_detector.geometry.projection import points_to_pixels
 from plane_detector.tools.demo.photographs import (
     LONGEST_SIDE_PX,
     STATED_FIELD_OF_VIEW_DEG,
@@ -25,14 +25,11 @@ from plane_detector.tools.demo.photographs import (
     library_pictures,
     shrunk,
 )
-from plane_detector.tools.demo.sensor_comparison import depth_error, plane_errors
 from plane_detector.tools.ply import write_ply
 from plane_detector.types import CameraIntrinsics
 
 ROOT = Path(__file__).resolve().parents[2]
 CAMERA = CameraIntrinsics(100.0, 100.0, 79.5, 59.5, 160, 120)
-PLANE_FIELDS = [('normal_x', 'f4'), ('normal_y', 'f4'), ('normal_z', 'f4'), ('d', 'f4'),
-                ('label', 'u4')]
 
 
 @pytest.fixture(scope='module')
@@ -145,42 +142,6 @@ def test_ply_holds_the_valid_points(tmp_path):
     np.testing.assert_array_equal(vertices['z'], [2, 8, 11, 14, 17])
     assert vertices[1]['red'] == 106
     assert vertices[1]['blue'] == 108
-
-
-def test_plane_errors_of_a_known_tilt_and_shift():
-    depth_m = np.full((120, 160), 2.0)
-    labels = np.ones((120, 160), np.uint32)
-    tilt = np.radians(5)
-    planes = np.array([(0, np.sin(tilt), -np.cos(tilt), 2.05, 1)], PLANE_FIELDS)
-    error, = plane_errors(planes, labels, depth_m, CAMERA)
-    assert error.normal_deg == pytest.approx(5, abs=1e-3)
-    assert error.offset_m == pytest.approx(0.05, abs=1e-6)
-    assert error.purity == 1
-    points_m = depth_to_points(depth_m, CAMERA).reshape(-1, 3)
-    distance_m = np.abs(points_m @ [0, np.sin(tilt), -np.cos(tilt)] + 2.05)
-    assert error.distance_m == pytest.approx(np.median(distance_m), abs=1e-5)
-
-
-def test_purity_tells_a_label_over_two_surfaces():
-    depth_m = np.full((120, 160), 2.0)
-    depth_m[:, 120:] = 3.0
-    planes = np.array([(0, 0, -1, 2.0, 4)], PLANE_FIELDS)
-    error, = plane_errors(planes, np.full((120, 160), 4, np.uint32), depth_m, CAMERA)
-    assert error.purity == pytest.approx(0.75)
-    assert error.normal_deg < 0.01
-    assert error.label == 4
-
-
-def test_plane_without_measured_pixels_is_left_out():
-    planes = np.array([(0, 0, -1, 2.0, 1)], PLANE_FIELDS)
-    nothing = np.full((120, 160), np.nan)
-    assert plane_errors(planes, np.ones((120, 160), np.uint32), nothing, CAMERA) == []
-    assert np.isnan(depth_error(np.ones((3, 3)), np.full((3, 3), np.nan))).all()
-
-
-def test_depth_error_of_a_scaled_depth():
-    true_m = np.linspace(1, 5, 100)
-    assert depth_error(1.1 * true_m, true_m) == (pytest.approx(0.1), pytest.approx(1.1))
 
 
 def test_cloud_from_msg_follows_the_fields():

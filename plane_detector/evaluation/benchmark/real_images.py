@@ -21,12 +21,7 @@ from plane_detector.evaluation.benchmark.fragmentation import (
     NEAR_DEVIATIONS,
     held_and_holdable,
 )
-from plane_detector.evaluation.benchmark.judging import (
-    Coverage,
-    JudgedPlane,
-    judge_coverage,
-    judge_planes,
-)
+from plane_detector.evaluation.benchmark.judging import Coverage, judge_coverage
 from plane_detector.evaluation.benchmark.rooms import SIGMAS
 from plane_detector.evaluation.benchmark.tables import emit, table, write_sheet
 from plane_detector.evaluation.datasets import Frame, frames, library_frames
@@ -35,6 +30,7 @@ from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.segmentation.segment import segment_planes
+from plane_detector.tools.demo.sensor_comparison import JudgedPlane, judge_planes
 from plane_detector.types import Detection, PlaneSegmentation
 
 RENDERED = ('living_room',)

@@ -14,7 +14,7 @@ import numpy as np
 from plane_detector import drawing
 from plane_detector.tools.demo.node_client import Received, Timing
 from plane_detector.tools.demo.photographs import Photograph
-from plane_detector.tools.demo.sensor_comparison import depth_error, plane_errors
+from plane_detector.tools.demo.sensor_comparison import JudgedPlane, depth_error, judge_planes
 from plane_detector.tools.ply import write_ply
 
 _ROWS_SHOWN = 12
@@ -139,13 +139,23 @@ def _print_truth(outcome: Outcome) -> None:
     relative, ratio = depth_error(received.depth_m, photograph.true_depth_m)
     print(f'  against the true depth: relative error of the depth {relative:.3f}, its median '
           f'{ratio:.2f} times the true one')
-    errors = plane_errors(received.planes, received.points['label'], photograph.true_depth_m,
-                          photograph.intrinsics)
+    judged = _judged(received, photograph)
     columns = ('label', 'distance cm', 'normal deg', 'd cm', 'purity %')
     print('  ' + ''.join(f'{column:>12}' for column in columns))
-    for error in errors[:_ROWS_SHOWN]:
-        print(f'  {error.label:12d}{100 * error.distance_m:12.1f}{error.normal_deg:12.1f}'
-              f'{100 * error.offset_m:12.1f}{100 * error.purity:12.0f}')
+    for one in judged[:_ROWS_SHOWN]:
+        print(f'  {received.planes["label"][one.index]:12d}{100 * one.distance_m:12.1f}'
+              f'{one.normal_error_deg:12.1f}{100 * one.offset_error_m:12.1f}'
+              f'{100 * one.purity:12.0f}')
     print('  (distance: median from the true points of its pixels; normal and d: against the '
           'best plane\n  through these points; purity: share of them within max(3 cm, 1.5 % of '
           'z) of that plane)')
+
+
+def _judged(received: Received, photograph: Photograph) -> list[JudgedPlane]:
+    planes, labels = received.planes, received.points['label']
+    index_of = np.full(max(labels.max(), planes['label'].max(initial=0)) + 1, -1)
+    index_of[planes['label']] = np.arange(len(planes))
+    coefficients = np.column_stack([planes[name] for name in (
+        'normal_x', 'normal_y', 'normal_z', 'd')])
+    return judge_planes(index_of[labels], coefficients, photograph.true_depth_m,
+                        photograph.intrinsics, np.random.default_rng(0))

@@ -1,79 +1,90 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far planes are from measured depth of the same picture."""
+"""
+Planes judged by the depth that a sensor measured.
+
+The truth about a plane is the best plane through the sensor's points under its pixels: the one
+that most of them are near, then fitted to these by least squares.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.linear_model import LinearRegression, RANSACRegressor
 
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
+# A pixel is on a plane within this, or within this share of its depth where that is more.
+TOLERANCE_M = 0.03
+TOLERANCE_SHARE = 0.015
+MIN_SENSOR_PIXELS = 100
+_MAX_SAMPLES = 1500
+_HYPOTHESES = 300
 _REFITS = 3
-_FEWEST_PIXELS = 100
 
 
 @dataclass(frozen=True)
-class PlaneError:
+class JudgedPlane:
     """
-    One plane against the measured points of its pixels.
+    One plane against the sensor's points under its pixels.
 
     Attributes
     ----------
-    label : int
-        Of the plane.
+    index : int
+        Of the plane among those judged.
     pixels : int
-        With measured depth.
+        Of the plane that the sensor measured.
     distance_m : float
-        Median distance of the measured points from the plane.
-    normal_deg, offset_m : float
-        Against the best plane through the measured points.
+        Median distance of the sensor's points from the plane.
     purity : float
-        Share of the measured points within max(3 cm, 1.5 % of z) of that best plane: 1 where
-        the pixels really are one plane.
+        Share of these points near the best plane through them: 1 where the pixels really are
+        one plane.
+    normal_error_deg, offset_error_m : float
+        Of the plane against that best one.
 
     """
 
-    label: int
+    index: int
     pixels: int
     distance_m: float
-    normal_deg: float
-    offset_m: float
     purity: float
+    normal_error_deg: float
+    offset_error_m: float
 
 
-def plane_errors(planes: np.ndarray, labels: np.ndarray, true_depth_m: np.ndarray,
-                 intrinsics: CameraIntrinsics) -> list[PlaneError]:
+def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndarray,
+                 intrinsics: CameraIntrinsics, rng: np.random.Generator) -> list[JudgedPlane]:
     """
-    Compare planes with measured depth.
+    Judge each plane of which the sensor measured at least MIN_SENSOR_PIXELS.
 
     Parameters
     ----------
-    planes : (N,) structured
-        Fields of ``~/planes``: label, normal_x, normal_y, normal_z, d.
-    labels : (H, W) integer
-        Label of each pixel.
-    true_depth_m : (H, W) floating
-        NaN where it is not known.
+    labels : (H, W) int
+        Index into ``planes``, -1 none.
+    planes : (K, 4) floating
+        Unit normal and offset in metres.
+    sensor_depth_m : (H, W) floating
+        NaN where not measured.
     intrinsics : CameraIntrinsics
+    rng : numpy.random.Generator
+        Draws the hypotheses of the best plane.
 
     Returns
     -------
-    list of PlaneError
-        Planes with fewer than 100 measured pixels are left out.
+    list of JudgedPlane
+        In the order of ``planes``.
 
     """
-    points_m = depth_to_points(true_depth_m, intrinsics)
-    measured = np.isfinite(points_m[..., 2])
-    errors = []
-    for plane in planes:
-        members_m = points_m[measured & (labels == plane['label'])].astype(np.float64)
-        if len(members_m) >= _FEWEST_PIXELS:
-            errors.append(_plane_error(plane, members_m))
-    return errors
+    points_m = depth_to_points(sensor_depth_m, intrinsics)
+    seen = np.isfinite(points_m[..., 2])
+    judged = []
+    for k, plane in enumerate(np.asarray(planes, np.float64)):
+        there_m = points_m[seen & (labels == k)].astype(np.float64)
+        if len(there_m) >= MIN_SENSOR_PIXELS:
+            judged.append(_judge(k, plane, there_m, rng))
+    return judged
 
 
 def depth_error(depth_m: np.ndarray, true_depth_m: np.ndarray) -> tuple[float, float]:
@@ -85,39 +96,45 @@ def depth_error(depth_m: np.ndarray, true_depth_m: np.ndarray) -> tuple[float, f
     return float(np.abs(ratio - 1).mean()), float(np.median(ratio))
 
 
-def _plane_error(plane: np.void, points_m: np.ndarray) -> PlaneError:
-    normal = np.array([plane['normal_x'], plane['normal_y'], plane['normal_z']], np.float64)
-    offset_m = float(plane['d'])
-    best_normal, best_offset_m, near = _best_plane(points_m)
-    return PlaneError(
-        int(plane['label']), len(points_m),
-        float(np.median(np.abs(points_m @ normal + offset_m))),
-        float(np.degrees(np.arccos(np.clip(normal @ best_normal, -1, 1)))),
-        abs(offset_m - best_offset_m), float(near.mean()))
-
-
-def _best_plane(points_m: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return normal, offset and which points are near: RANSAC, then least squares."""
-    limit_m = np.maximum(0.03, 0.015 * points_m[:, 2])
-    near = _ransac_inliers(points_m, limit_m)
+def best_plane(points_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return the plane (4,) that most of the points (n, 3) are near, towards the camera."""
+    sample = points_m[rng.integers(len(points_m), size=min(len(points_m), _MAX_SAMPLES))]
+    triples = sample[rng.integers(len(sample), size=(_HYPOTHESES, 3))]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    distance = np.abs(sample @ normals.T - (triples[:, 0] * normals).sum(1))
+    support = (distance <= _tolerance(sample)[:, None]).sum(0) * (length[:, 0] > 0)
+    chosen = int(np.argmax(support))
+    plane = np.append(normals[chosen], -normals[chosen] @ triples[chosen, 0])
     for _ in range(_REFITS):
-        centre_m = points_m[near].mean(axis=0)
-        normal = np.linalg.eigh(np.cov((points_m[near] - centre_m).T))[1][:, 0]
-        normal = -normal if normal @ centre_m > 0 else normal
-        near = np.abs((points_m - centre_m) @ normal) <= limit_m
-    return normal, float(-normal @ centre_m), near
+        near = points_m[_near(points_m, plane)]
+        plane = _least_squares(near if len(near) >= 3 else points_m)
+    return plane if plane[3] >= 0 else -plane
 
 
-def _ransac_inliers(points_m: np.ndarray, limit_m: np.ndarray) -> np.ndarray:
-    """
-    Return which points are within their limit of the plane that has the most of them.
+def _judge(index: int, plane: np.ndarray, points_m: np.ndarray,
+           rng: np.random.Generator) -> JudgedPlane:
+    best = best_plane(points_m, rng)
+    cosine = np.clip(plane[:3] @ best[:3], -1, 1)
+    return JudgedPlane(
+        index, len(points_m),
+        distance_m=float(np.median(np.abs(points_m @ plane[:3] + plane[3]))),
+        purity=float(_near(points_m, best).mean()),
+        normal_error_deg=float(np.degrees(np.arccos(cosine))),
+        offset_error_m=float(abs(plane[3] - best[3])))
 
-    In disparity, where a plane is linear however it lies: 1/z = a x/z + b y/z + c; the rows are
-    weighed so that the limit along the ray is 1 for all.
-    """
-    z_m = points_m[:, 2:]
-    weight = z_m**2 / limit_m[:, None]
-    rays = points_m / z_m
-    ransac = RANSACRegressor(LinearRegression(fit_intercept=False), min_samples=3,
-                             residual_threshold=1.0, random_state=0)
-    return ransac.fit(weight * rays, (weight / z_m)[:, 0]).inlier_mask_
+
+def _least_squares(points_m: np.ndarray) -> np.ndarray:
+    centroid = points_m.mean(0)
+    centred = points_m - centroid
+    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+    return np.append(normal, -normal @ centroid)
+
+
+def _near(points_m: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    return np.abs(points_m @ plane[:3] + plane[3]) <= _tolerance(points_m)
+
+
+def _tolerance(points_m: np.ndarray) -> np.ndarray:
+    return np.maximum(TOLERANCE_M, TOLERANCE_SHARE * points_m[:, 2])
