@@ -17,8 +17,8 @@ PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
 LAYERS = (('settings',), ('config', 'types'), ('geometry',),
-          ('depth', 'segmentation', 'scale', 'tracking'), ('planes',), ('pipeline', 'drawing'),
-          ('ros',), ('tools',), ('evaluation',))
+          ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
+          ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('threads',), ('cells',), ('search',), ('regions',), ('pixels',),
                        ('fine_pass',), ('baselines',), ('segment',))

@@ -1,0 +1,109 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Straight line segments of an image, by OpenCV's LSD (von Gioi et al. 2012)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plane_detector.types import CameraIntrinsics
+
+# derived: half of VGA takes a quarter of the time and keeps every line worth having; the line of
+# a segment is known to a fraction of a pixel of the reduced image.
+DETECTION_WIDTH_PX = 320
+# tuned: evaluation.benchmark.orientation, flat from 0.04 to 0.08 of the width.
+MIN_LENGTH_SHARE = 0.05
+MAX_SEGMENTS = 120
+# derived: the ragged border that rectification or registration leaves is within some percent.
+BORDER_SHARE = 0.03
+
+
+@dataclass(frozen=True)
+class LineSegments:
+    """
+    Segments in the image plane at unit focal length.
+
+    Attributes
+    ----------
+    midpoints : (N, 3) float64
+        Rays (x, y, 1) of the middles.
+    tangents : (N, 2) float64
+        Unit vectors along the segments.
+    lengths : (N,) float64
+        In units of the focal length; the longest first.
+    ends_px : (N, 2, 2) float64
+        Start and end as column and row.
+
+    """
+
+    midpoints: np.ndarray
+    tangents: np.ndarray
+    lengths: np.ndarray
+    ends_px: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    @property
+    def normals(self) -> np.ndarray:
+        """
+        Return the normals (N, 3) of the planes through the camera and each segment.
+
+        Their length is such that ``normals @ d`` is the cross product of the tangent with the
+        image of the direction d at the midpoint.
+        """
+        x, y = self.tangents.T
+        return np.stack([-y, x, y * self.midpoints[:, 0] - x * self.midpoints[:, 1]], axis=1)
+
+
+def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> LineSegments:
+    """
+    Find the longest straight segments.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+        Rectified.
+    intrinsics : CameraIntrinsics
+        Of that image.
+
+    Returns
+    -------
+    LineSegments
+        At most 120, none shorter than a twentieth of the width, none along the border of the
+        image.
+
+    """
+    height, width = rgb.shape[:2]
+    reduction = max(1.0, width / DETECTION_WIDTH_PX)
+    grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
+    if reduction > 1.0:
+        size = round(width / reduction), round(height / reduction)
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    found = cv2.createLineSegmentDetector().detect(grey)[0]
+    ends_px = np.zeros((0, 2, 2)) if found is None else found.reshape(-1, 2, 2).astype(float)
+    # Pixel centres: the middle of pixel 0 of the reduced image is at (reduction - 1) / 2.
+    ends_px = (ends_px + 0.5) * [width / grey.shape[1], height / grey.shape[0]] - 0.5
+    lengths_px = np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1)
+    kept = (lengths_px >= MIN_LENGTH_SHARE * width) & ~_along_border(ends_px, width, height)
+    order = np.flatnonzero(kept)[np.argsort(-lengths_px[kept], kind='stable')][:MAX_SEGMENTS]
+    return segments_from_pixels(ends_px[order], intrinsics)
+
+
+def segments_from_pixels(ends_px: np.ndarray, intrinsics: CameraIntrinsics) -> LineSegments:
+    """Return segments of known ends (N, 2, 2), start and end as column and row."""
+    ends = (ends_px - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
+    along = ends[:, 1] - ends[:, 0]
+    lengths = np.linalg.norm(along, axis=1)
+    midpoints = np.column_stack([ends.mean(1), np.ones(len(ends))])
+    return LineSegments(midpoints, along / lengths[:, None], lengths, ends_px)
+
+
+def _along_border(ends_px: np.ndarray, width: int, height: int) -> np.ndarray:
+    margin = BORDER_SHARE * width
+    near = np.concatenate([ends_px < margin, ends_px > [width - 1 - margin, height - 1 - margin]],
+                          axis=2)
+    return near.all(1).any(1)

@@ -1,0 +1,253 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Vanishing directions of a calibrated image: the vertical and the horizontal axes.
+
+1. Random triples of segments propose frames of three directions at right angles (Bazin et al.
+   2012); each is scored by the length of the segments that point to its axes.
+2. The vertical is the axis of the best frame nearest to that of the image, or to a coarse
+   direction of gravity; it must be supported beyond chance, not alone, and without a rival.
+3. With the vertical known a pair of horizontal axes has one unknown, its azimuth, which is
+   searched through. More pairs about the one vertical (an Atlanta world, Schindler and Dellaert
+   2004) are looked for among the segments that are left.
+4. Vertical and pairs are fitted to their segments by reweighted least squares.
+
+References
+----------
+Bazin, Seo, Demonceaux, Vasseur, Ikeuchi, Kweon, Pollefeys: Globally optimal line clustering and
+vanishing point estimation in Manhattan world, CVPR 2012.
+Schindler, Dellaert: Atlanta world, CVPR 2004.
+
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.directions.frames import (
+    fit_frame,
+    misalignment,
+    pointing,
+    propose_frames,
+    score_frames,
+    significance,
+)
+from plane_detector.directions.line_segments import LineSegments
+
+IMAGE_DOWN = (0.0, 1.0, 0.0)
+# derived: fewer cannot be told from chance.
+MIN_SEGMENTS = 10
+# A camera is held level more often than not: of two frames that explain the lines as well, the
+# one whose vertical is nearer to the expected one. tuned: python -m
+# plane_detector.evaluation.benchmark directions, flat from 30 to 45.
+TILT_SPREAD_DEG = 30.0
+# derived: beyond half a right angle another axis of the frame is nearer.
+MAX_TILT_DEG = 45.0
+# tuned: as above, flat from 2 to 4.
+VERTICAL_TOLERANCE_DEG, AZIMUTH_TOLERANCE_DEG = 2.5, 2.5
+# Segments within this of a direction are explained by it, and speak for no other one.
+REACH_DEG = 4.0
+# Standard deviations beyond chance. Of random strokes the best vertical reaches 6, the best pair
+# 9, as both are chosen among many. tuned: as above; the sum is flat from 15 to 25.
+MIN_VERTICAL_SIGMAS, MIN_PAIR_SIGMAS, MIN_SUM_SIGMAS = 6.0, 6.0, 20.0
+# Directions nearer than this are the same one; another one with this share of the score is a
+# rival. tuned: as above, flat from 0.8 to 0.92.
+SAME_DEG, RIVAL_SHARE = 10.0, 0.85
+MAX_PAIRS = 3
+# Lines of buildings and calibrations of lenses are no better than this. tuned: as above; the
+# median error of gravity on real images is 0.6 degrees.
+SYSTEMATIC_DEG = 0.5
+
+
+@dataclass(frozen=True)
+class AxisPair:
+    """
+    Two horizontal directions at right angles.
+
+    Attributes
+    ----------
+    axes : (2, 3) float64
+        Unit directions in the camera frame, their signs mean nothing.
+    sigma_rad : float
+        Standard deviation of their azimuth.
+    support : float
+        Share of the line length that points to one of them.
+
+    """
+
+    axes: np.ndarray
+    sigma_rad: float
+    support: float
+
+
+@dataclass(frozen=True)
+class SceneDirections:
+    """
+    What the lines of an image say.
+
+    Attributes
+    ----------
+    down_camera : (3,) float64 or None
+        Unit direction of gravity in the optical frame.
+    covariance : (3, 3) float64
+        Of that direction, rad^2; singular along it.
+    support : float
+        Share of the line length that points along it.
+    pairs : tuple of AxisPair
+        Horizontal axes, the best supported first; empty where none is sure.
+    refusal : str
+        Why there is no direction of gravity; empty when there is.
+    pair_refusal : str
+        Why there are no horizontal axes; empty when there are.
+
+    """
+
+    down_camera: np.ndarray | None
+    covariance: np.ndarray
+    support: float
+    pairs: tuple[AxisPair, ...]
+    refusal: str
+    pair_refusal: str
+
+
+def find_directions(segments: LineSegments, rng: np.random.Generator,
+                    coarse_down: np.ndarray | None = None) -> SceneDirections:
+    """
+    Find the directions of gravity and of horizontal lines, or refuse.
+
+    Parameters
+    ----------
+    segments : LineSegments
+    rng : numpy.random.Generator
+        Draws the triples.
+    coarse_down : (3,) floating, optional
+        Unit direction that gravity has roughly; default that of an upright camera.
+
+    Returns
+    -------
+    SceneDirections
+
+    """
+    if len(segments) < MIN_SEGMENTS:
+        return _refused(f'only {len(segments)} straight lines')
+    expected = np.asarray(IMAGE_DOWN if coarse_down is None else coarse_down, float)
+    axes, objection = _best_frame(segments, propose_frames(segments, rng), expected)
+    if axes is None:
+        return _refused(objection)
+    axes = fit_frame(segments, axes).axes
+    azimuth, pair_sigmas, pair_refusal = _azimuth(segments, axes[0], np.ones(len(segments), bool))
+    objection = objection or _objection(_upright_sigmas(segments, axes[0], azimuth), pair_sigmas)
+    if objection:
+        return _refused(objection)
+    return _fitted(segments, axes[0], azimuth, pair_refusal)
+
+
+def _refused(reason: str) -> SceneDirections:
+    return SceneDirections(None, np.full((3, 3), np.nan), 0.0, (), reason, reason)
+
+
+def _best_frame(segments: LineSegments, frames: np.ndarray,
+                expected: np.ndarray) -> tuple[np.ndarray | None, str]:
+    """Return the best frame, its vertical first, and what speaks against it."""
+    cosine = frames @ expected
+    vertical = np.abs(cosine).argmax(1)
+    every = np.arange(len(frames))
+    downs = frames[every, vertical] * np.sign(cosine[every, vertical])[:, None]
+    tilt_deg = np.degrees(np.arccos(np.clip(downs @ expected, -1, 1)))
+    if not (tilt_deg <= MAX_TILT_DEG).any():
+        return None, 'no lines near the vertical of the image'
+    score = score_frames(segments, frames) * np.exp(-0.5 * (tilt_deg / TILT_SPREAD_DEG) ** 2)
+    score[tilt_deg > MAX_TILT_DEG] = 0.0
+    best = int(score.argmax())
+    apart = downs @ downs[best] < np.cos(np.radians(SAME_DEG))
+    rival = score[apart].max(initial=0.0)
+    is_rivalled = rival > RIVAL_SHARE * score[best]
+    x = frames[best, (vertical[best] + 1) % 3]
+    return np.stack([downs[best], x, np.cross(downs[best], x)]), (
+        'another upright fits the lines as well' if is_rivalled else '')
+
+
+def _upright_sigmas(segments: LineSegments, down: np.ndarray, axes: np.ndarray) -> float:
+    """Return how far beyond chance the lines that are along no level axis are upright."""
+    weights = segments.lengths * ~_points_to(segments, axes)
+    points = pointing(misalignment(segments, down), VERTICAL_TOLERANCE_DEG)
+    return float(significance(weights, points, VERTICAL_TOLERANCE_DEG))
+
+
+def _points_to(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
+    sine = np.abs(misalignment(segments, directions)).min(1)
+    return sine < np.sin(np.radians(REACH_DEG))
+
+
+def _objection(vertical_sigmas: float, pair_sigmas: float) -> str:
+    if vertical_sigmas < MIN_VERTICAL_SIGMAS:
+        return 'hardly more upright lines than by chance'
+    if pair_sigmas < MIN_PAIR_SIGMAS:
+        return 'upright lines only: nothing at right angles confirms them'
+    if vertical_sigmas + pair_sigmas < MIN_SUM_SIGMAS:
+        return 'hardly more lines along three axes than by chance'
+    return ''
+
+
+def _azimuth(segments: LineSegments, down: np.ndarray,
+             left: np.ndarray) -> tuple[np.ndarray, float, str]:
+    """Return the best pair of horizontal axes (2, 3), its significance and an objection."""
+    x = np.cross(down, [0.0, 0.0, 1.0] if abs(down[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x /= np.linalg.norm(x)
+    azimuth = np.radians(np.arange(180))[:, None]
+    directions = np.cos(azimuth) * x + np.sin(azimuth) * np.cross(down, x)
+    weights = segments.lengths * (left & ~_points_to(segments, down[None]))
+    points = pointing(misalignment(segments, directions), AZIMUTH_TOLERANCE_DEG)
+    pairs = (points[:, :90] + points[:, 90:]).T
+    sigmas = significance(weights, pairs, AZIMUTH_TOLERANCE_DEG, 2)
+    score = pairs @ weights
+    best = int(score.argmax())
+    away = np.abs((np.arange(90) - best + 45) % 90 - 45)
+    objection = ''
+    if sigmas[best] < MIN_PAIR_SIGMAS:
+        objection = 'hardly more level lines along two axes than by chance'
+    elif score[away > SAME_DEG].max() > RIVAL_SHARE * score[best]:
+        objection = 'another pair of level axes fits the lines as well'
+    return directions[[best, best + 90]], float(sigmas[best]), objection
+
+
+def _fitted(segments: LineSegments, down: np.ndarray, axes: np.ndarray,
+            pair_refusal: str) -> SceneDirections:
+    """Fit vertical and first pair to their segments, then look for more pairs."""
+    used = (0,) if pair_refusal else (0, 1, 2)
+    fit = fit_frame(segments, np.vstack([down, axes]), used)
+    down = fit.axes[0]
+    covariance = fit.covariance + np.radians(SYSTEMATIC_DEG) ** 2 * np.eye(3)
+    turn = np.cross(np.eye(3), down)  # row k: change of the direction by a turn about axis k
+    first = () if pair_refusal else (_pair(segments, fit.axes[1:], down, covariance),)
+    return SceneDirections(down, turn.T @ covariance @ turn, _support(segments, down[None]),
+                           first + _more_pairs(segments, down, first), '', pair_refusal)
+
+
+def _pair(segments: LineSegments, axes: np.ndarray, down: np.ndarray,
+          covariance: np.ndarray) -> AxisPair:
+    return AxisPair(axes, float(np.sqrt(down @ covariance @ down)), _support(segments, axes))
+
+
+def _support(segments: LineSegments, directions: np.ndarray) -> float:
+    points = pointing(misalignment(segments, directions), VERTICAL_TOLERANCE_DEG).max(1) > 0
+    return float(segments.lengths @ points / segments.lengths.sum())
+
+
+def _more_pairs(segments: LineSegments, down: np.ndarray,
+                pairs: tuple[AxisPair, ...]) -> tuple[AxisPair, ...]:
+    """Return further pairs, each of segments that point to none before it."""
+    more: tuple[AxisPair, ...] = ()
+    left = np.ones(len(segments), bool)
+    for pair in pairs:
+        left &= ~_points_to(segments, pair.axes)
+    while pairs and len(pairs + more) < MAX_PAIRS:
+        axes, _, objection = _azimuth(segments, down, left)
+        if objection:
+            break
+        axes = fit_frame(segments, np.vstack([down, axes]), (0, 1, 2)).axes[1:]
+        more += (AxisPair(axes, np.radians(SYSTEMATIC_DEG), _support(segments, axes)),)
+        left &= ~_points_to(segments, axes)
+    return more

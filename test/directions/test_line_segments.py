@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of the line segments."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
+
+
+def half_plane(start, end):
+    """Return an image that is bright on one side of the line through two points, smooth edged."""
+    v, u = np.mgrid[0:480, 0:640]
+    normal = np.array([end[1] - start[1], start[0] - end[0]]) / np.hypot(*np.subtract(end, start))
+    distance = (u - start[0]) * normal[0] + (v - start[1]) * normal[1]
+    grey = 60 + 120 / (1 + np.exp(-np.clip(2 * distance, -50, 50)))
+    return np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+
+
+@pytest.mark.parametrize('ends', [((100, 400), (500, 60)), ((200, 0), (220, 479))])
+def test_an_edge_is_found_to_a_fraction_of_a_pixel(ends):
+    found = detect_line_segments(half_plane(*ends), CAMERA).ends_px[0]
+    along = np.subtract(ends[1], ends[0]) / np.hypot(*np.subtract(ends[1], ends[0]))
+    off_px = (found - ends[0]) @ [along[1], -along[0]]
+    assert np.abs(off_px).max() < 0.6
+
+
+def test_segments_are_in_units_of_the_focal_length():
+    segments = segments_from_pixels(np.array([[[319.5, 239.5], [569.5, 239.5]]]), CAMERA)
+    assert segments.lengths == pytest.approx(0.5)
+    assert segments.midpoints[0] == pytest.approx([0.25, 0, 1])
+    assert np.abs(segments.tangents[0]) == pytest.approx([1, 0])
+    # A level segment through the principal point lies in the plane y = 0.
+    assert np.abs(segments.normals[0]) == pytest.approx([0, 1, 0])
+
+
+def test_a_flat_image_has_none():
+    assert len(detect_line_segments(np.full((480, 640, 3), 90, np.uint8), CAMERA)) == 0
+
+
+def test_the_border_of_the_image_is_no_line_of_the_scene():
+    image = np.full((480, 640, 3), 255, np.uint8)
+    cv2.rectangle(image, (9, 9), (630, 470), (60, 60, 60), -1)
+    assert len(detect_line_segments(image, CAMERA)) == 0
+
+
+def test_the_longest_come_first_and_short_ones_are_left_out():
+    image = np.full((480, 640, 3), 60, np.uint8)
+    for length, row in ((20, 60), (200, 200), (400, 340)):
+        cv2.rectangle(image, (100, row), (100 + length, row + 40), (200, 200, 200), -1)
+    lengths_px = detect_line_segments(image, CAMERA).lengths * CAMERA.fx
+    assert (np.diff(lengths_px) < 0.01).all()
+    assert lengths_px[0] == pytest.approx(400, abs=10)
+    assert lengths_px[-1] >= 0.05 * 640

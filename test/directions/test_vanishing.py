@@ -1,0 +1,126 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of the vanishing directions on rendered rooms whose images show lines."""
+
+import numpy as np
+import pytest
+
+from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
+from plane_detector.directions.vanishing import find_directions
+from plane_detector.evaluation.scenes.rendering import VGA
+from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
+from plane_detector.evaluation.scenes.textures import clutter, ramp_room, rolled_room, textured
+
+AIM_DEG = 0.3
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def angle_deg(a, b):
+    return np.degrees(np.arccos(np.clip(np.abs(np.asarray(a) @ np.asarray(b)), 0, 1)))
+
+
+def directions_of(rgb):
+    return find_directions(detect_line_segments(rgb, VGA), np.random.default_rng(0))
+
+
+def project(start, end):
+    """Return segments between points (N, 3) of the camera frame."""
+    ends = np.stack([start, end], axis=1)
+    return ends[..., :2] / ends[..., 2:] * [VGA.fx, VGA.fy] + [VGA.cx, VGA.cy]
+
+
+def lines_along(directions, count, rng):
+    """Return so many segments in space along each direction, in front of the camera."""
+    start = rng.uniform([-1.5, -1.0, 3.0], [1.5, 1.0, 6.0], (count * len(directions), 3))
+    along = np.repeat(directions, count, axis=0)
+    return segments_from_pixels(project(start, start + 0.8 * along), VGA)
+
+
+def tilted_frame():
+    down = np.array([0.1, 0.95, 0.3])
+    down /= np.linalg.norm(down)
+    x = np.cross(down, [0.4, 0, 1.0])
+    x /= np.linalg.norm(x)
+    return np.stack([down, x, np.cross(down, x)])
+
+
+def test_exact_lines_give_exact_directions(rng):
+    frame = tilted_frame()
+    found = find_directions(lines_along(frame, 12, rng), rng)
+    assert angle_deg(found.down_camera, frame[0]) < 1e-3
+    assert found.down_camera @ frame[0] > 0
+    assert angle_deg(found.pairs[0].axes, frame[1]).min() < 1e-3
+    assert not found.refusal and not found.pair_refusal
+    assert found.support == pytest.approx(1 / 3, abs=0.15)
+
+
+def test_the_covariance_is_across_the_direction_and_positive(rng):
+    found = find_directions(lines_along(tilted_frame(), 12, rng), rng)
+    assert found.down_camera @ found.covariance @ found.down_camera == pytest.approx(0, abs=1e-12)
+    assert np.linalg.eigvalsh(found.covariance)[1] > 0
+
+
+def test_one_direction_alone_is_refused(rng):
+    found = find_directions(lines_along(tilted_frame()[:1], 40, rng), rng)
+    assert found.down_camera is None and not found.pairs
+    assert 'nothing at right angles' in found.refusal or 'upright' in found.refusal
+
+
+def test_few_lines_are_refused(rng):
+    assert 'only 3 straight lines' in find_directions(lines_along(tilted_frame(), 1, rng),
+                                                      rng).refusal
+
+
+def test_same_seed_same_answer():
+    rgb = textured(random_room, 300).rgb
+    assert np.array_equal(directions_of(rgb).down_camera, directions_of(rgb).down_camera)
+
+
+def test_a_coarse_direction_tells_the_vertical_of_a_camera_on_its_side(rng):
+    down, x, y = tilted_frame()
+    segments = lines_along(np.stack([down, x, y]), 12, rng)
+    found = find_directions(segments, rng, coarse_down=x)
+    assert angle_deg(found.down_camera, x) < 1e-3
+
+
+def test_two_pairs_about_one_vertical(rng):
+    down, x, y = tilted_frame()
+    turned = np.cos(np.radians(40)) * x + np.sin(np.radians(40)) * y
+    found = find_directions(lines_along(np.stack([down, x, y, x, y, turned]), 10, rng), rng)
+    assert len(found.pairs) == 2
+    assert angle_deg(found.pairs[0].axes, x).min() < 0.1
+    assert angle_deg(found.pairs[1].axes, turned).min() < 0.1
+
+
+@pytest.mark.parametrize(('make', 'least'), [
+    (random_room, 3), (rolled_room, 3), (attic, 1), (hexagon_room, 3)],
+    ids=['room', 'roll', 'attic', 'hexagon'])
+def test_rendered_rooms(make, least):
+    errors = []
+    for seed in (300, 302, 305, 306):
+        scene = textured(make, seed)
+        found = directions_of(scene.rgb)
+        if found.down_camera is not None:
+            errors.append(angle_deg(found.down_camera, scene.down_camera))
+    assert len(errors) >= least
+    assert max(errors) < AIM_DEG
+
+
+def test_a_sloped_floor_does_not_tilt_the_vertical():
+    for seed in (300, 304):
+        scene = textured(ramp_room, seed)
+        assert angle_deg(directions_of(scene.rgb).down_camera, scene.down_camera) < AIM_DEG
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_twigs_are_refused(seed):
+    found = directions_of(clutter(np.random.default_rng(seed)))
+    assert found.down_camera is None and found.refusal
+
+
+def test_a_flat_image_is_refused():
+    assert 'only 0' in directions_of(np.full((480, 640, 3), 90, np.uint8)).refusal
