@@ -33,8 +33,8 @@ class Report:
         Frames worked on per second since the report before.
     stage_seconds : mapping of str to float
         Mean time of each stage since the report before; empty without a frame.
-    skipped_lately : bool
-        Whether frames were skipped since the report before.
+    skipped_lately, unpaired_lately : bool
+        Whether frames were skipped, or images found no partner, since the report before.
     last_error : str
         Empty when there was none.
 
@@ -46,6 +46,7 @@ class Report:
     rate_hz: float
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
     skipped_lately: bool = False
+    unpaired_lately: bool = False
     last_error: str = ''
 
 
@@ -71,6 +72,12 @@ class Statistics:
         with self._lock:
             self._dropped += count
 
+    def add_unpaired(self, count: int) -> None:
+        """Count images that were dropped because calibration or depth did not come."""
+        with self._lock:
+            self._dropped += count
+            self._window_unpaired += count
+
     def add_skipped(self, error: str) -> None:
         """Count a frame that could not be processed."""
         with self._lock:
@@ -91,13 +98,13 @@ class Statistics:
             result = Report(
                 self._processed, self._dropped, self._skipped, count / elapsed_s,
                 {stage: seconds / count for stage, seconds in self._window_seconds.items()},
-                self._window_skipped > 0, self._last_error)
+                self._window_skipped > 0, self._window_unpaired > 0, self._last_error)
             self._start_window()
             return result
 
     def _start_window(self) -> None:
         self._window_start_s = time.monotonic()
-        self._window_processed = self._window_skipped = 0
+        self._window_processed = self._window_skipped = self._window_unpaired = 0
         self._window_seconds: defaultdict[str, float] = defaultdict(float)
 
 

@@ -33,11 +33,11 @@ from plane_detector.ros.diagnostics import (
 )
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.frame_worker import FrameWorker
+from plane_detector.ros.health import Health
 from plane_detector.ros.inputs.subscriptions import Inputs, image_topic
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.spinning import answer_impossible_transitions, interruptible
-from plane_detector.types import Detection
 
 _WARN_PERIOD_S = 5.0
 
@@ -76,9 +76,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Inputs | None = None
         self._outputs: dict[str, Any] = {}
         self._frame_requested = self._reset_requested = False
-        self._failure = ''
         self._warned_s: dict[str, float] = {}
-        self._scale_facts: dict[str, str] = {}
+        self._health = Health(self.get_logger())
         self.create_service(Trigger, '~/detect', self._on_detect)
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
@@ -108,7 +107,7 @@ class PlaneDetectorNode(LifecycleNode):
         except Exception as error:  # whatever a model file may provoke: the node stays
             self._release()
             return self._fail(f'cannot be configured: {error}')
-        self._failure = ''
+        self._health.failure = ''
         self._processor = FrameProcessor(
             detector, self._settings, self.resolve_topic_name(image_topic(self._settings)))
         facts = model_facts(self._config.depth.source, detector.estimate_depth)
@@ -121,10 +120,10 @@ class PlaneDetectorNode(LifecycleNode):
             processor = self._processor
             self._inputs = Inputs(self, processor.detector.config, processor.settings,
                                   processor.output,
-                                  self._accept, self._statistics.add_dropped)
+                                  self._accept, self._statistics.add_unpaired)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
-        self._failure = ''
+        self._health.failure = ''
         self._worker = FrameWorker(self._work_on)
         return super().on_activate(state)
 
@@ -164,7 +163,7 @@ class PlaneDetectorNode(LifecycleNode):
             start_s = time.perf_counter()
             for name, msg in processed.messages.items():
                 self._outputs[name].publish(msg)
-            self._tell_scale(processed.result.detection)
+            self._health.note(processed.result.detection, wanted)
             self._statistics.add_processed({**processed.stage_seconds,
                                             'publish': time.perf_counter() - start_s})
         except ValueError as error:
@@ -233,28 +232,15 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
-        facts = {'state': self.state, 'mode': self._settings.mode, **self._scale_facts}
+        facts = {'state': self.state, 'mode': self._settings.mode, **self._health.scale_facts}
         if self._processor is not None:
             detector = self._processor.detector
             facts.update(model_facts(detector.config.depth.source, detector.estimate_depth))
-        if self._failure:
-            return DiagnosticStatus.ERROR, self._failure, facts
+        if self._health.failure:
+            return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._worker is None:
             return DiagnosticStatus.OK, facts['state'], facts
-        missing = self._inputs.warn_of_missing()
-        if missing:
-            return DiagnosticStatus.WARN, missing, facts
-        if report.skipped_lately:
-            return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}', facts
-        if not report.stage_seconds and self._settings.mode == 'continuous':
-            return DiagnosticStatus.WARN, 'no frame lately', facts
-        return DiagnosticStatus.OK, 'active', facts
-
-    def _tell_scale(self, detection: Detection) -> None:
-        """Keep what fixes the unit of depth for the diagnostics; log every change of it."""
-        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note}
-        if detection.scale_event:
-            self.get_logger().info(detection.scale_event)
+        return *self._health.status(report, self._inputs.problem()), facts
 
     # Parts of the transitions
 
@@ -271,7 +257,7 @@ class PlaneDetectorNode(LifecycleNode):
                 qos_overriding_options=qos.overriding_options())
 
     def _fail(self, reason: str) -> TransitionCallbackReturn:
-        self._failure = reason
+        self._health.failure = reason
         self._statistics.set_error(reason)
         self.get_logger().error(reason)
         return TransitionCallbackReturn.FAILURE
@@ -289,4 +275,5 @@ class PlaneDetectorNode(LifecycleNode):
             self.destroy_lifecycle_publisher(publisher)
         self._outputs = {}
         self._processor = None
+        self._health.clear()
         return TransitionCallbackReturn.SUCCESS

@@ -12,9 +12,8 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
+from plane_detector.ros.inputs.topic_watch import TopicWatch
 from plane_detector.ros.qos import InputSubscription
-
-_WARN_PERIOD_S = 5.0
 
 
 def image_topic(settings: NodeConfig) -> str:
@@ -51,17 +50,18 @@ class Inputs:
         depth = depth_use(config, output)
         self._assembler = FrameAssembler(depth, settings.stamp_slop, config.scale.imu_to_camera)
         compressed = settings.image_transport == 'compressed'
-        wanted = [(CompressedImage if compressed else Image, self._names['image'], self._on_image),
-                  (CameraInfo, 'camera_info', self._on_camera_info)]
+        wanted = {'image': (CompressedImage if compressed else Image, self._on_image),
+                  'camera_info': (CameraInfo, self._on_camera_info)}
         if depth != 'unused':
-            wanted.append((Image, 'depth', self._on_depth))
+            wanted['depth'] = Image, self._on_depth
         if settings.use_imu:
-            wanted.append((Imu, 'imu', self._assembler.add_imu))
+            wanted['imu'] = Imu, self._assembler.add_imu
+        self._watch = TopicWatch(node)
         self._subscriptions: list[InputSubscription] = []
         try:
-            for arguments in wanted:
-                self._subscriptions.append(
-                    InputSubscription(node, *arguments, settings.input_reliability))
+            for role, (msg_type, on_message) in wanted.items():
+                self._subscribe(role, msg_type, on_message, settings.input_reliability,
+                                is_watched=role != 'depth' or depth == 'required')
         except Exception:
             self.destroy()
             raise
@@ -75,16 +75,22 @@ class Inputs:
         for subscription in self._subscriptions:
             subscription.destroy()
 
-    def warn_of_missing(self) -> str:
-        """Log and return which topics have not said anything yet; empty if all have."""
-        topics = ', '.join(self._node.resolve_topic_name(self._names.get(name, name))
-                           for name in self._assembler.missing)
-        if not topics:
-            return ''
-        text = f'nothing received yet on {topics}'
-        self._node.get_logger().warning(f'{text}: no frame can be processed',
-                                        throttle_duration_sec=_WARN_PERIOD_S)
-        return text
+    def problem(self) -> str:
+        """Return which topic is silent and why, empty if none is; it is logged when it changes."""
+        return self._watch.problem()
+
+    def _subscribe(self, role: str, msg_type: Any, on_message: Callable[[Any], Any],
+                   reliability: str, is_watched: bool) -> None:
+        def receive(msg: Any) -> None:
+            if is_watched:
+                self._watch.heard(role)
+            on_message(msg)
+
+        subscription = InputSubscription(self._node, msg_type, self._names.get(role, role),
+                                         receive, reliability)
+        self._subscriptions.append(subscription)
+        if is_watched:  # one CameraInfo is enough
+            self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info')
 
     def _on_image(self, msg: Any) -> None:
         epoch = self._assembler.epoch
@@ -102,6 +108,5 @@ class Inputs:
         dropped = self._assembler.take_dropped()
         if dropped:
             self._on_dropped(dropped)
-            self.warn_of_missing()
         for frame in frames:
             self._on_frame(frame)

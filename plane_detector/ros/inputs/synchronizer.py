@@ -101,14 +101,6 @@ class FrameAssembler:
         self._dropped = 0
         self.epoch = 0
 
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """What has not been received yet, of what a frame needs."""
-        needed = {'image': self._images, 'camera_info': self._infos}
-        if self._depth_use == 'required':
-            needed['depth'] = self._depths
-        return tuple(name for name, cache in needed.items() if cache.latest is None)
-
     def take_dropped(self) -> int:
         """Return how many pictures were dropped for want of a partner since the last call."""
         count, self._dropped = self._dropped, 0

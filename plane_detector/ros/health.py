@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is wrong with the node: one level and one sentence, and a log line when it changes."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from plane_detector.ros.diagnostics import Report
+from plane_detector.scale.estimate import RELATIVE
+from plane_detector.types import Detection
+
+FLOORLESS = 'points_without_floor'
+GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
+
+
+class Health:
+    """
+    Collects what goes wrong; the executor's thread and the worker may call it at once.
+
+    Parameters
+    ----------
+    logger : rclpy's logger
+        Takes one line for each problem and each change of the scale.
+
+    Attributes
+    ----------
+    failure : str
+        Why the node could not be configured or activated; empty when it could.
+
+    """
+
+    def __init__(self, logger: Any):
+        self._logger = logger
+        self.failure = ''
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the frames so far: what is missing now is logged again."""
+        self._gap = ''
+        self._told: set[str] = set()
+        self._scale_facts: dict[str, str] = {}
+
+    @property
+    def scale_facts(self) -> dict[str, str]:
+        """What fixes the unit of depth, for the diagnostics."""
+        return self._scale_facts
+
+    def note(self, detection: Detection, wanted: Collection[str]) -> None:
+        """Note the result of a frame, whose outputs of these names have subscribers."""
+        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note}
+        if detection.scale_event:
+            self._logger.info(detection.scale_event)
+        self._gap = gap_of(detection, wanted)
+        if self._gap not in self._told and self._gap:
+            self._told.add(self._gap)
+            self._logger.warning(self._gap)
+
+    def status(self, report: Report, silence: str) -> tuple[bytes, str]:
+        """
+        Return level and message of an active node.
+
+        Parameters
+        ----------
+        report : Report
+            What was counted since the last time.
+        silence : str
+            Which input is silent and why; empty if none is.
+
+        """
+        if silence:
+            return DiagnosticStatus.WARN, silence
+        if report.skipped_lately:
+            return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}'
+        if report.unpaired_lately and not report.stage_seconds:
+            return DiagnosticStatus.WARN, ('images arrive, but no depth image with their stamp, '
+                                           'within stamp_slop')
+        if self._gap:
+            return DiagnosticStatus.WARN, self._gap
+        return DiagnosticStatus.OK, 'active'
+
+
+def gap_of(detection: Detection, wanted: Collection[str]) -> str:
+    """
+    Return what a frame lacks for classes and obstacles, with the remedy; empty if nothing.
+
+    Parameters
+    ----------
+    detection : Detection
+        Of the frame.
+    wanted : collection of str
+        Names of the outputs that somebody listens to.
+
+    """
+    if not detection.planes:
+        return ''
+    lost = f', and ~/{FLOORLESS} is silent' if FLOORLESS in wanted else ''
+    is_relative = detection.scale_method == RELATIVE
+    if any(detection.classes):
+        if is_relative and lost:
+            return (f'~/{FLOORLESS} is silent: the unit of depth is not known '
+                    f'({detection.scale_note})')
+        return ''
+    if is_relative:
+        return (f'planes have no class{lost}: neither metres nor gravity are known; give '
+                f'scale.camera_height and {GRAVITY_SOURCES}')
+    return (f'planes have no class{lost}: the direction of gravity is not known; give '
+            f'{GRAVITY_SOURCES}')

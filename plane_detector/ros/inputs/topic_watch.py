@@ -1,0 +1,180 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Why nothing arrives on a topic: no publisher, another type, messages lost, or it has stopped."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rclpy.node import Node
+
+# derived: discovery takes about a second on a busy machine; before this, silence means nothing.
+GRACE_S = 2.0
+# derived: a topic has stopped after this many of its usual intervals, so that a camera of one
+# image in many seconds has not; until there are two messages, the interval is taken to be this.
+_STOPPED_INTERVALS = 3.0
+_FIRST_INTERVAL_S = 5.0
+_REMEMBERED = 6
+_LISTED = 8
+_COMPRESSED = '/compressed'
+
+
+@dataclass
+class _Topic:
+    """
+    What is known of one input.
+
+    Attributes
+    ----------
+    name, type_name : str
+        Resolved; as in ``sensor_msgs/msg/Image``.
+    may_stop : bool
+        Whether one message is enough.
+    heard_s : deque of float
+        When the last messages arrived.
+    problem : str
+        What was logged last; empty while all is well.
+
+    """
+
+    name: str
+    type_name: str
+    may_stop: bool
+    heard_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    problem: str = ''
+
+
+class TopicWatch:
+    """
+    Notes when messages arrive, and says which topic is silent and why.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Knows the graph, and logs.
+    clock : callable
+        Seconds that only grow.
+
+    """
+
+    def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic):
+        self._node, self._clock = node, clock
+        self._start_s = clock()
+        self._topics: dict[str, _Topic] = {}
+
+    def add(self, role: str, topic: str, msg_type: Any, may_stop: bool = False) -> None:
+        """
+        Watch a topic.
+
+        Parameters
+        ----------
+        role : str
+            The name that a remap is given for.
+        topic : str
+            The resolved name.
+        msg_type : type
+            Of the messages.
+        may_stop : bool
+            One message is enough, as of a calibration.
+
+        """
+        package = msg_type.__module__.split('.')[0]
+        self._topics[role] = _Topic(topic, f'{package}/msg/{msg_type.__name__}', may_stop)
+
+    def heard(self, role: str) -> None:
+        """Note that a message has arrived."""
+        self._topics[role].heard_s.append(self._clock())
+
+    def problem(self) -> str:
+        """Return what is wrong, with what was never heard first; log what has changed."""
+        now_s = self._clock()
+        for role, topic in self._topics.items():
+            self._note(topic, self._problem_of(role, topic, now_s))
+        unheard_first = sorted(self._topics.values(), key=lambda topic: bool(topic.heard_s))
+        return next((topic.problem for topic in unheard_first if topic.problem), '')
+
+    def _problem_of(self, role: str, topic: _Topic, now_s: float) -> str:
+        if not topic.heard_s:
+            return self._explain(role, topic) if now_s - self._start_s >= GRACE_S else ''
+        interval_s = _interval_s(topic.heard_s)
+        patience_s = max(GRACE_S, _STOPPED_INTERVALS * interval_s)
+        if topic.may_stop or now_s - topic.heard_s[-1] < patience_s:
+            return ''
+        return f'{topic.name} has stopped: no message for over {patience_s:.0f} s'
+
+    def _explain(self, role: str, topic: _Topic) -> str:
+        types = [info.topic_type for info in self._node.get_publishers_info_by_topic(topic.name)]
+        own = self._node.get_fully_qualified_name() + '/'
+        published = {name: types[0] for name, types in self._node.get_topic_names_and_types()
+                     if not name.startswith(own) and self._node.count_publishers(name)}
+        return explain_silence(role, topic.name, topic.type_name, types, published)
+
+    def _note(self, topic: _Topic, problem: str) -> None:
+        if problem and problem != topic.problem:
+            self._node.get_logger().warning(problem)
+        elif topic.problem and not problem:
+            self._node.get_logger().info(f'messages arrive on {topic.name}')
+        topic.problem = problem
+
+
+def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str],
+                    published: Mapping[str, str]) -> str:
+    """
+    Return why nothing has arrived on a topic, and what to do.
+
+    Parameters
+    ----------
+    role : str
+        The name that a remap is given for.
+    topic, type_name : str
+        What is subscribed to.
+    offered : sequence of str
+        Types of the publishers of that topic.
+    published : mapping of str to str
+        Type of every topic that anybody else publishes.
+
+    """
+    if type_name in offered:
+        return (f'nothing arrives on {topic}, though it has {offered.count(type_name)} '
+                'publisher(s): large messages get lost between processes without '
+                'config/fastdds_large_messages.xml, or the QoS does not fit')
+    if offered:
+        return (f'{topic} is published as {offered[0]}, not as {type_name}'
+                + _transport_hint(topic, offered[0]))
+    same = sorted(name for name, kind in published.items() if kind == type_name)
+    if not same:
+        return (f'nobody publishes {topic}, nor any other topic of type {type_name}'
+                + _other_transport(type_name, published))
+    listed = ', '.join(same[:_LISTED]) + (', ...' if len(same) > _LISTED else '')
+    return (f'nobody publishes {topic}; of type {type_name} there are {listed}: remap with '
+            f'--ros-args -r {role}:={same[0].removesuffix(_COMPRESSED)}')
+
+
+def _transport_hint(topic: str, offered: str) -> str:
+    if offered.endswith('/CompressedImage'):
+        return (f': set image_transport to compressed and remap image to '
+                f'{topic.removesuffix(_COMPRESSED)}')
+    return ': set image_transport to raw' if offered.endswith('/Image') else ''
+
+
+def _other_transport(type_name: str, published: Mapping[str, str]) -> str:
+    """Say which parameter takes the images that there are, if they only come the other way."""
+    other = {'sensor_msgs/msg/Image': ('CompressedImage', 'compressed'),
+             'sensor_msgs/msg/CompressedImage': ('Image', 'raw')}.get(type_name)
+    if other is None:
+        return ''
+    names = sorted(name for name, kind in published.items() if kind.endswith(f'/{other[0]}'))
+    return (f'; {names[0]} is a sensor_msgs/msg/{other[0]}: set image_transport to {other[1]}'
+            if names else '')
+
+
+def _interval_s(heard_s: Sequence[float]) -> float:
+    """Return the usual time between two messages."""
+    times_s = list(heard_s)
+    intervals_s = [after - before for before, after in zip(times_s, times_s[1:], strict=False)]
+    return statistics.median(intervals_s) if intervals_s else _FIRST_INTERVAL_S

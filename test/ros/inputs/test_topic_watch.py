@@ -1,0 +1,140 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which topic is silent, why, and that it is logged once."""
+
+from types import SimpleNamespace
+
+import pytest
+from sensor_msgs.msg import CameraInfo, Image
+
+from plane_detector.ros.inputs.topic_watch import TopicWatch, explain_silence
+
+IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+
+
+class Graph:
+    """A node that knows these publishers, by topic and type, and keeps its log."""
+
+    def __init__(self, **publishers):
+        self.published = {f'/{name}': kind for name, kind in publishers.items()}
+        self.warnings, self.infos = [], []
+
+    def get_logger(self):
+        return SimpleNamespace(warning=self.warnings.append, info=self.infos.append)
+
+    def get_fully_qualified_name(self):
+        return '/plane_detector'
+
+    def get_publishers_info_by_topic(self, topic):
+        return [SimpleNamespace(topic_type=kind) for name, kind in self.published.items()
+                if name == topic]
+
+    def get_topic_names_and_types(self):
+        return [(name, [kind]) for name, kind in self.published.items()]
+
+    def count_publishers(self, topic):
+        return topic in self.published
+
+
+class Clock:
+    """A clock that is set by hand."""
+
+    now_s = 100.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+def watch_of(graph, clock):
+    watch = TopicWatch(graph, clock)
+    watch.add('image', '/image', Image)
+    watch.add('camera_info', '/camera_info', CameraInfo, may_stop=True)
+    return watch
+
+
+def test_silence_is_no_problem_for_two_seconds(clock):
+    graph = Graph()
+    watch = watch_of(graph, clock)
+    clock.now_s += 1.9
+    assert watch.problem() == ''
+    clock.now_s += 0.2
+    assert 'nobody publishes /image' in watch.problem()
+    watch.problem()
+    assert len(graph.warnings) == 2, 'each topic once'
+
+
+def test_the_topics_that_there_are_are_listed_but_not_the_nodes_own(clock):
+    graph = Graph(**{'camera/color/image_raw': IMAGE, 'plane_detector/overlay': IMAGE})
+    watch = watch_of(graph, clock)
+    clock.now_s += 3.0
+    problem = watch.problem()
+    assert '--ros-args -r image:=/camera/color/image_raw' in problem
+    assert 'overlay' not in problem
+
+
+def test_what_has_never_come_is_told_before_what_has_stopped(clock):
+    watch = watch_of(Graph(), clock)
+    watch.heard('image')
+    clock.now_s += 60.0
+    assert '/camera_info' in watch.problem()
+
+
+@pytest.mark.parametrize('interval_s, still_alive_s', [(0.03, 1.9), (4.0, 11.0), (20.0, 59.0)])
+def test_a_camera_that_stops_is_logged_once_and_once_when_it_is_back(clock, interval_s,
+                                                                     still_alive_s):
+    graph = Graph()
+    watch = watch_of(graph, clock)
+    watch.heard('camera_info')
+    watch.heard('image')
+    for _ in range(4):
+        clock.now_s += interval_s
+        watch.heard('image')
+        assert watch.problem() == '', 'however slow it is'
+    clock.now_s += still_alive_s
+    assert watch.problem() == ''
+    for _ in range(3):
+        clock.now_s += 3.0
+        assert '/image has stopped' in watch.problem()
+    assert len(graph.warnings) == 1
+    watch.heard('image')
+    assert watch.problem() == ''
+    assert graph.infos == ['messages arrive on /image']
+
+
+def test_a_calibration_comes_once(clock):
+    watch = watch_of(Graph(), clock)
+    watch.heard('camera_info')
+    for _ in range(100):
+        clock.now_s += 1.0
+        watch.heard('image')
+        assert watch.problem() == ''
+
+
+@pytest.mark.parametrize('topic, type_name, offered, published, told', [
+    ('/image', IMAGE, [], {}, 'nobody publishes /image, nor any other topic of type '
+                              'sensor_msgs/msg/Image'),
+    ('/image', IMAGE, [], {'/cam/image_raw/compressed': COMPRESSED},
+     '/cam/image_raw/compressed is a sensor_msgs/msg/CompressedImage: set image_transport to '
+     'compressed'),
+    ('/image/compressed', COMPRESSED, [], {'/cam/image/compressed': COMPRESSED},
+     '-r image:=/cam/image'),
+    ('/image', IMAGE, [IMAGE, IMAGE], {}, 'nothing arrives on /image, though it has 2 publisher'),
+    ('/cam/compressed', IMAGE, [COMPRESSED], {}, 'set image_transport to compressed and remap '
+                                                 'image to /cam'),
+    ('/image/compressed', COMPRESSED, [IMAGE], {}, 'set image_transport to raw'),
+    ('/image', IMAGE, ['std_msgs/msg/String'], {}, 'is published as std_msgs/msg/String, not as '
+                                                   'sensor_msgs/msg/Image')])
+def test_the_reason_is_told_with_the_remedy(topic, type_name, offered, published, told):
+    assert told in explain_silence('image', topic, type_name, offered, published)
+
+
+def test_many_topics_are_not_all_listed():
+    published = {f'/cam{index}/image': IMAGE for index in range(30)}
+    told = explain_silence('image', '/image', IMAGE, [], published)
+    assert told.count('/image') < 12
+    assert ', ...' in told

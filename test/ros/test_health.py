@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is missing is told, in the diagnostics and once in the log."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from node_helpers import send, small_room, start
+
+from plane_detector.ros.diagnostics import Report
+from plane_detector.ros.health import FLOORLESS, Health, gap_of
+
+
+def detection(classes, scale='metric', planes=2, event=''):
+    return SimpleNamespace(planes=(None,) * planes, classes=classes, scale_method=scale,
+                           scale_note='why', scale_event=event)
+
+
+@pytest.mark.parametrize('found, wanted, told', [
+    (detection((1, 3)), (FLOORLESS,), ''),
+    (detection((), planes=0), (FLOORLESS,), ''),
+    (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
+    (detection((0, 0)), (FLOORLESS,), 'points_without_floor is silent'),
+    (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
+    (detection((1, 0), 'relative'), ('planes',), ''),
+    (detection((1, 0), 'relative'), (FLOORLESS,), 'the unit of depth is not known (why)')])
+def test_gaps(found, wanted, told):
+    gap = gap_of(found, wanted)
+    assert told in gap
+    assert bool(told) == bool(gap)
+
+
+def test_each_gap_is_logged_once_and_leaves_the_status_when_it_is_gone():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    for _ in range(3):
+        health.note(detection((0, 0)), ())
+        level, message = health.status(Report(3, 0, 0, 1.0), '')
+        assert level == DiagnosticStatus.WARN
+        assert 'gravity' in message
+    assert len(lines) == 1
+    health.note(detection((1, 3)), ())
+    assert health.status(Report(4, 0, 0, 1.0), '') == (DiagnosticStatus.OK, 'active')
+
+
+def test_images_without_depth_of_their_time_are_told():
+    health = Health(SimpleNamespace(warning=print, info=print))
+    level, message = health.status(Report(0, 5, 0, 0.0, unpaired_lately=True), '')
+    assert level == DiagnosticStatus.WARN
+    assert 'stamp_slop' in message
+
+
+def test_an_imu_that_is_silent_is_told(robot):
+    room = small_room()
+    start(robot, lambda rgb: room.depth_m, use_imu=True)
+    for stamp_s in np.arange(1.0, 6.0, 0.25):
+        send(robot, room, stamp_s)
+        robot.spin(timeout_s=0.1)
+    assert robot.is_logged('nobody publishes /imu')
+    status, _ = robot.diagnosis()
+    assert status.level == DiagnosticStatus.WARN
+    assert '/imu' in status.message
+
+
+def test_classes_and_obstacles_without_gravity_are_told(robot):
+    room = small_room()
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room)
+    robot.wait_for('planes')
+    assert robot.is_logged('points_without_floor is silent: the direction of gravity')
+    assert robot.spin(lambda: robot.diagnosis()[0].level == DiagnosticStatus.WARN)
+    assert 'scale.gravity' in robot.diagnosis()[0].message
+
+
+def test_the_image_topics_are_listed_where_nothing_comes(robot):
+    from sensor_msgs.msg import Image
+    robot.node.create_publisher(Image, '/camera/color/image_raw', 1)
+    start(robot, lambda rgb: None)
+    assert robot.is_logged('--ros-args -r image:=/camera/color/image_raw')
+    assert robot.diagnosis()[0].level == DiagnosticStatus.WARN
