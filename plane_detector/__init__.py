@@ -16,7 +16,7 @@ from typing import Any
 
 _HOMES = {'CameraIntrinsics': 'types', 'Config': 'config', 'Detection': 'types', 'Plane': 'types',
           'PlaneDetector': 'pipeline', 'PlaneSegmentation': 'types',
-          'segment_planes': 'segmentation.segment'}
+          'segment_planes': 'pipeline'}
 __all__ = [*_HOMES]
 
 

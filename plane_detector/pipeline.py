@@ -4,11 +4,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
@@ -16,23 +13,26 @@ from plane_detector.config import Config
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.focal_correction import lens_factor
 from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.geometry.disparity import disparity_range, to_depth, to_disparity
 from plane_detector.geometry.gravity import unit_direction
+from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
-from plane_detector.scale.estimate import ScaleEstimate, apply_scale, to_disparity
+from plane_detector.planes.measurement import measure_planes
+from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import COARSE_GRAVITY_DEG, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
-from plane_detector.segmentation.pixels.edge_snapping import snap_to_picture
-from plane_detector.segmentation.segment import (
-    Refine,
-    disparity_range,
-    measure_labels,
-    segment_disparity,
-    segment_planes,
-)
+from plane_detector.segmentation.baselines import segment_by_paper
+from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.pixels.edge_snapping import GuideImage
+from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
+from plane_detector.segmentation.threads import one_blas_thread
+from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
-from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneSegmentation
 
 EstimateDepth = Callable[[np.ndarray], np.ndarray]
+DEFAULTS = Config()
 # Edges of a network's depth are off by up to about this many pixels of its input.
 BLUR_INPUT_PX = 3.5
 
@@ -99,52 +99,51 @@ class PlaneDetector:
             Picture, depth and intrinsics do not fit together.
 
         """
-        stages = Stages()
+        stages = StageTimer()
         with stages('depth'):
             prediction, output = self._predict(rgb, intrinsics, depth_m)
             prediction = self._damp(prediction, output, rgb)
             if covered is not None:
                 prediction = np.where(covered, prediction, np.float32(np.nan))
+            check_depth(prediction, intrinsics)
         with stages('segmentation'):
-            refine = self._snap_to(rgb)
-            labels, found = self._segment(prediction, output, intrinsics, refine)
+            regions = self._segment(prediction, output, intrinsics, rgb)
         with stages('scale'):
-            scale = self._update_scale(prediction, output, labels, intrinsics, depth_m,
+            scale = self._update_scale(prediction, output, regions.labels, intrinsics, depth_m,
                                        down_camera)
         with stages('measurement'):
-            found, scaled_m = found or self._measure(prediction, output, labels, intrinsics,
-                                                     scale.estimate, refine)
-            classes = self._classify(found, scale.estimate, down_camera)
+            scaled_m = self._in_metres(prediction, output, scale.estimate)
+            planes = self._measure(regions, scaled_m, scale.estimate, intrinsics)
+            classes = self._classify(planes.planes, scale.estimate, down_camera)
         with stages('tracking'):
-            found, track_labels = self._track(found)
-        return Detection(**vars(found), depth_m=scaled_m, scale_method=scale.estimate.unit_method,
-                         scale_note=str(scale.estimate), scale_event=scale.event, classes=classes,
-                         track_labels=track_labels, stage_seconds=stages.seconds)
+            planes, track_labels = self._track(planes)
+        return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=scaled_m,
+                         scale_method=scale.estimate.unit_method, scale_note=str(scale.estimate),
+                         scale_event=scale.event, classes=classes, track_labels=track_labels,
+                         stage_seconds=stages.seconds)
 
-    def _snap_to(self, rgb: np.ndarray) -> Refine | None:
-        """Return what moves borders to the edges of the picture, where a network blurred them."""
+    def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics,
+                 rgb: np.ndarray) -> PixelRegions:
+        disparity = _as_disparity(prediction, output)
+        known = getattr(self.estimate_depth, 'disparity_noise', 0.0)
+        if output == 'metric_depth':
+            noise_floor = metric_noise_floor(self.config, known)
+        else:
+            known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
+            noise_floor = unitless_noise_floor(disparity, known)
+        if self.config.segmentation.method == 'paper' and output == 'relative_disparity':
+            raise ValueError('segmentation.method paper needs depth in metres, but the network '
+                             'gives relative_disparity')
+        return _segment_as_configured(disparity, intrinsics, noise_floor, self.config,
+                                      guide=self._guide(rgb))
+
+    def _guide(self, rgb: np.ndarray) -> GuideImage | None:
+        """Return what borders snap to, where a network blurred them."""
         input_size = getattr(self.estimate_depth, 'input_size', None)
         if not self.config.segmentation.snap_to_picture or input_size is None:
             return None
         height, width = rgb.shape[:2]
-        reach_px = BLUR_INPUT_PX * width / input_size(width, height)[0]
-        return partial(snap_to_picture, rgb=rgb, reach_px=reach_px)
-
-    def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics,
-                 refine: Refine | None
-                 ) -> tuple[np.ndarray, tuple[PlaneSegmentation, np.ndarray] | None]:
-        """Return the labels, and the planes too where the prediction is in metres as it is."""
-        known = getattr(self.estimate_depth, 'disparity_noise', 0.0)
-        if output == 'metric_depth' and self._metres_are_right():
-            found = segment_planes(prediction, intrinsics, self.config, disparity_noise=known,
-                                   refine=refine)
-            return found.labels, (found, prediction)
-        disparity = to_disparity(prediction, output)
-        known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
-        return segment_disparity(disparity, self.config, disparity_noise=known), None
-
-    def _metres_are_right(self) -> bool:
-        return self._is_measured() or self.config.scale.method in ('auto', 'metric')
+        return GuideImage(rgb, BLUR_INPUT_PX * width / input_size(width, height)[0])
 
     def _is_measured(self) -> bool:
         return self.config.depth.source == 'topic' and self.estimate_depth is None
@@ -156,23 +155,27 @@ class PlaneDetector:
         config = self.config.scale
         if self._is_measured():
             config, depth_m = replace(config, method='metric'), None
-        measured = estimate_scale(to_disparity(prediction, output), labels, intrinsics, config,
+        measured = estimate_scale(_as_disparity(prediction, output), labels, intrinsics, config,
                                   output=output, gravity_camera=down_camera,
                                   sensor_depth_m=depth_m)
         self._scale = update_scale(self._scale, measured, config)
         return self._scale
 
-    def _measure(self, prediction: np.ndarray, output: str, labels: np.ndarray,
-                 intrinsics: CameraIntrinsics, scale: ScaleEstimate,
-                 refine: Refine | None) -> tuple[PlaneSegmentation, np.ndarray]:
-        """Return the planes of known pixels, and the depth, in the unit of the scale."""
-        disparity = to_disparity(prediction, output)
-        scaled_m = apply_scale(disparity, scale, self.config.depth.max_depth)
-        known = getattr(self.estimate_depth, 'disparity_noise', 0.0) * scale.scale
-        known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
-        return measure_labels(scaled_m, labels, intrinsics, self.config, known, refine), scaled_m
+    def _in_metres(self, prediction: np.ndarray, output: str,
+                   scale: ScaleEstimate) -> np.ndarray:
+        """Return the depth (H, W) float32 in the unit of the scale, NaN invalid."""
+        if output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
+            return prediction
+        return apply_scale(_as_disparity(prediction, output), scale, self.config.depth.max_depth)
 
-    def _classify(self, found: PlaneSegmentation, scale: ScaleEstimate,
+    @one_blas_thread
+    def _measure(self, regions: PixelRegions, scaled_m: np.ndarray, scale: ScaleEstimate,
+                 intrinsics: CameraIntrinsics) -> PlaneSegmentation:
+        """Return the planes in the unit of the scale."""
+        regions = regions.rescaled(scale.scale, scale.shift).restricted_to(scaled_m > 0)
+        return _measured(regions, intrinsics, self.config)
+
+    def _classify(self, planes: tuple[Plane, ...], scale: ScaleEstimate,
                   down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:
         """Tell floor, walls and so on apart, where angles are true and gravity is known."""
         config = self.config.scale
@@ -180,8 +183,8 @@ class PlaneDetector:
         if not scale.has_true_angles:
             down = None
         elif down is not None and config.gravity_tolerance > COARSE_GRAVITY_DEG:
-            down = refine_gravity(found.planes, down, config.gravity_tolerance)
-        return classify_planes(found.planes, down)
+            down = refine_gravity(planes, down, config.gravity_tolerance)
+        return classify_planes(planes, down)
 
     def _track(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         if not self.config.tracking.enabled:
@@ -216,11 +219,12 @@ class PlaneDetector:
         if keep == 0 or self._is_measured():
             self._damped = None
             return prediction
-        self._damped = damp_flicker(self._damped, to_disparity(prediction, output), rgb, keep,
+        self._damped = damp_flicker(self._damped, _as_disparity(prediction, output), rgb, keep,
                                     same_scale=output != 'relative_disparity')
         if self._damped.pictures == 1:
             return prediction
-        return to_disparity(self._damped.disparity, output)  # 1/z undoes itself
+        damped = self._damped.disparity
+        return to_depth(damped) if output == 'metric_depth' else damped
 
     def _without_lens(self, prediction: np.ndarray, output: str,
                       intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -235,15 +239,62 @@ class PlaneDetector:
         return np.where(depth_m <= self.config.depth.max_depth, depth_m, np.float32(np.nan))
 
 
-class Stages:
-    """Takes the time of named stages."""
+@one_blas_thread
+def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config | None = None,
+                   *, disparity_noise: float = 0.0,
+                   rng: np.random.Generator | None = None) -> PlaneSegmentation:
+    """
+    Find the planes of a depth image and label its pixels.
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Metres along the optical axis; NaN, infinity and less than 1 mm are invalid.
+    intrinsics : CameraIntrinsics
+        Of an image of that size.
+    config : Config, optional
+        Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used.
+    disparity_noise : float
+        What the source of the depth is known for, per metre; 0 when nothing is known. The noise
+        is estimated from the image and taken to be at least this.
+    rng : numpy.random.Generator, optional
+        Default: seeded with ``config.ransac.seed``.
 
-    @contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        """Time what is done within."""
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = time.perf_counter() - start
+    Returns
+    -------
+    PlaneSegmentation
+        The planes, largest first, and the labels. Finding no plane is not an error.
+
+    Raises
+    ------
+    ValueError
+        ``depth_m`` is not a 2-D floating point array, or its size differs from the intrinsics.
+
+    """
+    config = config or DEFAULTS
+    check_depth(depth_m, intrinsics)
+    regions = _segment_as_configured(to_disparity(depth_m), intrinsics,
+                                     metric_noise_floor(config, disparity_noise), config, rng)
+    return _measured(regions, intrinsics, config)
+
+
+def _segment_as_configured(disparity: np.ndarray, intrinsics: CameraIntrinsics,
+                           noise_floor: Noise, config: Config,
+                           rng: np.random.Generator | None = None,
+                           guide: GuideImage | None = None) -> PixelRegions:
+    """Segment by the method that the settings name."""
+    if config.segmentation.method == 'paper':
+        return segment_by_paper(disparity, intrinsics, noise_floor, config, rng)
+    return segment(disparity, noise_floor, config, rng, guide)
+
+
+def _measured(regions: PixelRegions, intrinsics: CameraIntrinsics,
+              config: Config) -> PlaneSegmentation:
+    """Measure the planes that are large enough."""
+    min_pixels = config.segmentation.min_plane_share * regions.labels.size
+    planes, labels = measure_planes(regions, intrinsics, min_pixels)
+    return PlaneSegmentation(planes, labels, regions.noise.mean)
+
+
+def _as_disparity(prediction: np.ndarray, output: str) -> np.ndarray:
+    return to_disparity(prediction) if output == 'metric_depth' else prediction

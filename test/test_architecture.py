@@ -16,14 +16,12 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
-LAYERS = (('settings',), ('config', 'types'), ('geometry',),
+LAYERS = (('settings', 'stage_timer'), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('threads',), ('cells',), ('search',), ('regions',), ('pixels',),
-                       ('fine_pass',), ('baselines',), ('segment',))
-MEASURED_IN_THE_SEGMENTATION = ('plane_detector.segmentation.segment',
-                                'plane_detector.planes.measurement')
+                       ('fine_pass',), ('segment',), ('baselines',))
 PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
 CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in
         ('ros', 'tools', 'evaluation')]
@@ -77,8 +75,6 @@ def may_import(importer: str, imported: str) -> bool:
     """Tell whether the layers allow an import."""
     if importer.count('.') == 0:
         return False
-    if (importer, imported) == MEASURED_IN_THE_SEGMENTATION:
-        return True
     (_, a, *deeper_a), (_, b, *deeper_b) = importer.split('.'), imported.split('.')
     if a == 'planes' and b == 'segmentation':
         return imported.startswith(PLANES_MAY_IMPORT)

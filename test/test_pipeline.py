@@ -9,7 +9,6 @@ from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_plan
 from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
-from plane_detector.pipeline import Stages
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)
@@ -108,15 +107,6 @@ def test_every_stage_has_its_time():
     assert {'depth', 'segmentation'} <= set(metric.stage_seconds)
     assert {'depth', 'segmentation', 'scale', 'measurement'} <= set(relative.stage_seconds)
     assert all(seconds >= 0 for seconds in relative.stage_seconds.values())
-
-
-def test_stages_are_timed_by_name():
-    stages = Stages()
-    with stages('one'):
-        pass
-    with stages('two'):
-        pass
-    assert list(stages.seconds) == ['one', 'two']
 
 
 def test_the_picture_is_not_modified():

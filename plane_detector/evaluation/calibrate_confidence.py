@@ -16,8 +16,8 @@ from plane_detector.evaluation.metrics import overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
+from plane_detector.pipeline import segment_planes
 from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, confidence_features
-from plane_detector.segmentation.segment import segment_planes
 
 SCENES = (random_room, living_room)
 FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(HELD_OUT, HELD_OUT + 50)

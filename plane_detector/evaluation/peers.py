@@ -16,7 +16,7 @@ import numpy as np
 
 from plane_detector.config import Config, PaperConfig, SegmentationConfig
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.segmentation.segment import segment_planes
+from plane_detector.pipeline import segment_planes
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 MIN_PIXELS = 1500

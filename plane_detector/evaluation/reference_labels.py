@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plane_detector.geometry.projection import check_depth, pixel_rays, valid_depth
+from plane_detector.geometry.disparity import valid_depth
+from plane_detector.geometry.projection import check_depth, pixel_rays
 from plane_detector.types import CameraIntrinsics
 
 TOLERANCE_M = 0.0015

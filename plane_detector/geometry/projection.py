@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.geometry.disparity import valid_depth
 from plane_detector.types import CameraIntrinsics
 
 
@@ -76,8 +77,3 @@ def points_to_pixels(points_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     u_px = points_m[..., 0] / z_m * intrinsics.fx + intrinsics.cx
     v_px = points_m[..., 1] / z_m * intrinsics.fy + intrinsics.cy
     return np.stack([u_px, v_px], axis=-1)
-
-
-def valid_depth(depth_m: np.ndarray) -> np.ndarray:
-    """Return where depth is finite and positive, (H, W) bool."""
-    return (depth_m > 0) & (depth_m < np.inf)

@@ -17,6 +17,7 @@ from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.labels import count_labels, renumber
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -65,22 +66,15 @@ class _Parts:
         return np.bincount(self.plane, self.count * values, self.counts.shape[1])
 
 
-def measure_planes(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
-                   planes: np.ndarray, noise: Noise, intrinsics: CameraIntrinsics,
+def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
                    min_pixels: float = 1.0) -> tuple[tuple[Plane, ...], np.ndarray]:
     """
     Measure planes, largest first.
 
     Parameters
     ----------
-    disparity : (H, W) float32
-    grid : CellGrid
-        Of this disparity.
-    labels : (H, W) int32
-        Index into ``planes``, -1 none.
-    planes : (K, 3) float64
-        1/z = a x + b y + c in the coordinates of the cells.
-    noise : Noise
+    regions : PixelRegions
+        Of 1/z: in 1/metres, or the planes are in the unit whose inverse the disparity has.
     intrinsics : CameraIntrinsics
     min_pixels : float
         Planes of fewer pixels, or of none, are left out.
@@ -89,26 +83,21 @@ def measure_planes(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
     -------
     planes : tuple of Plane
     labels : (H, W) int32
-        Index into these.
+        Index into these, -1 none.
 
     """
-    counts = count_labels(grid, labels, len(planes))
+    grid, noise = regions.grid, regions.noise
+    counts = count_labels(grid, regions.labels, len(regions.coefficients))
     total = np.ones(len(counts)) @ counts
     kept = total >= max(min_pixels, 1)
     if noise.mean > max(noise.known, MAX_NOISE_SHARE * grid.typical_disparity):
         kept[:] = False
     order = np.argsort(-total, kind='stable')
     order = order[kept[order]]
-    labels, planes = renumber(labels, order, len(planes)), planes[order]
-    parts = _Parts.of(counts[:, order])
-    rms = _relative_rms(disparity, grid, labels, parts, planes)
+    labels = renumber(regions.labels, order, len(regions.coefficients))
+    planes, parts = regions.coefficients[order], _Parts.of(counts[:, order])
+    rms = _relative_rms(regions.disparity, grid, labels, parts, planes)
     return _measure(grid, parts, planes, rms, noise, intrinsics), labels
-
-
-
-
-
-
 
 
 def _measure(grid: CellGrid, parts: _Parts, planes: np.ndarray, relative_rms: np.ndarray,

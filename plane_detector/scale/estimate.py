@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.geometry.projection import valid_depth
+from plane_detector.geometry.disparity import to_depth
 
 RELATIVE = 'relative'
 # Depths beyond this multiple of the picture's own unit are invalid where metres are unknown.
@@ -70,27 +70,6 @@ class ScaleEstimate:
         return f'{self.method}{unit}{sigma}: {self.note}'
 
 
-def to_disparity(prediction: np.ndarray, output: str) -> np.ndarray:
-    """
-    Return what a network gave as something affine in 1/z.
-
-    Parameters
-    ----------
-    prediction : (H, W) floating
-    output : str
-        ``metric_depth`` is inverted, NaN where it is not positive; ``disparity`` and
-        ``relative_disparity`` stay as they are.
-
-    Returns
-    -------
-    (H, W) floating
-
-    """
-    if output != 'metric_depth':
-        return prediction
-    return _reciprocal(prediction, valid_depth(prediction))
-
-
 def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
                 max_depth_m: float = np.inf) -> np.ndarray:
     """
@@ -106,9 +85,4 @@ def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
     """
     farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH
     inverse = np.float32(estimate.scale) * disparity + np.float32(estimate.shift)
-    valid = (inverse > 0) & (inverse >= 1.0 / farthest) & np.isfinite(inverse)
-    return _reciprocal(inverse, valid)
-
-
-def _reciprocal(inverse: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    return np.divide(1.0, inverse, out=np.full(inverse.shape, np.nan, np.float32), where=valid)
+    return to_depth(inverse, farthest)

@@ -20,13 +20,11 @@ import numpy as np
 from plane_detector.config import ScaleConfig
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.scale.disparity_planes import DisparityPlanes, fit_disparity_planes
-from plane_detector.scale.estimate import RELATIVE, ScaleEstimate, apply_scale, to_disparity
+from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
 from plane_detector.scale.manhattan import ManhattanVote, vote_shift
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.types import CameraIntrinsics
-
-__all__ = ['METHODS', 'ScaleEstimate', 'apply_scale', 'estimate_scale', 'to_disparity']
 
 COARSE_GRAVITY_DEG = 5.0
 # The farthest pixels are judged by this quantile, so that noise at the horizon does not count.
@@ -63,7 +61,7 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
     Parameters
     ----------
     disparity : (H, W) floating
-        Affine in 1/z (see :func:`to_disparity`); not finite where invalid.
+        Affine in 1/z; not finite where invalid.
     labels : (H, W) int
         Plane of each pixel, -1 none; planes are the same pixels at any scale and shift.
     intrinsics : CameraIntrinsics

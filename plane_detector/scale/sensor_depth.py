@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.geometry.projection import valid_depth
+from plane_detector.geometry.disparity import valid_depth
 
 MIN_POINTS = 5
 MAX_POINTS = 20_000

@@ -1,23 +1,99 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The method of "Improved Plane Detection in 3D Reconstruction from 2D Images" (J. Quan).
+What the segmentation is compared with: the paper's method, and RANSAC without clustering.
 
-Planes are peeled off the point cloud one by one with pyRANSAC-3D and one metric threshold, then
-DBSCAN on each plane's points takes the artefacts away. It is the baseline that we compare with,
-so pyransac3d is an optional extra and only imported here.
+The method of "Improved Plane Detection in 3D Reconstruction from 2D Images" (J. Quan) peels planes
+off the point cloud one by one with pyRANSAC-3D and one metric threshold, then DBSCAN on each
+plane's points takes the artefacts away. pyransac3d is an optional extra and only imported here.
 """
 
 from __future__ import annotations
 
 import random
+from itertools import islice
 
 import numpy as np
 from sklearn.cluster import DBSCAN
 
 from plane_detector.config import Config, PaperConfig
+from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
+from plane_detector.segmentation.cells.grid import (
+    CellGrid,
+    fit_planes,
+    make_cells,
+    picture_coordinates,
+)
+from plane_detector.segmentation.cells.labels import count_labels, renumber
+from plane_detector.segmentation.cells.model import make_model
+from plane_detector.segmentation.cells.noise import Noise, estimate_noise
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.search.ransac import peel_planes
+from plane_detector.segmentation.segment import metric_noise_floor
+from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics
+
+
+@one_blas_thread
+def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_floor: Noise,
+                     config: Config, rng: np.random.Generator | None = None) -> PixelRegions:
+    """
+    Segment with the paper's method, behind the interface of ours.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        1/z in 1/metres, not finite where invalid: its thresholds are metric.
+    intrinsics : CameraIntrinsics
+    noise_floor : Noise
+    config : Config
+        Its ``segmentation`` and ``paper`` are used.
+    rng : numpy.random.Generator, optional
+        Default: seeded with ``config.ransac.seed``.
+
+    Returns
+    -------
+    PixelRegions
+        Each plane fitted again to the cells that it fills, as ours are.
+
+    Raises
+    ------
+    ModuleNotFoundError
+        pyransac3d is not installed.
+
+    """
+    rng = rng or np.random.default_rng(config.ransac.seed)
+    labels, _ = paper_labels(to_depth(disparity), intrinsics, config, rng)
+    disparity, valid = zero_filled(disparity)
+    grid = make_cells(disparity, valid)
+    planes, labels = fit_labels(grid, labels)
+    return PixelRegions(disparity, labels, planes, grid, estimate_noise(grid, noise_floor))
+
+
+def fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Fit planes to labels by the cells that they fill.
+
+    Parameters
+    ----------
+    grid : CellGrid
+    labels : (H, W) int32
+        -1 for no plane and where invalid.
+
+    Returns
+    -------
+    planes : (K, 3) float64
+        In the coordinates of the cells.
+    labels : (H, W) int32
+        Without those that fill too few cells.
+
+    """
+    count = count_labels(grid, labels, int(labels.max(initial=-1)) + 1)
+    whole = (count == grid.moments[:, :1]) & grid.usable[:, None]
+    planes = fit_planes(whole.T.astype(float) @ grid.moments)
+    kept = np.flatnonzero(np.isfinite(planes).all(axis=1))
+    return planes[kept], renumber(labels, kept, len(planes))
 
 
 def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
@@ -127,3 +203,60 @@ def _to_picture(equations: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarr
          / intrinsics.fx + ray_plane[:, 1] * ((intrinsics.height - 1) / 2 - intrinsics.cy)
          / intrinsics.fy)
     return np.stack([a, b, c], axis=1)
+
+
+class Everywhere:
+    """The clustering that is none: inliers of a plane belong together wherever they are."""
+
+    def __call__(self, mask: np.ndarray) -> np.ndarray:
+        """Return one cluster, 0, of all set cells of (R, C) bool."""
+        return np.where(mask, 0, -1).astype(np.int32)
+
+    def largest_piece(self, mask: np.ndarray, weight: np.ndarray) -> float:
+        """Return the weight of all set cells."""
+        return float(weight[mask].sum())
+
+
+@one_blas_thread
+def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarray:
+    """
+    Label pixels by sequential RANSAC without clustering, to show what clustering is good for.
+
+    Planes take their inliers wherever they are; there is no DBSCAN, no merging, no competition.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        Metres, NaN invalid.
+    config : Config, optional
+        Its ``segmentation`` and ``ransac`` are used.
+
+    Returns
+    -------
+    (H, W) int32
+        Plane of each pixel, -1 none.
+
+    """
+    config = config or Config()
+    disparity, valid = zero_filled(to_disparity(depth_m))
+    grid = make_cells(disparity, valid)
+    noise = estimate_noise(grid, metric_noise_floor(config))
+    min_pixels = config.segmentation.min_plane_share * depth_m.size
+    search = peel_planes(make_model(grid, noise), min_pixels, config.ransac, Everywhere(),
+                         np.random.default_rng(config.ransac.seed))
+    planes = [plane for plane, _ in islice(search, config.segmentation.max_planes)]
+    return np.where(valid, _nearest_plane(disparity, planes, noise,
+                                          config.ransac.inlier_threshold), -1)
+
+
+def _nearest_plane(disparity: np.ndarray, planes: list[np.ndarray], noise: Noise,
+                   threshold: float) -> np.ndarray:
+    """Return for each pixel the plane that it lies nearest to, -1 beyond the threshold."""
+    x, y = picture_coordinates(disparity.shape)
+    best = threshold**2 * (noise.mean**2 + noise.grain**2 + noise.floor(disparity))
+    labels = np.full(disparity.shape, -1, np.int32)
+    for k, (a, b, c) in enumerate(planes):
+        error = (disparity - (a * x + b * y[:, None] + c)) ** 2
+        labels[error < best] = k
+        best = np.minimum(best, error)
+    return labels

@@ -76,7 +76,7 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
         return labels, planes
     exact = noise.is_exact(model.grid.typical_disparity)
     plain = flat_components(smaller, min_cell_pixels, threshold) if exact else []
-    search = search_planes(smaller, plain, min_cell_pixels, config, config.dbscan, rng)
+    search = search_planes(smaller, plain, min_cell_pixels, config, rng)
     patches = drop_curved(smaller, collect(smaller, list(islice(search, room))), noise)
     new = label_pixels(disparity, left, smaller, patches, noise, threshold)
     bent = find_bent(smaller, patches, noise)

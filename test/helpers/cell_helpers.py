@@ -11,10 +11,11 @@ from plane_detector.evaluation.metrics import overlap
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, camera_rotation, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import fit_planes, make_cells
 from plane_detector.segmentation.cells.model import Patches, make_model
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
-from plane_detector.segmentation.segment import to_disparity
+from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 EXACT = Noise(Config().ransac.noise_floor)
 """No noise but the floor."""
@@ -56,7 +57,7 @@ def millimetres(depth_m):
 
 
 def cell_model(depth_m, noise=EXACT):
-    return make_model(make_cells(*to_disparity(depth_m)), noise)
+    return make_model(make_cells(*zero_filled(to_disparity(depth_m))), noise)
 
 
 def noisy(scene, seed, sigma=0.01, **kind):
@@ -66,7 +67,7 @@ def noisy(scene, seed, sigma=0.01, **kind):
 
 def cells_and_noise(depth_m):
     """Return the cells of a depth image and the noise that is estimated from them."""
-    noise = estimate_noise(make_cells(*to_disparity(depth_m)), EXACT)
+    noise = estimate_noise(make_cells(*zero_filled(to_disparity(depth_m))), EXACT)
     return cell_model(depth_m, noise), noise
 
 
@@ -86,6 +87,11 @@ def rough_wall(power, seed, length_cells=4.0, sigma=0.003):
     field = np.fft.ifft2(white * np.sqrt(np.maximum(spectrum, 0))).real[:60, :80]
     noise = np.kron(field, np.ones((8, 8))) + 0.5 * rng.standard_normal((480, 640))
     return (1 / (1 / bare_wall().depth_m + sigma * noise)).astype(np.float32)
+
+
+def relative_labels(disparity):
+    """Return the plane of each pixel of a disparity of unknown scale and shift."""
+    return segment(disparity, unitless_noise_floor(disparity), Config()).labels
 
 
 def hand_made(model, labels):

@@ -10,11 +10,11 @@ import pytest
 from plane_detector import segment_planes
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.labels import count_labels, renumber
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
-from plane_detector.segmentation.segment import to_disparity
 
 SEEDS = (0, 1, 2)
 
@@ -30,7 +30,8 @@ def segmented(seed, sigma):
     scene = room(seed)
     depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
     points_m = depth_to_points(depth_m, scene.intrinsics).astype(float)
-    return points_m, make_cells(*to_disparity(depth_m)), segment_planes(depth_m, scene.intrinsics)
+    grid = make_cells(*zero_filled(to_disparity(depth_m)))
+    return points_m, grid, segment_planes(depth_m, scene.intrinsics)
 
 
 def rms_of_points_m(points_m, plane):

@@ -8,8 +8,10 @@ import pytest
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.geometry.disparity import to_disparity
 from plane_detector.scale.disparity_planes import fit_disparity_planes
-from plane_detector.scale.methods import apply_scale, estimate_scale, to_disparity
+from plane_detector.scale.estimate import apply_scale
+from plane_detector.scale.methods import estimate_scale
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.types import CameraIntrinsics
 
@@ -72,9 +74,8 @@ def test_planes_ignore_wrong_pixels_and_leave_out_tiny_labels():
 
 def test_depth_and_disparity_are_each_others_inverse():
     depth_m = np.array([[2.0, np.nan, 0.0, -1.0, np.inf]], np.float32)
-    disparity = to_disparity(depth_m, 'metric_depth')
+    disparity = to_disparity(depth_m)
     np.testing.assert_array_equal(disparity, [[0.5, np.nan, np.nan, np.nan, np.nan]])
-    assert to_disparity(depth_m, 'relative_disparity') is depth_m
 
 
 def test_depth_beyond_the_largest_is_invalid_only_where_there_are_metres():
@@ -107,7 +108,7 @@ def test_relative_depth_is_positive_and_one_in_the_middle():
 
 def test_metric_network_keeps_its_metres():
     scene = room()
-    disparity = to_disparity(scene.depth_m, 'metric_depth')
+    disparity = to_disparity(scene.depth_m)
     scale = estimate_scale(disparity, scene.labels, SMALL, output='metric_depth')
     assert scale.method == 'metric' and scale.is_metric
     np.testing.assert_allclose(apply_scale(disparity, scale), scene.depth_m, rtol=1e-5)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from plane_detector.config import ScaleConfig
-from plane_detector.scale.methods import ScaleEstimate
+from plane_detector.scale.estimate import ScaleEstimate
 from plane_detector.scale.temporal_filter import ScaleState, depth_change, update_scale
 
 CONFIG = ScaleConfig(smoothing=0.5, max_jump=0.2, reset_after=3, hold_frames=4)

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from plane_detector import CameraIntrinsics, Config, segment_planes
+from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
@@ -20,7 +20,12 @@ from plane_detector.evaluation.scenes.rooms import (
     single_wall,
 )
 from plane_detector.evaluation.scenes.rooms import box as upright_box
-from plane_detector.segmentation.baselines import paper_labels
+from plane_detector.geometry.disparity import to_disparity, zero_filled
+from plane_detector.planes.measurement import measure_planes
+from plane_detector.segmentation.baselines import fit_labels, paper_labels, ransac_alone
+from plane_detector.segmentation.cells.grid import make_cells
+from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 PAPER = Config(segmentation=SegmentationConfig(method='paper'))
@@ -110,6 +115,37 @@ def test_without_depth_there_is_no_plane(depth_m):
     found = segment_planes(depth_m, SMALL, PAPER)
     assert found.planes == ()
     assert (found.labels == -1).all()
+
+
+def test_labels_of_the_truth_give_its_planes(room):
+    scene = room(3)
+    grid = make_cells(*zero_filled(to_disparity(scene.depth_m)))
+    planes, labels = fit_labels(grid, scene.labels)
+    regions = PixelRegions(to_disparity(scene.depth_m), labels, planes, grid, Noise(0.0005))
+    measured, order = measure_planes(regions, scene.intrinsics, 1500)
+    assert len(measured) >= 5
+    for k, plane in enumerate(measured):
+        true = scene.planes[np.bincount(scene.labels[order == k]).argmax()]
+        np.testing.assert_allclose([*plane.normal, plane.offset_m], true, atol=2e-3)
+
+
+def test_a_plane_without_clustering_takes_its_inliers_wherever_they_are():
+    left, right = (upright_box(np.array([x, 3.0, 0]), np.array([1.0, 0.5, 1.0]))
+                   for x in (-0.9, 0.9))
+    scene = render(left + right, camera_rotation(0, 0, 0), np.zeros(3), SMALL,
+                   np.random.default_rng(0))
+    alone = ransac_alone(scene.depth_m)[60, [45, 115]]
+    ours = segment_planes(scene.depth_m, SMALL).labels[60, [45, 115]]
+    assert alone[0] == alone[1] >= 0
+    assert ours.min() >= 0 and ours[0] != ours[1]
+
+
+def test_the_paper_needs_metres():
+    def relative(rgb):
+        return 1 / single_wall(SMALL).depth_m
+    relative.output = 'relative_disparity'
+    with pytest.raises(ValueError, match='paper needs depth in metres'):
+        PlaneDetector(PAPER, relative).detect(np.zeros((120, 160, 3), np.uint8), SMALL)
 
 
 def test_a_missing_package_is_named(monkeypatch):

@@ -8,12 +8,12 @@ from cell_helpers import EXACT, best_iou, cell_model, view, wall
 
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import make_cells, picture_coordinates
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.fine_pass import add_narrow
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.search.plane_search import find_patches
-from plane_detector.segmentation.segment import to_disparity
 from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()
@@ -31,10 +31,10 @@ def strip(width_px, roll_deg=0.0, first_px=FIRST_PX, yaw_deg=0.0):
 
 def before_narrow(depth_m, config=CONFIG, least=EXACT):
     """Return what :func:`add_narrow` takes: what the search on whole cells leaves."""
-    disparity, valid = to_disparity(depth_m)
+    disparity, valid = zero_filled(to_disparity(depth_m))
     rng = np.random.default_rng(0)
     model, patches, noise = find_patches(make_cells(disparity, valid), least, 600, config,
-                                         config.dbscan, rng)
+                                         rng)
     labels = label_pixels(disparity, valid, model, patches, noise, 3.0)
     return disparity, valid, labels, model, noise, patches.planes, config, rng
 

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from cell_helpers import relative_labels
 
 from plane_detector import Config, segment_planes
 from plane_detector.config import SegmentationConfig
@@ -20,7 +21,6 @@ from plane_detector.evaluation.scenes.rooms import (
     staircase,
 )
 from plane_detector.evaluation.scenes.rooms import box as upright_box
-from plane_detector.segmentation.segment import measure_labels, segment_disparity
 from plane_detector.types import CameraIntrinsics
 
 ROOMS = (3, 7, 11)
@@ -245,18 +245,9 @@ def test_known_noise_is_a_lower_bound(room):
     assert len(found.planes) <= len(exact.planes)
 
 
-def test_measured_labels_give_the_planes_of_the_truth(room):
-    scene = room(ROOMS[0])
-    measured = measure_labels(scene.depth_m, scene.labels, scene.intrinsics, Config())
-    shared = shared_with(scene, measured)
-    large = np.flatnonzero(shared.counts[:-1].sum(1) > 1500)
-    np.testing.assert_allclose(plane_array(measured)[shared.iou[large].argmax(1)],
-                               scene.planes[large], atol=2e-3)
-
-
 def test_a_relative_disparity_gives_the_labels_of_metric_depth(room):
     scene = room(ROOMS[0])
-    labels = segment_disparity((1 / scene.depth_m).astype(np.float32), Config())
+    labels = relative_labels((1 / scene.depth_m).astype(np.float32))
     shared = overlap(scene.labels, labels, np.isfinite(scene.depth_m))
     large = shared.counts[:-1].sum(1) > 1500
     assert (shared.iou[large].max(axis=1) > 0.5).mean() >= 0.8

@@ -11,7 +11,7 @@ import pytest
 from plane_detector.config import TrackingConfig
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
-from plane_detector.segmentation.segment import segment_planes
+from plane_detector.pipeline import segment_planes
 from plane_detector.tracking.camera_motion import NO_MOTION, PlaneMotion, estimate_motion
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation

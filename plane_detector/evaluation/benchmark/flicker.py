@@ -27,8 +27,8 @@ from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.sequences import FRAMES, MOTIONS, View, sequence
-from plane_detector.scale.estimate import to_disparity
-from plane_detector.segmentation.segment import disparity_range, segment_disparity
+from plane_detector.geometry.disparity import disparity_range, to_disparity
+from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 SIGMAS = (0.004, 0.01)
 """Standard deviations of the simulated network's noise, per metre."""
@@ -67,12 +67,17 @@ def judged(views: Sequence[View], sigma: float, seed: int, relative: bool,
         for view, (disparity, _, _) in zip(views, told, strict=True):
             state = damp_flicker(state, disparity, view.scene.rgb, keep, same_scale=not relative)
         _, scale, shift = told[-1]
-        labels = segment_disparity(state.disparity, Config())
+        labels = _labels(state.disparity)
         found = score(scene.labels, scene.planes, labels, _unknown_planes(labels), seen)
         error = (state.disparity - shift) / scale - 1.0 / scene.depth_m
         numbers.append([found.segmentation_covering, found.recall, found.precision,
                         _rms(error[moved & seen]), _rms(error[~moved & seen])])
     return numbers
+
+
+def _labels(disparity: np.ndarray, disparity_noise: float = 0.0) -> np.ndarray:
+    """Return the plane of each pixel (H, W) of a disparity of unknown scale and shift."""
+    return segment(disparity, unitless_noise_floor(disparity, disparity_noise), Config()).labels
 
 
 def _unknown_planes(labels: np.ndarray) -> np.ndarray:
@@ -136,14 +141,15 @@ def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
     labels: list[list[np.ndarray]] = [[] for _ in keeps]
     for index in range(FRAMES):
         noisy = np.clip(rgb + rng.normal(0, sigma, rgb.shape), 0, 255).astype(np.uint8)
-        disparity = to_disparity(estimate(noisy), estimate.output)
+        disparity = estimate(noisy)
+        if estimate.output == 'metric_depth':
+            disparity = to_disparity(disparity)
         relative = estimate.output == 'relative_disparity'
         known = estimate.disparity_noise * (disparity_range(disparity) if relative else 1.0)
         for k, keep in enumerate(keeps):
             states[k] = damp_flicker(states[k], disparity, noisy, keep, same_scale=not relative)
             if index >= FRAMES - _JUDGED:
-                labels[k].append(segment_disparity(states[k].disparity, Config(),
-                                                   disparity_noise=known))
+                labels[k].append(_labels(states[k].disparity, known))
     everywhere = np.ones(rgb.shape[:2], bool)
     return [float(np.mean([
         score(one, _unknown_planes(one), other, _unknown_planes(other),

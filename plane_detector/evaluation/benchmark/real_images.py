@@ -28,8 +28,7 @@ from plane_detector.evaluation.datasets import Frame, frames, library_frames
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.pipeline import PlaneDetector
-from plane_detector.segmentation.segment import segment_planes
+from plane_detector.pipeline import PlaneDetector, segment_planes
 from plane_detector.tools.demo.sensor_comparison import JudgedPlane, judge_planes
 from plane_detector.types import Detection, PlaneSegmentation
 

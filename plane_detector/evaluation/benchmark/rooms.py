@@ -27,7 +27,7 @@ from plane_detector.evaluation.metrics import (
 from plane_detector.evaluation.peers import Method, Ours
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
-from plane_detector.segmentation.segment import segment_planes
+from plane_detector.pipeline import segment_planes
 from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.004, 0.01)

@@ -25,10 +25,12 @@ from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.pipeline import segment_planes
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
 from plane_detector.scale.disparity_planes import fit_disparity_planes
-from plane_detector.scale.methods import ScaleEstimate, estimate_scale
-from plane_detector.segmentation.segment import segment_disparity, segment_planes
+from plane_detector.scale.estimate import ScaleEstimate
+from plane_detector.scale.methods import estimate_scale
+from plane_detector.segmentation.segment import segment, unitless_noise_floor
 from plane_detector.types import CameraIntrinsics
 
 SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
@@ -88,7 +90,7 @@ def look(depth_m: np.ndarray, intrinsics: CameraIntrinsics, down_camera: np.ndar
     noisy_m = with_disparity_noise(depth_m, NOISE_PER_M, rng)
     disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
     truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
-    labels = segment_disparity(disparity, Config())
+    labels = segment(disparity, unitless_noise_floor(disparity), Config()).labels
     return View(disparity, labels, depth_m, intrinsics, down_camera, height_m, truth, rng)
 
 

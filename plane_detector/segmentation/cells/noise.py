@@ -76,6 +76,16 @@ class Noise:
         return replace(self, mean=max(float(mean), self.known),
                        slope=max(float(slope), SLOPE_PER_NOISE * self.known))
 
+    def rescaled(self, scale: float) -> Noise:
+        """
+        Return the noise of scale * disparity, with any shift.
+
+        A shift would change the form of the floor of depth; that floor is far below the noise of
+        any source whose shift is unknown, so only its size is brought to the new unit.
+        """
+        return Noise(self.depth_floor_m / scale, *(scale * sigma for sigma in (
+            self.disparity_floor, self.known, self.mean, self.slope, self.grain)))
+
     def for_smaller_cells(self, size_px: int, smaller_px: int) -> Noise:
         """
         Return the noise of smaller cells.

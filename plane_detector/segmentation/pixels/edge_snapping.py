@@ -11,6 +11,8 @@ help: on it borders got worse.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -20,17 +22,33 @@ SCALE = 2
 SMOOTHING_PX = 1.0
 
 
-def snap_to_picture(labels: np.ndarray, rgb: np.ndarray, reach_px: float) -> np.ndarray:
+@dataclass(frozen=True)
+class GuideImage:
     """
-    Move the borders of planes to the nearest edges of the picture.
+    A colour image whose edges are sharper than those of the depth.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    reach_px : float
+        How far the edges of the depth may be off.
+
+    """
+
+    rgb: np.ndarray
+    reach_px: float
+
+
+def snap_to_image_edges(labels: np.ndarray, guide: GuideImage) -> np.ndarray:
+    """
+    Move the borders of planes to the nearest edges of the image.
 
     Parameters
     ----------
     labels : (H, W) int32
         -1 none, which has borders too.
-    rgb : (H, W, 3) uint8
-    reach_px : float
-        Pixels farther than this from a border keep their label.
+    guide : GuideImage
+        Pixels farther than its reach from a border keep their label.
 
     Returns
     -------
@@ -38,7 +56,7 @@ def snap_to_picture(labels: np.ndarray, rgb: np.ndarray, reach_px: float) -> np.
         No label is lost: one that is nowhere wider than the reach stays as it is.
 
     """
-    reach = round(reach_px / SCALE)
+    reach = round(guide.reach_px / SCALE)
     small = np.ascontiguousarray(labels[::SCALE, ::SCALE])
     if reach < 1 or min(small.shape) < 3:
         return labels
@@ -49,7 +67,7 @@ def snap_to_picture(labels: np.ndarray, rgb: np.ndarray, reach_px: float) -> np.
     band = cv2.dilate(counted, square) != cv2.erode(counted, square)
     narrow = ~np.isin(small, np.unique(small[~band]))
     markers = np.where(band & ~narrow, 0, known).astype(np.int32)
-    picture = cv2.resize(rgb, small.shape[::-1], interpolation=cv2.INTER_AREA)
+    picture = cv2.resize(guide.rgb, small.shape[::-1], interpolation=cv2.INTER_AREA)
     cv2.watershed(cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX), markers)
     # It leaves lines of -1 between the basins: these take the label of a neighbour.
     filled = cv2.dilate(np.maximum(markers, 0).astype(np.uint16), np.ones((3, 3), np.uint8))

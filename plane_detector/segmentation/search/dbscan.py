@@ -9,6 +9,8 @@ space too: the gap in disparity between them is bounded by the inlier threshold.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import cv2
 import numpy as np
 from scipy.sparse import coo_array
@@ -21,6 +23,39 @@ _DIAGONAL = 2**0.5
 # Slices of the cells of a grid and of their neighbours: right, down, and along the diagonals.
 NEIGHBOURS = ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1, :], np.s_[1:, :]))
 DIAGONALS = ((np.s_[:-1, :-1], np.s_[1:, 1:]), (np.s_[:-1, 1:], np.s_[1:, :-1]))
+
+
+class Clustering(Protocol):
+    """Which of the cells that fit a plane belong together."""
+
+    def __call__(self, mask: np.ndarray) -> np.ndarray:
+        """Return the cluster (R, C) int32 of each set cell of (R, C) bool, -1 for none."""
+
+    def largest_piece(self, mask: np.ndarray, weight: np.ndarray) -> float:
+        """Return a bound on the weight (R, C) of any cluster of the set cells."""
+
+
+class GridDbscan:
+    """
+    DBSCAN in the grid.
+
+    Parameters
+    ----------
+    eps, min_samples
+        As in :func:`grid_clusters`.
+
+    """
+
+    def __init__(self, eps: float, min_samples: int) -> None:
+        self._eps, self._min_samples = eps, min_samples
+
+    def __call__(self, mask: np.ndarray) -> np.ndarray:
+        """Return what :func:`grid_clusters` does."""
+        return grid_clusters(mask, self._eps, self._min_samples)
+
+    def largest_piece(self, mask: np.ndarray, weight: np.ndarray) -> float:
+        """Return what :func:`largest_piece` does."""
+        return largest_piece(mask, weight, self._eps)
 
 
 def grid_clusters(mask: np.ndarray, eps: float, min_samples: int) -> np.ndarray:

@@ -15,13 +15,14 @@ from itertools import islice
 
 import numpy as np
 
-from plane_detector.config import Config, DbscanConfig
+from plane_detector.config import Config
 from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import CellModel, Patches, make_model
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.search.calibration import calibrate, is_settled
 from plane_detector.segmentation.search.connected_components import flat_components
+from plane_detector.segmentation.search.dbscan import GridDbscan
 from plane_detector.segmentation.search.ransac import collect, peel_planes
 
 # The largest planes tell noise that is smooth over more than a window of the estimate.
@@ -35,7 +36,6 @@ Found = tuple[np.ndarray, np.ndarray]
 
 
 def find_patches(grid: CellGrid, least: Noise, min_pixels: float, config: Config,
-                 dbscan: DbscanConfig | None,
                  rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
     """
     Find planes and noise.
@@ -48,8 +48,6 @@ def find_patches(grid: CellGrid, least: Noise, min_pixels: float, config: Config
     min_pixels : float
         Smallest plane.
     config : Config
-    dbscan : DbscanConfig or None
-        None: a plane takes its inliers wherever in the picture they are.
     rng : numpy.random.Generator
 
     Returns
@@ -60,15 +58,14 @@ def find_patches(grid: CellGrid, least: Noise, min_pixels: float, config: Config
 
     """
     most, threshold = config.segmentation.max_planes, config.ransac.inlier_threshold
-    # Connected pieces are no use to a search that takes inliers wherever they are.
-    noise, exact = least, least.known == 0 and dbscan is not None
+    noise, exact = least, least.known == 0
     for _ in range(CALIBRATION_ROUNDS):
         model = make_model(grid, noise)
         plain = flat_components(model, min_pixels, threshold) if exact else []
         if noise is least and _share(model, plain) < MIN_EXACT_SHARE:
             exact, plain, noise = False, [], estimate_noise(grid, least)
             model = make_model(grid, noise)
-        search = search_planes(model, plain, min_pixels, config, dbscan, rng)
+        search = search_planes(model, plain, min_pixels, config, rng)
         found = list(islice(search, min(CALIBRATION_PLANES, most)))
         calibrated = calibrate(model, collect(model, found), noise)
         if is_settled(model, noise, calibrated):
@@ -93,7 +90,9 @@ def _taken(model: CellModel, found: list[Found]) -> np.ndarray:
 
 
 def search_planes(model: CellModel, plain: list[Found], min_pixels: float, config: Config,
-                  dbscan: DbscanConfig | None, rng: np.random.Generator) -> Iterator[Found]:
+                  rng: np.random.Generator) -> Iterator[Found]:
     """Yield the planes that are plain to see, then those that RANSAC finds in what is left."""
     yield from plain
-    yield from peel_planes(model, min_pixels, config.ransac, dbscan, rng, _taken(model, plain))
+    clustering = GridDbscan(config.dbscan.eps, config.dbscan.min_samples)
+    yield from peel_planes(model, min_pixels, config.ransac, clustering, rng,
+                           _taken(model, plain))

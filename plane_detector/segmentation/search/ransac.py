@@ -16,10 +16,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plane_detector.config import DbscanConfig, RansacConfig
+from plane_detector.config import RansacConfig
 from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.model import CellModel, Patches, chi_squared, monomials
-from plane_detector.segmentation.search.dbscan import grid_clusters, largest_piece
+from plane_detector.segmentation.search.dbscan import Clustering
 
 # Rows and columns: small windows find small planes, long ones narrow planes, and large ones see
 # through the noise.
@@ -55,7 +55,7 @@ def collect(model: CellModel, found: list[tuple[np.ndarray, np.ndarray]]) -> Pat
 
 
 def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
-                dbscan: DbscanConfig | None, rng: np.random.Generator,
+                clustering: Clustering, rng: np.random.Generator,
                 taken: np.ndarray | bool = False) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """
     Find planes among the cells, take them out, go on until none is left.
@@ -66,8 +66,8 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
     min_pixels : float
         Smallest plane.
     ransac : RansacConfig
-    dbscan : DbscanConfig or None
-        None: a plane takes its inliers wherever in the picture they are.
+    clustering : Clustering
+        Tells which inliers of a plane belong together.
     rng : numpy.random.Generator
         Draws the windows.
     taken : (R * C,) bool, optional
@@ -82,14 +82,14 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
 
     """
     free, drawn, found = model.planar & np.logical_not(taken), 0, True
-    shape, eps = model.grid.shape, dbscan.eps if dbscan else np.inf
+    shape = model.grid.shape
     count = model.grid.moments[:, cells.N].reshape(shape)
     while (found and drawn < ransac.max_iterations
-           and largest_piece(free.reshape(shape), count, eps) >= min_pixels):
+           and clustering.largest_piece(free.reshape(shape), count) >= min_pixels):
         found = False
         batch = _draw(model, free, min_pixels, ransac, rng)
         drawn += len(batch.planes)
-        for plane, members in _peel_batch(model, batch, free, min_pixels, ransac, dbscan):
+        for plane, members in _peel_batch(model, batch, free, min_pixels, ransac, clustering):
             found = True
             free &= ~members
             yield plane, members
@@ -168,14 +168,15 @@ def _fit_windows(model: CellModel, variance: np.ndarray, free: np.ndarray,
 
 
 def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: float,
-                ransac: RansacConfig, dbscan: DbscanConfig | None):
+                ransac: RansacConfig, clustering: Clustering):
     """Yield plane and cells of the best hypothesis, take them out, and so on."""
     count, failures = model.grid.moments[:, 0], 0
     while len(batch.gain) and failures < MAX_FAILURES:
         best = int(np.argmax(batch.gain))
         if batch.gain[best] < min_pixels / 2:
             return
-        plane, members = refine(model, batch.planes[best], batch.seeds[best], free, ransac, dbscan)
+        plane, members = refine(model, batch.planes[best], batch.seeds[best], free, ransac,
+                                clustering)
         if count[members].sum() < min_pixels:
             batch.gain[best] = 0
             failures += 1
@@ -186,11 +187,11 @@ def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: f
 
 
 def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
-           ransac: RansacConfig, dbscan: DbscanConfig | None) -> tuple[np.ndarray, np.ndarray]:
+           ransac: RansacConfig, clustering: Clustering) -> tuple[np.ndarray, np.ndarray]:
     """
     Refit a plane to its inliers until they settle.
 
-    Only the density cluster of inliers around the seed counts, so that a plane does not
+    Only the cluster of inliers around the seed counts, so that a plane does not
     gather streaks off the surfaces that it happens to cut.
 
     Returns
@@ -204,7 +205,7 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
     members[seed] = True
     for _ in range(REFINEMENTS):
         inliers = (chi_squared(model, plane) < ransac.inlier_threshold**2) & free
-        grown = _around(members, inliers.reshape(model.grid.shape), dbscan)
+        grown = _around(members, inliers.reshape(model.grid.shape), clustering)
         count = np.count_nonzero(grown)
         if not count:
             return plane, grown
@@ -217,15 +218,13 @@ def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
     return plane, members
 
 
-def _around(members: np.ndarray, inliers: np.ndarray, dbscan: DbscanConfig | None) -> np.ndarray:
+def _around(members: np.ndarray, inliers: np.ndarray, clustering: Clustering) -> np.ndarray:
     """
-    Return the density cluster of inliers (R, C) that holds most members, (R * C,) bool.
+    Return the cluster of inliers (R, C) that holds most members, (R * C,) bool.
 
     A seed may be an outlier of its own plane: then the largest cluster.
     """
-    if dbscan is None:
-        return inliers.ravel()
-    clusters = grid_clusters(inliers, dbscan.eps, dbscan.min_samples).ravel()
+    clusters = clustering(inliers).ravel()
     for counted in (clusters[members], clusters):
         touched = np.bincount(counted + 1, minlength=2)[1:]
         most = int(touched.argmax())

@@ -19,7 +19,7 @@ import rclpy
 from tqdm import tqdm
 
 from plane_detector.depth.model_zoo import NETWORKS, choose, fetch
-from plane_detector.segmentation.segment import ransac_alone
+from plane_detector.segmentation.baselines import ransac_alone
 from plane_detector.tools.demo.node_client import NodeClient
 from plane_detector.tools.demo.node_process import NodeProcess, use_private_domain
 from plane_detector.tools.demo.photographs import (
@@ -110,7 +110,7 @@ def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome
         timing = client.measure(photograph, _MEASURED_S, _FRAME_TIMEOUT_S, tick)
     with _progress(f'{photograph.name}: RANSAC alone, for comparison') as tick:
         tick()
-        ransac_labels = ransac_alone(received.depth_m, photograph.intrinsics) + 1
+        ransac_labels = ransac_alone(received.depth_m) + 1
     return Outcome(photograph, source, received, timing, ransac_labels)
 
 

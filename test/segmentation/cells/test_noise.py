@@ -10,9 +10,9 @@ from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_rounding
-from plane_detector.segmentation.segment import to_disparity
 
 LEAST = Noise(0.0005)
 
@@ -23,7 +23,7 @@ def rounded(depth_m, step):
 
 
 def known(depth_m, least=LEAST):
-    return with_rounding(least, *to_disparity(depth_m)).known
+    return with_rounding(least, *zero_filled(to_disparity(depth_m))).known
 
 
 @pytest.mark.parametrize('step', [0.001, 0.003, 0.01])
@@ -77,8 +77,8 @@ def test_small_pictures_are_taken(shape):
 
 def test_noise_is_estimated_between_columns_without_depth():
     depth_m = with_disparity_noise(single_wall(yaw_deg=0).depth_m, 0.01, np.random.default_rng(0))
-    whole = estimate_noise(make_cells(*to_disparity(depth_m)), LEAST)
+    whole = estimate_noise(make_cells(*zero_filled(to_disparity(depth_m))), LEAST)
     depth_m[:, (np.arange(640) // 24) % 3 == 0] = np.nan
-    holed = estimate_noise(make_cells(*to_disparity(depth_m)), LEAST)
+    holed = estimate_noise(make_cells(*zero_filled(to_disparity(depth_m))), LEAST)
     assert holed.mean == pytest.approx(whole.mean, rel=0.4)
     assert len(segment_planes(depth_m, VGA).planes) >= 1

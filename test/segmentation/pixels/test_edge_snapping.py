@@ -12,7 +12,7 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, SegmentationConfig
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
-from plane_detector.segmentation.pixels.edge_snapping import snap_to_picture
+from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 
 COLOURS = np.array([[200, 60, 50], [60, 70, 190], [90, 180, 80], [30, 30, 30]], np.uint8)
 
@@ -42,7 +42,7 @@ def test_borders_beside_an_edge_move_onto_it(shape, down, right):
     wrong = shifted(true, down, right)
     inside = np.s_[8:-8, 8:-8]  # what was rolled in at the rim has no edge
     before = covering(true[inside], wrong[inside])
-    after = covering(true[inside], snap_to_picture(wrong, rgb, 10.0)[inside])
+    after = covering(true[inside], snap_to_image_edges(wrong, GuideImage(rgb, 10.0))[inside])
     assert before < 0.955
     assert after > max(0.955, before + 0.01)
 
@@ -50,7 +50,7 @@ def test_borders_beside_an_edge_move_onto_it(shape, down, right):
 def test_pixels_beyond_the_reach_keep_their_label():
     true, rgb = scene()
     wrong = shifted(true, 0, 30)
-    snapped = snap_to_picture(wrong, rgb, 8.0)
+    snapped = snap_to_image_edges(wrong, GuideImage(rgb, 8.0))
     changed = snapped != wrong
     columns = np.flatnonzero(changed[100])
     border = np.flatnonzero(np.diff(wrong[100]))
@@ -61,7 +61,7 @@ def test_pixels_beyond_the_reach_keep_their_label():
 def test_no_plane_has_borders_too():
     true, rgb = scene()
     true[true == 2] = -1
-    snapped = snap_to_picture(shifted(true, 5, 5), rgb, 10.0)
+    snapped = snap_to_image_edges(shifted(true, 5, 5), GuideImage(rgb, 10.0))
     inside = np.s_[8:-8, 8:-8]
     assert (snapped[inside] == true[inside]).mean() > 0.98
 
@@ -69,7 +69,7 @@ def test_no_plane_has_borders_too():
 def test_a_plane_narrower_than_the_reach_is_not_lost():
     true, rgb = scene()
     true[100:104, 10:150] = 3
-    snapped = snap_to_picture(true, rgb, 12.0)
+    snapped = snap_to_image_edges(true, GuideImage(rgb, 12.0))
     assert (snapped[true == 3] == 3).all()
 
 
@@ -77,20 +77,21 @@ def test_a_plane_narrower_than_the_reach_is_not_lost():
 def test_without_reach_nothing_moves(reach_px):
     true, rgb = scene()
     wrong = shifted(true, 0, 5)
-    np.testing.assert_array_equal(snap_to_picture(wrong, rgb, reach_px), wrong)
+    np.testing.assert_array_equal(snap_to_image_edges(wrong, GuideImage(rgb, reach_px)), wrong)
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (3, 400), (5, 5)])
 def test_small_pictures_are_taken(shape):
     labels = np.arange(np.prod(shape), dtype=np.int32).reshape(shape) % 3 - 1
     rgb = np.zeros((*shape, 3), np.uint8)
-    assert set(np.unique(snap_to_picture(labels, rgb, 10.0))) <= set(np.unique(labels))
+    snapped = snap_to_image_edges(labels, GuideImage(rgb, 10.0))
+    assert set(np.unique(snapped)) <= set(np.unique(labels))
 
 
 def test_input_is_not_modified():
     true, rgb = scene()
     labels, picture = true.copy(), rgb.copy()
-    snap_to_picture(labels, picture, 10.0)
+    snap_to_image_edges(labels, GuideImage(picture, 10.0))
     np.testing.assert_array_equal(labels, true)
     np.testing.assert_array_equal(picture, rgb)
 

@@ -12,10 +12,10 @@ from cell_helpers import EXACT, best_iou, cell_model, hand_made, one_patch, rect
 from plane_detector import segment_planes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, single_wall
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.regions.depth_steps import split_at_steps
-from plane_detector.segmentation.segment import to_disparity
 
 SIGMA = 0.01
 STEP = 0.003
@@ -45,7 +45,7 @@ def bare(seed):
 
 def split(depth_m, noise=None):
     """Return the pieces that the whole picture, taken as one patch, is cut into."""
-    disparity, valid = to_disparity(depth_m)
+    disparity, valid = zero_filled(to_disparity(depth_m))
     noise = noise or estimate_noise(make_cells(disparity, valid), EXACT)
     model = cell_model(depth_m, noise)
     return split_at_steps(disparity, valid, model, one_patch(model), noise, 600)
@@ -117,7 +117,7 @@ def test_errors_of_a_network_have_steps_of_their_own():
 
 def test_nothing_to_split_is_returned_as_it_is():
     depth_m = np.full((480, 640), np.nan, np.float32)
-    disparity, valid = to_disparity(depth_m)
+    disparity, valid = zero_filled(to_disparity(depth_m))
     model = cell_model(depth_m)
     none = one_patch(model)
     none = type(none)(np.full(model.grid.shape, -1, np.int32), none.planes[:0])

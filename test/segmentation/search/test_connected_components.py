@@ -9,10 +9,10 @@ from cell_helpers import EXACT, cell_model, rectangle, view, wall
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, bumps, staircase
 from plane_detector.evaluation.scenes.surfaces import cone
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import N, make_cells
 from plane_detector.segmentation.cells.noise import estimate_noise
 from plane_detector.segmentation.search.connected_components import MAX_VARIANCES, flat_components
-from plane_detector.segmentation.segment import to_disparity
 from plane_detector.types import CameraIntrinsics
 
 MIN_PIXELS, THRESHOLD = 1000, 3.0
@@ -31,7 +31,8 @@ def components(depth_m, noise=EXACT):
 
 def estimated(depth_m):
     """Return model and components as they are with the noise that the picture shows."""
-    return components(depth_m, estimate_noise(make_cells(*to_disparity(depth_m)), EXACT))
+    grid = make_cells(*zero_filled(to_disparity(depth_m)))
+    return components(depth_m, estimate_noise(grid, EXACT))
 
 
 def true_plane(model, scene, label):

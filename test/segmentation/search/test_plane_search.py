@@ -8,10 +8,10 @@ from cell_helpers import EXACT, best_iou, view, wall
 
 from plane_detector.config import Config, SegmentationConfig
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.search import plane_search as search
-from plane_detector.segmentation.segment import to_disparity
 
 ROOMS = (3, 7, 11)
 CONFIG = Config()
@@ -19,10 +19,10 @@ CONFIG = Config()
 PART = np.sqrt(0.5)
 
 
-def found(depth_m, least=EXACT, config=CONFIG, dbscan=CONFIG.dbscan):
+def found(depth_m, least=EXACT, config=CONFIG):
     """Return model, patches and noise of a depth image."""
-    grid = make_cells(*to_disparity(depth_m))
-    return search.find_patches(grid, least, 600, config, dbscan, np.random.default_rng(0))
+    grid = make_cells(*zero_filled(to_disparity(depth_m)))
+    return search.find_patches(grid, least, 600, config, np.random.default_rng(0))
 
 
 def pixel_labels(patches, scene):
@@ -75,11 +75,6 @@ def test_known_noise_bounds_the_noise_and_rules_out_exact_depth(room, seed, exac
     assert exact_calls == []
     assert noise.mean >= 0.008
     assert len(patches.planes) >= 5
-
-
-def test_inliers_wherever_they_are_need_no_connected_components(room, exact_calls):
-    found(room(ROOMS[0]).depth_m, dbscan=None)
-    assert exact_calls == []
 
 
 @pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.35, False)])

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Depth and its inverse, and which values of them are valid.
+
+Disparity here is anything affine in 1/z: 1/z itself in 1/metres, or what a network gives in a unit
+of its own. Invalid is NaN in both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# derived: no camera sees nearer; the inverse of less drowns the rest in the rounding of float32.
+MIN_DEPTH_M = 1e-3
+# A range that a few stray pixels do not widen.
+RANGE_QUANTILES = (0.02, 0.98)
+
+
+def valid_depth(depth_m: np.ndarray) -> np.ndarray:
+    """
+    Return where depth is valid: finite and at least 1 mm.
+
+    Examples
+    --------
+    >>> valid_depth(np.array([2.0, 0.0, -1.0, np.inf, np.nan]))
+    array([ True, False, False, False, False])
+
+    """
+    return (depth_m >= MIN_DEPTH_M) & (depth_m < np.inf)
+
+
+def to_disparity(depth_m: np.ndarray) -> np.ndarray:
+    """
+    Return 1/z.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+
+    Returns
+    -------
+    (H, W) float32
+        1/metres, NaN where the depth is invalid.
+
+    Examples
+    --------
+    >>> to_disparity(np.array([[2.0, 0.0]]))
+    array([[0.5, nan]], dtype=float32)
+
+    """
+    valid = valid_depth(depth_m)
+    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
+        disparity = np.reciprocal(depth_m, dtype=np.float32)
+    return disparity if valid.all() else np.where(valid, disparity, np.float32(np.nan))
+
+
+def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
+    """
+    Return z.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        1/z.
+    max_depth_m : float
+        Farther is invalid.
+
+    Returns
+    -------
+    (H, W) float32
+        Metres, or the unit whose inverse the disparity has; NaN where invalid.
+
+    Examples
+    --------
+    >>> to_depth(np.array([[0.5, 0.0, 0.01]]), max_depth_m=80.0)
+    array([[ 2., nan, nan]], dtype=float32)
+
+    """
+    valid = (disparity > 0) & (disparity >= 1 / max_depth_m) & (disparity <= 1 / MIN_DEPTH_M)
+    return np.divide(1.0, disparity, out=np.full(disparity.shape, np.nan, np.float32),
+                     where=valid)
+
+
+def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return disparity that sums can be taken of, 0 where invalid, and where it is valid.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        Not finite where invalid.
+
+    Returns
+    -------
+    disparity : (H, W) float32
+    valid : (H, W) bool
+
+    """
+    valid = np.isfinite(disparity)
+    if not valid.all():
+        disparity = np.where(valid, disparity, 0)
+    return disparity.astype(np.float32, copy=False), valid
+
+
+def disparity_range(disparity: np.ndarray) -> float:
+    """
+    Return the range of the finite values without the outermost 2 % on either side.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+
+    Returns
+    -------
+    float
+        Above 0.
+
+    """
+    sample = disparity[::4, ::4]
+    sample = sample[np.isfinite(sample)]
+    low, high = np.quantile(sample, RANGE_QUANTILES) if sample.size else (0.0, 0.0)
+    return max(float(high - low), float(np.finfo(np.float32).tiny))

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the segmentation gives: the pixels of each plane, and all that measuring them needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector.segmentation.cells.grid import DD, XD, YD, CellGrid, D, N, X, Y
+from plane_detector.segmentation.cells.noise import Noise
+
+
+@dataclass(frozen=True)
+class PixelRegions:
+    """
+    Regions of pixels, each on one plane, in the unit of the disparity.
+
+    Attributes
+    ----------
+    disparity : (H, W) float32
+        0 where invalid.
+    labels : (H, W) int32
+        Index into ``coefficients``, -1 for no plane. Never a label where disparity is invalid.
+    coefficients : (K, 3) float64
+        a, b, c of d = a x + b y + c in the coordinates of the cells; some may have no pixels.
+    grid : CellGrid
+        Of this disparity.
+    noise : Noise
+        Of this disparity.
+
+    """
+
+    disparity: np.ndarray
+    labels: np.ndarray
+    coefficients: np.ndarray
+    grid: CellGrid
+    noise: Noise
+
+    def rescaled(self, scale: float, shift: float) -> PixelRegions:
+        """
+        Return the same regions in the unit of 1/z = scale * disparity + shift.
+
+        Parameters
+        ----------
+        scale : float
+            Above 0.
+        shift : float
+
+        """
+        if scale == 1 and shift == 0:
+            return self
+        return replace(self, disparity=np.float32(scale) * self.disparity + np.float32(shift),
+                       coefficients=scale * self.coefficients + [0.0, 0.0, shift],
+                       grid=_rescaled_grid(self.grid, scale, shift),
+                       noise=self.noise.rescaled(scale))
+
+    def restricted_to(self, valid: np.ndarray) -> PixelRegions:
+        """Return the regions without the pixels where ``valid`` (H, W) bool is False."""
+        return replace(self, labels=np.where(valid, self.labels, -1))
+
+
+def _rescaled_grid(grid: CellGrid, scale: float, shift: float) -> CellGrid:
+    """Put scale * d + shift for d in the sums over the pixels of each cell."""
+    moments, mean = grid.moments.copy(), grid.mean.copy()
+    n, x, y, d, xd, yd, dd = grid.moments[:, [N, X, Y, D, XD, YD, DD]].T
+    moments[:, D] = scale * d + shift * n
+    moments[:, XD], moments[:, YD] = scale * xd + shift * x, scale * yd + shift * y
+    moments[:, DD] = scale * (scale * dd + 2 * shift * d) + shift**2 * n
+    mean[:, 2] = moments[:, D] / np.maximum(n, 1)
+    return replace(grid, moments=moments, mean=mean, slope=scale * grid.slope,
+                   inner_rms=scale * grid.inner_rms)
