@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How good a segmentation is, as the evaluation code of PlaneRCNN and ZeroPlane measures it.
+Accuracy of a segmentation, as the evaluation code of PlaneRCNN and ZeroPlane measures it.
 
 Label images are (H, W) int, -1 for no plane, which is one more class on each side. Only the
 pixels of the mask count: those whose true depth is valid.
@@ -75,7 +75,7 @@ def segmentation_covering(counts: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Score:
-    """The metrics of one picture; see the functions and :func:`score`."""
+    """The metrics of one image; see the functions and :func:`score`."""
 
     rand_index: float
     variation_of_information: float
@@ -156,10 +156,17 @@ def depth_recall(true_labels: np.ndarray, true_depth_m: np.ndarray, labels: np.n
 
 
 def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
-                  planes: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Return plane recall at each of RECALL_ANGLES_DEG: IoU > 0.5 and normals that near."""
+                  planes: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return plane recall and pixel recall at each of RECALL_ANGLES_DEG.
+
+    A true plane is found at an angle when some predicted plane has IoU > 0.5 with it and their
+    normals differ by no more.
+    """
     shared = overlap(true_labels, labels, mask)
     cosine = np.abs(true_planes[:, :3] @ planes[:, :3].T).clip(0, 1)
     angle_deg = np.where(shared.iou > 0.5, np.degrees(np.arccos(cosine)), np.inf)
-    nearest_deg = angle_deg.min(axis=1, initial=np.inf)
-    return (nearest_deg[:, None] <= np.array(RECALL_ANGLES_DEG)).mean(0)
+    within = angle_deg[..., None] <= np.array(RECALL_ANGLES_DEG)
+    pixels_found = (shared.counts[:-1, :-1, None] * within).max(axis=1, initial=0)
+    true_pixels = max(shared.counts[:-1].sum(), 1)
+    return within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0) / true_pixels

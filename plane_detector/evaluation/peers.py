@@ -15,12 +15,14 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config, PaperConfig, SegmentationConfig
+from plane_detector.evaluation.plane_geometry import fit_planes
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
+from plane_detector.segmentation.baselines import paper_labels
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 MIN_PIXELS = 1500
-"""Smallest plane of the peers, at 640 x 480; as a share of the picture at other sizes."""
+"""Smallest plane of the peers, at 640 x 480; as a share of the image at other sizes."""
 MIN_THICKNESS_M = 0.04
 """Open3D's patches are boxes; on exact depth they are too thin to hold their own points."""
 
@@ -39,7 +41,7 @@ class Method:
     absent : str
         Why it cannot run here; empty when it can.
     slow : bool
-        Takes seconds a picture.
+        Takes seconds for an image.
 
     """
 
@@ -91,6 +93,25 @@ class Paper(Ours):
                                 paper=PaperConfig(max_points=max_points)))
         self.name = f'paper, {max_points} points'
         self.absent = _missing('pyransac3d')
+
+
+class PlainRansac(Paper):
+    """The paper's RANSAC without its clustering."""
+
+    def __init__(self, max_points: int = PaperConfig.max_points) -> None:
+        super().__init__(max_points)
+        self.name = f'RANSAC alone, {max_points} points'
+
+    def run(self, prepared: Any) -> Any:
+        """Take plane by plane off the points."""
+        rng = np.random.default_rng(self.config.ransac.seed)
+        return paper_labels(*prepared, self.config, rng, cluster=False)[0], *prepared
+
+    def result(self, raw: Any) -> Segments:
+        """Fit the planes to their pixels."""
+        labels, depth_m, intrinsics = raw
+        labels = relabelled(labels, labels >= 0)
+        return labels, fit_planes(labels, depth_m, intrinsics)
 
 
 class OpenCv(Method):
@@ -210,7 +231,15 @@ class Open3dRansac(Open3dCloud):
 
 def all_methods() -> list[Method]:
     """Return ours first, then every peer, installed or not."""
-    return [Ours(), Paper(), OpenCv(0.03), OpenCv(0.05), Open3dPatches(), Open3dRansac()]
+    return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05), Open3dPatches(),
+            Open3dRansac()]
+
+
+def relabelled(labels: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return labels numbered 0, 1, ... without gaps, (H, W) int32, -1 where ``kept`` is false."""
+    out = np.full(labels.shape, -1, np.int32)
+    out[kept] = np.unique(labels[kept], return_inverse=True)[1]
+    return out
 
 
 def plane_array(segmentation: PlaneSegmentation) -> np.ndarray:

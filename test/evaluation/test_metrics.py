@@ -117,12 +117,16 @@ def test_depth_recall_includes_its_bounds():
 def test_normal_recall_by_hand():
     tilted = np.radians(8)
     found = np.array([[0, 0, -1, 9.0], [0, -np.cos(tilted), np.sin(tilted), 9.0]])
-    np.testing.assert_allclose(normal_recall(TRUTH, PLANES, FOUND, found, ALL), [0.5, 1, 1])
-    np.testing.assert_allclose(normal_recall(TRUTH, PLANES, FOUND, found[::-1], ALL), [0, 0, 0])
+    planes, pixels = normal_recall(TRUTH, PLANES, FOUND, found, ALL)
+    np.testing.assert_allclose(planes, [0.5, 1, 1])
+    np.testing.assert_allclose(pixels, [3 / 6, 5 / 6, 5 / 6])
+    planes, pixels = normal_recall(TRUTH, PLANES, FOUND, found[::-1], ALL)
+    np.testing.assert_allclose(planes, [0, 0, 0])
+    np.testing.assert_allclose(pixels, [0, 0, 0])
 
 
 def test_nothing_found_is_nothing_recalled():
     nothing = np.full_like(TRUTH, -1)
     depth_m = np.ones((1, 8))
     assert not depth_recall(TRUTH, depth_m, nothing, depth_m, ALL)[0].any()
-    assert not normal_recall(TRUTH, PLANES, nothing, PLANES[:0], ALL).any()
+    assert not np.any(normal_recall(TRUTH, PLANES, nothing, PLANES[:0], ALL))

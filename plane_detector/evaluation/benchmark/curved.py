@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the benchmark: columns, pipes and balls in a room, which are no planes."""
+"""Table of the benchmark: columns, pipes and balls in a room, none of them planar."""
 
 from __future__ import annotations
 
@@ -23,19 +23,31 @@ ANGLES_DEG = ((0, 0, 0), (0, -15, 4), (10, 10, 0))
 _FRONT_M, _WALL_M, _CAMERA_HEIGHT_M = 2.0, 4.0, 1.2
 
 
+KINDS = ('column', 'pipe', 'ball')
+CURVED = tuple(product(RADII_M, ANGLES_DEG, KINDS))
+"""What each scene shows."""
+
+
 def curved_scenes() -> Iterator[Scene]:
-    """Yield rooms of one wall and a floor with a curved thing of each radius, seen at angles."""
+    """Yield all scenes."""
+    return map(curved_scene, range(len(CURVED)))
+
+
+def curved_scene(index: int) -> Scene:
+    """Return a wall and a floor with one of CURVED in front."""
+    radius_m, angles_deg, kind = CURVED[index]
     vectors = [([-50, _WALL_M, -50], [100, 0, 0], [0, 0, 100]),
                ([-9, -1, -_CAMERA_HEIGHT_M], [18, 0, 0], [0, 9, 0])]
     room = [Rectangle(*(np.array(vector, float) for vector in one)) for one in vectors]
-    for radius_m, angles_deg in product(RADII_M, ANGLES_DEG):
-        away_m = _FRONT_M + radius_m
-        things = (cone(radius_m, radius_m, -3, 3).at(0, away_m),
-                  bar((-4, away_m, -0.3), (4, away_m, -0.3), radius_m),
-                  ellipsoid(radius_m, radius_m).at(0, away_m))
-        for thing in things:
-            yield render(room, camera_rotation(*angles_deg), np.zeros(3), VGA,
-                         np.random.default_rng(0), thing.curved_pieces())
+    away_m = _FRONT_M + radius_m
+    if kind == 'column':
+        thing = cone(radius_m, radius_m, -3, 3).at(0, away_m)
+    elif kind == 'pipe':
+        thing = bar((-4, away_m, -0.3), (4, away_m, -0.3), radius_m)
+    else:
+        thing = ellipsoid(radius_m, radius_m).at(0, away_m)
+    return render(room, camera_rotation(*angles_deg), np.zeros(3), VGA,
+                  np.random.default_rng(0), thing.curved_pieces())
 
 
 def report_curved(methods: Sequence[Method]) -> None:

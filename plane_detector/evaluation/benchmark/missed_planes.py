@@ -9,10 +9,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.rooms import SIGMAS, SceneOfSeed, noisy_depth, plane_depth
+from plane_detector.evaluation.benchmark.rooms import SIGMAS, SceneOfSeed, noisy_depth
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.metrics import MIN_PIXELS, overlap
 from plane_detector.evaluation.peers import Ours
+from plane_detector.evaluation.plane_geometry import plane_depth
 from plane_detector.evaluation.scenes.rooms import Scene
 
 _EDGES = (0.0, 0.5, 1.0, 2.0, np.inf)

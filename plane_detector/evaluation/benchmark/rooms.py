@@ -25,10 +25,10 @@ from plane_detector.evaluation.metrics import (
     score,
 )
 from plane_detector.evaluation.peers import Method, Ours
+from plane_detector.evaluation.plane_geometry import plane_depth
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.pipeline import segment_planes
-from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
@@ -153,19 +153,7 @@ def _recalls(seed: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
     seen = np.isfinite(scene.depth_m)
     depth_m = plane_depth(labels, planes, scene.intrinsics)
     return (*depth_recall(scene.labels, scene.depth_m, labels, depth_m, seen),
-            normal_recall(scene.labels, scene.planes, labels, planes, seen))
-
-
-def plane_depth(labels: np.ndarray, planes: np.ndarray,
-                intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return the depth (H, W) at which each pixel's ray meets its plane, NaN where none."""
-    if not len(planes):
-        return np.full(labels.shape, np.nan)
-    x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
-    y = (np.arange(intrinsics.height)[:, None] - intrinsics.cy) / intrinsics.fy
-    a, b, c, d = np.moveaxis(planes[labels], -1, 0)
-    with np.errstate(divide='ignore', invalid='ignore'):
-        return np.where(labels >= 0, -d / (a * x + b * y + c), np.nan)
+            normal_recall(scene.labels, scene.planes, labels, planes, seen)[0])
 
 
 def report_confidence(seeds: Sequence[int]) -> None:

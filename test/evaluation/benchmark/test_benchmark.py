@@ -21,13 +21,13 @@ from plane_detector.evaluation.benchmark.real_images import (
 )
 from plane_detector.evaluation.benchmark.rooms import (
     HELD_OUT,
-    plane_depth,
     report_rooms,
     room,
     room_score,
 )
 from plane_detector.evaluation.datasets import frames, library_frames
 from plane_detector.evaluation.metrics import score
+from plane_detector.evaluation.plane_geometry import plane_depth
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
