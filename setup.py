@@ -25,6 +25,7 @@ setup(
         'numpy>=1.26', 'onnxruntime', 'opencv-python-headless>=4.6', 'pyyaml', 'scikit-learn',
         'scipy', 'setuptools', 'tqdm'],
     extras_require={
+        'benchmark': ['h5py', 'matplotlib', 'pyransac3d'],
         'demo': ['scikit-image'],
         'export': ['onnx', 'torch', 'transformers'],
         'paper': ['pyransac3d'],

@@ -35,7 +35,7 @@ ROSDEP_KEYS = {
     'threadpoolctl': 'python3-sklearn',  # which depends on it
     'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
-EXTRAS = {'pyransac3d', 'onnx', 'torch', 'transformers', 'open3d'}
+EXTRAS = {'h5py', 'matplotlib', 'pyransac3d', 'onnx', 'torch', 'transformers', 'open3d'}
 
 
 def modules_imported(path: Path) -> set[str]:

@@ -4,6 +4,7 @@
 Measure the package and print the results as Markdown. One program, one subcommand per subject.
 
     python3 -m plane_detector.evaluation.benchmark segmentation --only rooms
+    python3 -m plane_detector.evaluation.benchmark accuracy --plots docs/figures
     python3 -m plane_detector.evaluation.benchmark SUBCOMMAND --help
 
 Every run first prints its command, the machine, the versions and the commit. What is measured
@@ -23,6 +24,7 @@ from plane_detector.evaluation.benchmark.tables import emit
 # Subcommand: its module, which has add_arguments(parser) and run(options), and a summary. A module
 # is imported when its subcommand runs: some need ROS, others packages that are extras.
 COMMANDS = {
+    'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
     'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
     'depth': ('benchmark.depth_network', 'time of the depth network'),

@@ -69,8 +69,12 @@ def report_curved(methods: Sequence[Method]) -> None:
 
 
 def judge(method: Method, scene: Scene, sigma: float, seed: int) -> tuple[float, float]:
+    """Run a method on a scene; return what :func:`judge_labels` does."""
+    return judge_labels(method(noisy_depth(scene, sigma, seed), scene.intrinsics)[0], scene)
+
+
+def judge_labels(labels: np.ndarray, scene: Scene) -> tuple[float, float]:
     """Return the labelled share of what is curved, and the least IoU of a large true plane."""
-    labels, _ = method(noisy_depth(scene, sigma, seed), scene.intrinsics)
     seen = np.isfinite(scene.depth_m)
     curved = seen & (scene.labels < 0)
     shared = overlap(scene.labels, labels, seen)

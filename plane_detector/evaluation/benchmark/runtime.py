@@ -11,14 +11,12 @@ labels of all pixels and the measured planes.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
-import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
+from plane_detector.evaluation.benchmark.parallel import one_thread
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, noisy_depth, room
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.peers import Method, OpenCv, Ours, Paper
@@ -39,18 +37,6 @@ _ALL_POINTS = 640 * 480
 _MOSAIC_DISTANCE_M = 3.0
 
 Case = tuple[np.ndarray, CameraIntrinsics]
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep OpenCV, BLAS and OpenMP to one thread."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        cv2.setNumThreads(before)
 
 
 def report_times(methods: Sequence[Method], repeats: int) -> None:

@@ -14,6 +14,7 @@ from plane_detector.evaluation.benchmark import runtime as benchmark_times
 from plane_detector.evaluation.benchmark import tables as benchmark_report
 from plane_detector.evaluation.benchmark.judging import judge_coverage
 from plane_detector.evaluation.benchmark.living_rooms import furnished, report_living
+from plane_detector.evaluation.benchmark.parallel import one_thread
 from plane_detector.evaluation.benchmark.real_images import (
     compare,
     report_consistency,
@@ -97,7 +98,7 @@ def test_times_are_taken_of_every_method_and_case():
 
 def test_one_thread_is_put_back():
     before = cv2.getNumThreads()
-    with benchmark_times.one_thread():
+    with one_thread():
         assert cv2.getNumThreads() == 1
     assert cv2.getNumThreads() == before
 

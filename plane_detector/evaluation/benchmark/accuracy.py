@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Accuracy and time on all kinds of scenes, in one run of a few minutes.
+
+Rendered rooms of boxes, lived-in rooms, curved surfaces and real frames, ours and the other
+methods, on seeds that nothing was tuned on. With --plots the same numbers are drawn too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.real_images import collect_frames
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT
+from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
+from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.metrics import MIN_PIXELS
+from plane_detector.evaluation.peers import Ours, all_methods
+
+EXACT_TRUTH = ('rooms', 'lived-in rooms')
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--rooms', type=shared.at_least_one, default=20, help='rooms of boxes')
+    parser.add_argument('--living', type=shared.at_least_one, default=16, help='lived-in rooms')
+    parser.add_argument('--curved', type=shared.at_least_one, default=36, help='curved scenes')
+    parser.add_argument('--slow', type=int, default=3,
+                        help='rooms of each kind for methods that take seconds')
+    parser.add_argument('--first-seed', type=int, default=HELD_OUT)
+    parser.add_argument('--only-ours', action='store_true', help='no other methods')
+    parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
+    parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write figures there')
+    shared.add_data(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the tables; write the figures when asked to."""
+    methods = [Ours()] if options.only_ours else all_methods()
+    counts = {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
+    jobs = plan(methods, counts, options.first_seed, options.slow, collect_frames(options.data))
+    samples = run_jobs(jobs, options.processes)
+    report(samples)
+    emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
+    if options.plots:
+        from plane_detector.evaluation.benchmark.plots import write_plots
+        for path in write_plots(samples, options.plots):
+            emit(f'Figure: `{path}`')
+
+
+def report(samples: Sequence[Sample]) -> None:
+    """Print a table for scenes of exact truth, for curved ones and for real frames."""
+    groups = grouped(samples)
+    for title, header, cells, wanted in (
+            (f'Rendered rooms; recall is of planes over {MIN_PIXELS} pixels',
+             ('scenes', 'noise (1/m)', 'method', 'n', 'SC', 'worst SC (seed)', 'recall',
+              'precision', 'unlabelled'), _exact_cells, lambda kind: kind in EXACT_TRUTH),
+            ('Columns, pipes and balls: share of the curved pixels that got a label',
+             ('scenes', 'noise (1/m)', 'method', 'n', 'taken for planes', 'worst',
+              'least IoU of a plane'), _curved_cells, lambda kind: kind == 'curved'),
+            ('Real frames, depth of the sensor',
+             ('scenes', 'noise (1/m)', 'method', 'n', 'planes', 'labelled', 'purity'),
+             _frame_cells, lambda kind: kind not in (*EXACT_TRUTH, 'curved'))):
+        rows = [[kind, f'{sigma:g}', method, str(len(group)), *cells(group), *_times(group)]
+                for (kind, sigma, method), group in groups.items() if wanted(kind)]
+        if rows:
+            emit(f'### {title}', table((*header, 'CPU ms, median', 'worst'), rows))
+    emit('Unlabelled: share of the pixels on true planes without a label. Purity: share of the '
+         'pixels of a plane near the best plane through the sensor\'s points there. Times are of '
+         'one core, from depth to labels and planes.')
+
+
+def grouped(samples: Sequence[Sample]) -> dict[tuple[str, float, str], list[Sample]]:
+    """Return samples by kind of scene, noise and method; kinds and methods stay in order."""
+    kinds, methods = (list(dict.fromkeys(getattr(one, name) for one in samples))
+                      for name in ('kind', 'method'))
+
+    def key(one: Sample) -> tuple[int, float, int]:
+        return kinds.index(one.kind), one.sigma, methods.index(one.method)
+
+    return {(kinds[k], sigma, methods[m]): list(group) for (k, sigma, m), group in
+            groupby(sorted(samples, key=key), key)}
+
+
+def column(group: Sequence[Sample], name: str) -> np.ndarray:
+    """Return a number of each sample, (n,)."""
+    return np.array([one.numbers[name] for one in group])
+
+
+def known_mean(values: np.ndarray) -> float:
+    """Return the mean of what is not NaN, NaN without any."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float('nan')
+
+
+def _exact_cells(group: Sequence[Sample]) -> list[str]:
+    covering = column(group, 'SC')
+    return [f'{covering.mean():.4f}',
+            f'{covering.min():.3f} ({group[covering.argmin()].scene})',
+            *(f'{known_mean(column(group, name)):.4f}'
+              for name in ('recall', 'precision', 'unlabelled'))]
+
+
+def _curved_cells(group: Sequence[Sample]) -> list[str]:
+    taken = column(group, 'curved')
+    return [f'{taken.mean():.3f}', f'{taken.max():.2f}', f'{column(group, "IoU").mean():.3f}']
+
+
+def _frame_cells(group: Sequence[Sample]) -> list[str]:
+    return [f'{column(group, "planes").mean():.1f}', f'{column(group, "labelled").mean():.3f}',
+            f'{known_mean(column(group, "purity")):.3f}']
+
+
+def _times(group: Sequence[Sample]) -> list[str]:
+    cpu_ms = np.array([one.cpu_ms for one in group])
+    return [f'{np.median(cpu_ms):.1f}', f'{cpu_ms.max():.1f}']

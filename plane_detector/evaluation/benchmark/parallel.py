@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Work in several processes of one thread each."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+
+import cv2
+from threadpoolctl import threadpool_limits
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV, BLAS and OpenMP to one thread."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(before)
+
+
+@contextmanager
+def mapping(processes: int) -> Iterator[Callable]:
+    """
+    Yield a ``map`` over processes; one process means this one.
+
+    What is mapped, its arguments and its results must pickle. The results come in order.
+    """
+    if processes == 1:
+        with one_thread():
+            yield map
+        return
+    # Spawned, not forked: the threads of OpenCV and ONNX Runtime do not survive a fork.
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(processes, context, _use_one_thread) as pool:
+        try:
+            yield pool.map
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _use_one_thread() -> None:
+    cv2.setNumThreads(1)
+    threadpool_limits(1)

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the accuracy benchmark, from the same samples as its tables. Needs matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plane_detector.evaluation.benchmark.samples import Sample
+
+KINDS = ('rooms', 'lived-in rooms')
+SIZE_EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 1.0)
+"""Shares of the image."""
+RECALL_SIGMA = 0.004
+_MARKERS = 'osD^vPX<>'
+
+
+def write_plots(samples: Sequence[Sample], folder: Path) -> list[Path]:
+    """
+    Draw all figures.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+    folder : Path
+        Made where it is missing.
+
+    Returns
+    -------
+    list of Path
+        ``noise.svg``, ``time.svg``, ``size.svg`` and ``accuracy.svg``, which holds all three for
+        the rooms of boxes.
+
+    Raises
+    ------
+    ImportError
+        matplotlib is not installed.
+
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
+    matplotlib.use('Agg')
+    # No date and no random ids: the same samples give the same file.
+    matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [_figure(samples, folder / f'{name}.svg', [(draw, kind) for kind in KINDS])
+             for name, draw in (('noise', draw_noise), ('time', draw_time), ('size', draw_size))]
+    panels = [(draw, 'rooms') for draw in (draw_noise, draw_time, draw_size)]
+    return [*paths, _figure(samples, folder / 'accuracy.svg', panels)]
+
+
+def _figure(samples: Sequence[Sample], path: Path, panels: Sequence[tuple[Any, str]]) -> Path:
+    from matplotlib.figure import Figure
+    figure = Figure(figsize=(4.2 * len(panels), 3.8), layout='constrained')
+    for axes, (draw, kind) in zip(figure.subplots(1, len(panels)), panels, strict=True):
+        draw(axes, [one for one in samples if one.kind == kind])
+        axes.set_title(kind)
+        axes.grid(alpha=0.3)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc='outside lower center', ncols=min(3, len(names)))
+    figure.savefig(path, metadata={'Date': None})
+    return path
+
+
+def draw_noise(axes: Any, samples: Sequence[Sample]) -> None:
+    """Draw SC over noise, a line for each method."""
+    sigmas = sorted({one.sigma for one in samples})
+    for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
+        covering = [np.mean([one.numbers['SC'] for one in own if one.sigma == sigma])
+                    for sigma in sigmas]
+        axes.plot(range(len(sigmas)), covering, marker=marker, label=method)
+    axes.set(xlabel='noise of 1/depth (1/m)', ylabel='segmentation covering', ylim=(0, 1.02),
+             xticks=range(len(sigmas)), xticklabels=[f'{sigma:g}' for sigma in sigmas])
+
+
+def draw_time(axes: Any, samples: Sequence[Sample]) -> None:
+    """Draw time over accuracy, a point for each method: the means over all noises."""
+    for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
+        axes.plot(np.mean([one.numbers['SC'] for one in own]),
+                  np.median([one.cpu_ms for one in own]), marker, label=method)
+    axes.set(xlabel='segmentation covering, mean over all noises',
+             ylabel='time on one core (ms)', xlim=(0, 1.02), yscale='log')
+
+
+def draw_size(axes: Any, samples: Sequence[Sample]) -> None:
+    """Draw recall over the size of the true plane, a line for each method."""
+    for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
+        recall = recall_by_size([one for one in own if one.sigma == RECALL_SIGMA])
+        axes.plot(range(len(recall)), recall, marker=marker, label=method)
+    axes.set(xlabel=f'share of the image (%), at a noise of {RECALL_SIGMA:g} per metre',
+             ylabel='recall', ylim=(0, 1.02), xticks=range(len(SIZE_EDGES) - 1),
+             xticklabels=[f'{100 * low:g}-{100 * high:g}' for low, high in
+                          zip(SIZE_EDGES[:-1], SIZE_EDGES[1:], strict=True)])
+
+
+def by_method(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
+    """Return the samples of each method, in the order of the methods."""
+    found: dict[str, list[Sample]] = {}
+    for one in samples:
+        found.setdefault(one.method, []).append(one)
+    return found
+
+
+def recall_by_size(samples: Sequence[Sample]) -> np.ndarray:
+    """Return the share of true planes found between SIZE_EDGES; NaN where there is none."""
+    shares = np.concatenate([np.zeros(0), *(one.plane_shares for one in samples)])
+    found = np.concatenate([np.zeros(0, bool), *(one.found for one in samples)])
+    counts, hits = (np.histogram(values, SIZE_EDGES)[0] for values in (shares, shares[found]))
+    return np.divide(hits, counts, out=np.full(len(counts), np.nan), where=counts > 0)

@@ -1,0 +1,163 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What one method does on one scene at one noise: accuracy and time. Scenes run in parallel."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from tqdm import tqdm
+
+from plane_detector.evaluation.benchmark.curved import CURVED, curved_scene, judge_labels
+from plane_detector.evaluation.benchmark.living_rooms import furnished
+from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
+from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.metrics import MIN_PIXELS, overlap, score
+from plane_detector.evaluation.peers import Method, Segments
+from plane_detector.evaluation.scenes.rooms import Scene
+from plane_detector.tools.demo.sensor_comparison import judge_planes
+from plane_detector.types import CameraIntrinsics
+
+SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)
+"""Standard deviations of the disparity noise, per metre."""
+CURVED_SIGMAS = (0.0, 0.004, 0.01)
+_SCENES: dict[str, Callable[[int], Scene]] = {
+    'rooms': room, 'lived-in rooms': furnished, 'curved': curved_scene}
+
+
+@dataclass(frozen=True)
+class Sample:
+    """
+    One method on one scene at one noise.
+
+    Attributes
+    ----------
+    method, kind : str
+        ``kind`` is ``rooms``, ``lived-in rooms``, ``curved`` or the name of a set of real frames.
+    scene : str
+        Seed or name of the frame.
+    sigma : float
+        Disparity noise, per metre.
+    cpu_ms : float
+        Time on one core; of a quick method the faster of two runs.
+    numbers : dict of str to float
+        By metric. NaN where it is undefined.
+    plane_shares : (n,) float64
+        Of each true plane over MIN_PIXELS, its share of the image.
+    found : (n,) bool
+        Whether it was found.
+
+    """
+
+    method: str
+    kind: str
+    scene: str
+    sigma: float
+    cpu_ms: float
+    numbers: dict[str, float]
+    plane_shares: np.ndarray
+    found: np.ndarray
+
+
+@dataclass(frozen=True)
+class Job:
+    """One scene, by its seed or as a frame, and what to run on it."""
+
+    kind: str
+    scene: int | Frame
+    sigmas: Sequence[float]
+    methods: Sequence[Method]
+
+
+def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slow: int,
+         frames: Iterable[Frame]) -> list[Job]:
+    """
+    Return the jobs of a run.
+
+    Parameters
+    ----------
+    methods : sequence of Method
+        Those that are absent are left out.
+    counts : dict of str to int
+        Number of scenes for ``rooms``, ``lived-in rooms`` and ``curved``.
+    first_seed : int
+    slow : int
+        A slow method gets the first so many scenes of rooms and lived-in rooms.
+    frames : iterable of Frame
+        Real frames; quick methods only.
+
+    """
+    present = [method for method in methods if not method.absent]
+    quick = [method for method in present if not method.slow]
+    jobs = []
+    for kind in ('rooms', 'lived-in rooms'):
+        jobs += [Job(kind, first_seed + k, SIGMAS, present if k < slow else quick)
+                 for k in range(counts[kind])]
+    count = min(counts['curved'], len(CURVED))
+    jobs += [Job('curved', int(k), CURVED_SIGMAS, quick)
+             for k in np.linspace(0, len(CURVED) - 1, count).round()]
+    return jobs + [Job(frame.set_name, frame, (0.0,), quick) for frame in frames]
+
+
+def run_jobs(jobs: Sequence[Job], processes: int) -> list[Sample]:
+    """Run all jobs on some processes of one thread each; the order is that of the jobs."""
+    found: list[Sample] = []
+    with mapping(processes) as apply:
+        for samples in tqdm(apply(run_job, jobs), 'scenes', total=len(jobs), leave=False):
+            found += samples
+    return found
+
+
+def run_job(job: Job) -> list[Sample]:
+    """Run all methods of a job at all its noises."""
+    if isinstance(job.scene, Frame):
+        return [_on_frame(method, job.scene) for method in job.methods]
+    scene = _SCENES[job.kind](job.scene)
+    return [_on_scene(method, job.kind, scene, job.scene, sigma)
+            for sigma in job.sigmas for method in job.methods]
+
+
+def timed(method: Method, depth_m: np.ndarray,
+          intrinsics: CameraIntrinsics) -> tuple[Segments, float]:
+    """Return what a method finds, and its milliseconds on one core."""
+    taken_s = []
+    for _ in range(1 if method.slow else 2):
+        prepared = method.prepare(depth_m, intrinsics)
+        start_s = time.process_time()
+        raw = method.run(prepared)
+        taken_s.append(time.process_time() - start_s)
+    return method.result(raw), 1e3 * min(taken_s)
+
+
+def _on_scene(method: Method, kind: str, scene: Scene, seed: int, sigma: float) -> Sample:
+    (labels, planes), cpu_ms = timed(method, noisy_depth(scene, sigma, seed), scene.intrinsics)
+    seen = np.isfinite(scene.depth_m)
+    result = score(scene.labels, scene.planes, labels, planes, seen)
+    on_planes = seen & (scene.labels >= 0)
+    numbers = {'SC': result.segmentation_covering, 'recall': result.recall,
+               'precision': result.precision,
+               'unlabelled': float((labels[on_planes] < 0).mean())}
+    if kind == 'curved':
+        numbers['curved'], numbers['IoU'] = judge_labels(labels, scene)
+    shared = overlap(scene.labels, labels, seen)
+    pixels = shared.counts[:-1].sum(axis=1)
+    large = pixels > MIN_PIXELS
+    return Sample(method.name, kind, str(seed), sigma, cpu_ms, numbers,
+                  pixels[large] / labels.size, (shared.iou[large] > 0.5).any(axis=1))
+
+
+def _on_frame(method: Method, frame: Frame) -> Sample:
+    (labels, planes), cpu_ms = timed(method, frame.depth_m, frame.intrinsics)
+    seen = np.isfinite(frame.depth_m)
+    judged = judge_planes(labels, planes, frame.depth_m, frame.intrinsics,
+                          np.random.default_rng(0))
+    purity = (np.average([one.purity for one in judged], weights=[one.pixels for one in judged])
+              if judged else np.nan)
+    numbers = {'planes': len(planes), 'labelled': float((labels[seen] >= 0).mean()),
+               'purity': float(purity)}
+    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms, numbers,
+                  np.zeros(0), np.zeros(0, bool))

@@ -1,0 +1,111 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The table of accuracy and time, its processes, and the figures made of the same samples."""
+
+import numpy as np
+import pytest
+
+from plane_detector.evaluation import peers
+from plane_detector.evaluation.benchmark import samples as benchmark_samples
+from plane_detector.evaluation.benchmark.accuracy import grouped, known_mean, report
+from plane_detector.evaluation.benchmark.plots import by_method, recall_by_size, write_plots
+from plane_detector.evaluation.benchmark.samples import Sample, plan, run_job, run_jobs
+from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.scenes.rooms import single_wall
+from plane_detector.types import CameraIntrinsics
+
+SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
+WALL = single_wall(SMALL, yaw_deg=20, distance_m=2.0)
+FRAME = Frame('kinect', '7', WALL.rgb, WALL.depth_m, SMALL)
+COUNTS = {'rooms': 2, 'lived-in rooms': 1, 'curved': 2}
+
+
+class Fixed(peers.Method):
+    """Gives the true labels and planes of the wall."""
+
+    name = 'fixed'
+
+    def run(self, prepared):
+        return WALL.labels, WALL.planes
+
+    def result(self, raw):
+        return raw
+
+
+def sample(method='ours', kind='rooms', sigma=0.004, cpu_ms=1.0, covering=0.5, shares=(),
+           found=(), scene='1'):
+    numbers = {'SC': covering, 'recall': np.nan, 'precision': 0.25, 'unlabelled': 0.125}
+    return Sample(method, kind, scene, sigma, cpu_ms, numbers, np.array(shares, float),
+                  np.array(found, bool))
+
+
+def test_the_plan_leaves_absent_methods_out_and_slow_ones_to_the_first_scenes():
+    slow, absent = Fixed(), Fixed()
+    slow.slow, absent.absent = True, 'not installed'
+    jobs = plan([peers.Ours(), slow, absent], COUNTS, 9000, 1, [FRAME])
+    assert [(job.kind, job.scene if job.kind != 'kinect' else 'frame', len(job.methods))
+            for job in jobs] == [('rooms', 9000, 2), ('rooms', 9001, 1),
+                                 ('lived-in rooms', 9000, 2), ('curved', 0, 1), ('curved', 35, 1),
+                                 ('kinect', 'frame', 1)]
+
+
+def test_a_scene_is_measured_at_every_noise(monkeypatch):
+    monkeypatch.setitem(benchmark_samples._SCENES, 'rooms', lambda seed: WALL)
+    job, *_ = plan([Fixed()], COUNTS, 9000, 1, [])
+    found = run_job(job)
+    assert [one.sigma for one in found] == list(benchmark_samples.SIGMAS)
+    assert all(one.numbers == {'SC': 1, 'recall': 1, 'precision': 1, 'unlabelled': 0}
+               for one in found)
+    assert all(one.plane_shares == [1] and one.found == [True] for one in found)
+
+
+def test_a_real_frame_is_measured_by_its_sensor():
+    one, = run_job(plan([Fixed()], dict.fromkeys(COUNTS, 0), 9000, 1, [FRAME])[0])
+    assert (one.kind, one.scene) == ('kinect', '7')
+    assert one.numbers == {'planes': 1, 'labelled': 1, 'purity': 1}
+
+
+def test_two_processes_find_the_same_as_one():
+    jobs = plan([peers.Ours()], {'rooms': 1, 'lived-in rooms': 0, 'curved': 1}, 1300, 1, [])
+    one, two = (run_jobs(jobs, processes) for processes in (1, 2))
+    assert [(s.kind, s.scene, s.sigma, s.numbers) for s in one] == [
+        (s.kind, s.scene, s.sigma, s.numbers) for s in two]
+
+
+def test_tables_have_a_row_for_each_kind_noise_and_method(capsys):
+    found = [sample(method, sigma=sigma, covering=covering, scene=scene, cpu_ms=cpu_ms)
+             for sigma in (0.01, 0.004) for method in ('ours', 'other')
+             for scene, covering, cpu_ms in (('1', 0.5, 2.0), ('2', 0.75, 3.0), ('3', 1.0, 9.0))]
+    report(found)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith('| rooms')] == [
+        f'| rooms | {sigma} | {method} | 3 | 0.7500 | 0.500 (1) | nan | 0.2500 | 0.1250 | 3.0 | '
+        '9.0 |' for sigma in ('0.004', '0.01') for method in ('ours', 'other')]
+    assert 'Columns' not in ' '.join(lines)
+    assert list(grouped(found)) == [('rooms', sigma, method) for sigma in (0.004, 0.01)
+                                    for method in ('ours', 'other')]
+
+
+def test_the_mean_is_over_what_is_known():
+    assert known_mean(np.array([1.0, np.nan, 2.0])) == 1.5
+    assert np.isnan(known_mean(np.array([np.nan])))
+
+
+def test_recall_by_size_by_hand():
+    recall = recall_by_size([sample(shares=(0.005, 0.03, 0.03), found=(0, 1, 0)),
+                             sample(shares=(0.03, 0.5), found=(1, 1))])
+    np.testing.assert_allclose(recall, [0, np.nan, 2 / 3, np.nan, np.nan, 1])
+
+
+def test_figures_are_written_and_hold_every_method(tmp_path):
+    pytest.importorskip('matplotlib', reason='the extra plane_detector[benchmark] is missing')
+    found = [sample(method, kind, sigma, shares=(0.03,), found=(1,))
+             for method in ('method A', 'method B') for kind in ('rooms', 'lived-in rooms')
+             for sigma in (0.0, 0.004)]
+    paths = write_plots(found, tmp_path / 'figures')
+    assert [path.name for path in paths] == ['noise.svg', 'time.svg', 'size.svg', 'accuracy.svg']
+    before = [path.read_text() for path in paths]
+    assert all('<svg' in text for text in before)
+    write_plots(found, tmp_path / 'figures')
+    assert [path.read_text() for path in paths] == before, 'the same samples, the same files'
+    assert list(by_method(found)) == ['method A', 'method B']
