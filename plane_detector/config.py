@@ -218,6 +218,10 @@ class NodeConfig(Settings):
 
     autostart: bool = setting(
         True, 'configure and activate at start, without a lifecycle manager', read_only=True)
+    exit_on_failure: bool = setting(
+        False, 'with autostart: end with exit code 1 when the node cannot be configured or '
+        'activated, for supervisors; false: wait, and try again where that can help',
+        read_only=True)
     input_reliability: str = setting(
         'auto', 'reliability of the inputs; auto: what their publishers offer',
         choices=('auto', 'reliable', 'best_effort'), read_only=True)

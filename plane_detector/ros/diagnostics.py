@@ -147,7 +147,7 @@ class DiagnosticsPublisher:
 def model_facts(source: str, estimate_depth: Any) -> dict[str, str]:
     """Return where depth comes from: the network with the reason why it was taken, or a topic."""
     if source == 'topic':
-        return {'depth_model': 'none, depth comes from the topic'}
+        return {'depth_model': 'none, the depth topic'}
     facts = {'depth_model': getattr(estimate_depth, 'name', type(estimate_depth).__name__)}
     for key, attribute in (('depth_model_reason', 'reason'), ('execution_provider', 'provider')):
         if hasattr(estimate_depth, attribute):

@@ -30,12 +30,15 @@ class Health:
     ----------
     failure : str
         Why the node could not be configured or activated; empty when it could.
+    may_pass : bool
+        Whether that may be gone at another try, as a host that was out of reach.
 
     """
 
     def __init__(self, logger: Any):
         self._logger = logger
         self.failure = ''
+        self.may_pass = False
         self.clear()
 
     def clear(self) -> None:

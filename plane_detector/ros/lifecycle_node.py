@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
@@ -25,6 +24,7 @@ from std_srvs.srv import Trigger
 from plane_detector.config import Config, NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros import parameters, qos
+from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import (
     DiagnosticsPublisher,
     Report,
@@ -83,8 +83,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         answer_impossible_transitions(self)
         if self._settings.autostart:
-            self._autostart = self.create_timer(  # runs though a simulation may stand still
-                0.0, self._start, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            Autostart(self, lambda: self._health.may_pass, lambda: self._health.failure,
+                      exits=self._settings.exit_on_failure)
 
     def destroy_node(self) -> None:
         """Wait for the frame that is worked on, then end the node."""
@@ -106,12 +106,12 @@ class PlaneDetectorNode(LifecycleNode):
             self._create_outputs()
         except Exception as error:  # whatever a model file may provoke: the node stays
             self._release()
-            return self._fail(f'cannot be configured: {error}')
+            return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
         self._processor = FrameProcessor(
             detector, self._settings, self.resolve_topic_name(image_topic(self._settings)))
-        facts = model_facts(self._config.depth.source, detector.estimate_depth)
-        self.get_logger().info('; '.join(f'{name}: {fact}' for name, fact in facts.items()))
+        for line in self._introduction():
+            self.get_logger().info(line)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -242,13 +242,17 @@ class PlaneDetectorNode(LifecycleNode):
             return DiagnosticStatus.OK, facts['state'], facts
         return *self._health.status(report, self._inputs.problem()), facts
 
-    # Parts of the transitions
+    def _introduction(self) -> list[str]:
+        """Return what is logged at configure: where depth comes from, why, what is waited for."""
+        facts = model_facts(self._config.depth.source, self._processor.detector.estimate_depth)
+        runs_on = facts.get('execution_provider')
+        image = self.resolve_topic_name(image_topic(self._settings))
+        lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
+                 facts.get('depth_model_reason', ''),
+                 f'{image} -> {self.resolve_topic_name("~/planes")} and the other outputs']
+        return [line for line in lines if line]
 
-    def _start(self) -> None:
-        """Go to the active state without a lifecycle manager."""
-        self.destroy_timer(self._autostart)
-        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
-            self.trigger_activate()
+    # Parts of the transitions
 
     def _create_outputs(self) -> None:
         for name, output in OUTPUTS.items():
@@ -256,8 +260,8 @@ class PlaneDetectorNode(LifecycleNode):
                 output.msg_type, f'~/{name}', qos.output_profile(),
                 qos_overriding_options=qos.overriding_options())
 
-    def _fail(self, reason: str) -> TransitionCallbackReturn:
-        self._health.failure = reason
+    def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
+        self._health.failure, self._health.may_pass = reason, may_pass
         self._statistics.set_error(reason)
         self.get_logger().error(reason)
         return TransitionCallbackReturn.FAILURE

@@ -183,6 +183,13 @@ def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
     assert node.end(signal.SIGTERM) == 0
 
 
+def test_with_exit_on_failure_a_missing_network_is_exit_code_1(start, tmp_path):
+    node = start('-p', f'depth.model:={tmp_path / "missing.onnx"}', '-p', 'exit_on_failure:=true')
+    assert node.process.wait(STARTED_S) == 1
+    assert 'missing.onnx' in node.log()
+    assert 'Traceback' not in node.log()
+
+
 @pytest.mark.parametrize('arguments, reason', [
     (('-p', 'segmentation.max_planes:=0'), 'segmentation.max_planes'),
     (('-p', 'depth.max_depth:=far'), 'depth.max_depth'),

@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Configure and activate without a lifecycle manager, again and again where that can help."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import TransitionCallbackReturn
+
+# derived: a host that is out of reach is asked about as often as people look, then ever less.
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 300.0
+_PAUSE_FACTOR = 2.0
+
+
+class Autostart:
+    """
+    Brings a lifecycle node to the active state.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+        With the attribute ``state``. Its executor's thread does the transitions.
+    may_pass : callable
+        Whether the failure of the last transition may be gone at another try: a host out of
+        reach, but not a wrong setting.
+    failure : callable
+        What it was, in a sentence.
+    exits : bool
+        Raise at the first failure instead of trying again.
+
+    """
+
+    def __init__(self, node: Any, may_pass: Callable[[], bool], failure: Callable[[], str],
+                 exits: bool):
+        self._node, self._may_pass, self._failure, self._exits = node, may_pass, failure, exits
+        self._pause_s = FIRST_PAUSE_S
+        self._wait(0.0)
+
+    def _wait(self, pause_s: float) -> None:
+        """Try after a pause, in steady time: a simulation may stand still."""
+        self._timer = self._node.create_timer(
+            pause_s, self._try, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _try(self) -> None:
+        """
+        Configure and activate, unless somebody else has configured the node in the meantime.
+
+        Raises
+        ------
+        ValueError
+            It failed and ``exits`` is true; this ends the executor's spinning.
+
+        """
+        self._node.destroy_timer(self._timer)
+        if self._node.state != 'unconfigured':
+            return
+        if (self._node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+                and self._node.trigger_activate() == TransitionCallbackReturn.SUCCESS):
+            return
+        if self._exits:
+            raise ValueError(self._failure())
+        if self._node.state == 'unconfigured' and self._may_pass():
+            self._node.get_logger().info(f'trying again in {self._pause_s:.0f} s')
+            self._wait(self._pause_s)
+            self._pause_s = min(_PAUSE_FACTOR * self._pause_s, LONGEST_PAUSE_S)

@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Without a lifecycle manager: tried again where that can help, or ended with an exit code."""
+
+import pytest
+from lifecycle_msgs.msg import Transition
+from node_helpers import change_state, start
+
+from plane_detector.ros import autostart, lifecycle_node
+
+
+@pytest.fixture
+def tries(monkeypatch):
+    """Let the pipeline be made at the third try only, and return the errors to come."""
+    errors = [ConnectionError('out of reach'), FileNotFoundError('out of reach')]
+    make = lifecycle_node.PlaneDetector
+
+    def make_detector(*arguments):
+        if errors:
+            raise errors.pop()
+        return make(*arguments)
+
+    monkeypatch.setattr(lifecycle_node, 'PlaneDetector', make_detector)
+    monkeypatch.setattr(autostart, 'FIRST_PAUSE_S', 0.05)
+    return errors
+
+
+def test_what_may_pass_is_tried_again_after_growing_pauses(robot, tries):
+    node = start(robot, lambda rgb: None, wait=False)
+    assert robot.spin(lambda: node.state == 'active')
+    assert robot.log().count('out of reach') == 2
+    assert not robot.diagnosis()[1]['state'].startswith('unconf')
+
+
+def test_a_wrong_setting_is_not_tried_again(robot, tries):
+    tries[:] = [ValueError('no provider runs')] * 5
+    node = start(robot, lambda rgb: None, wait=False)
+    assert robot.is_logged('no provider runs')
+    robot.spin(timeout_s=0.5)
+    assert node.state == 'unconfigured'
+    assert len(tries) == 4
+
+
+def test_who_configures_by_hand_is_left_alone(robot, tries):
+    node = start(robot, lambda rgb: None, wait=False)
+    assert robot.is_logged('trying again')
+    tries.clear()
+    assert change_state(robot, Transition.TRANSITION_CONFIGURE)
+    robot.spin(timeout_s=0.5)
+    assert node.state == 'inactive'
+
+
+def test_with_exit_on_failure_the_spinning_ends_with_the_reason(robot, tries):
+    start(robot, lambda rgb: None, wait=False, exit_on_failure=True)
+    with pytest.raises(ValueError, match='cannot be configured: out of reach'):
+        robot.spin(timeout_s=5.0)
+
+
+def test_the_log_at_configure_is_three_lines(robot):
+    def estimate(rgb):
+        raise AssertionError('no frame comes')
+
+    estimate.name, estimate.reason, estimate.provider = 'a network', 'as asked for', 'on a GPU'
+    start(robot, estimate)
+    lines = [line.split(']: ')[-1] for line in robot.log().splitlines() if 'INFO' in line]
+    assert lines == ['depth from a network, on a GPU', 'as asked for',
+                     '/image -> /plane_detector/planes and the other outputs']
