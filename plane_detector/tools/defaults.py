@@ -25,6 +25,8 @@ _HEADER = """\
 #
 # Every parameter with its default; made from plane_detector/config.py by `make defaults`.
 """
+# What users set first: the source of depth, the images, and what makes depth metric.
+FIRST = ('depth.source', 'depth.model', 'image_transport', 'scale.camera_height', 'scale.gravity')
 _BEGIN = '<!-- parameters: made by `make defaults` -->'
 _END = '<!-- end of parameters -->'
 _ROOT = Path(__file__).resolve().parents[2]
@@ -32,18 +34,27 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 def yaml_text() -> str:
     """Return the content of config/plane_detector.yaml."""
-    lines = [_HEADER.rstrip(), '/**:', '  ros__parameters:']
+    lines = [_HEADER.rstrip(), '/**:', '  ros__parameters:', '    # What matters first:', '']
+    for name in FIRST:
+        lines += _yaml_setting(name, *_by_name()[name], indent=4)
     for group, settings in _groups():
-        indent = 4
+        rest = [(name, *entry) for name, *entry in settings
+                if f'{group}.{name}'.lstrip('.') not in FIRST]
         if group:
             lines.append(f'    {group}:')
-            indent = 6
-        for name, meta, value in settings:
-            lines += textwrap.wrap(
-                _description(meta), width=99, initial_indent=' ' * indent + '# ',
-                subsequent_indent=' ' * indent + '# ', break_on_hyphens=False)
-            lines.append(f'{" " * indent}{name}: {_yaml(value)}')
+        elif rest:
+            lines += ['', '    # All the others:', '']
+        for name, meta, value in rest:
+            lines += _yaml_setting(name, meta, value, indent=6 if group else 4)
     return '\n'.join(lines) + '\n'
+
+
+def _yaml_setting(name: str, meta: Any, value: Any, indent: int) -> list[str]:
+    """Return the lines of one setting: its description as comment, then name and value."""
+    margin = ' ' * indent
+    return [*textwrap.wrap(_description(meta), width=99, initial_indent=margin + '# ',
+                           subsequent_indent=margin + '# ', break_on_hyphens=False),
+            f'{margin}{name}: {_yaml(value)}']
 
 
 def parameter_table() -> str:
@@ -82,6 +93,12 @@ def _groups() -> Iterator[tuple[str, list[tuple[str, Any, Any]]]]:
                 for name, field, value in parameters_of(part)]
     for group, members in groupby(settings, key=lambda setting: setting[0]):
         yield group, [member[1:] for member in members]
+
+
+def _by_name() -> dict[str, tuple[Any, Any]]:
+    """Return metadata and default of each setting by its whole name."""
+    return {f'{group}.{name}'.lstrip('.'): (meta, value)
+            for group, settings in _groups() for name, meta, value in settings}
 
 
 def _description(meta: Any) -> str:

@@ -36,6 +36,13 @@ def test_yaml_holds_every_default_with_its_type():
         assert type(value) is type(default), name
 
 
+def test_yaml_begins_with_what_users_set_first():
+    lines = YAML.read_text(encoding='utf-8').splitlines()
+    keys = [line.strip().partition(':')[0] for line in lines
+            if line.startswith(' ') and '#' not in line]
+    assert keys[:1 + len(parameters.FIRST)] == ['ros__parameters', *parameters.FIRST]
+
+
 def test_yaml_file_is_as_generated():
     assert YAML.read_text(encoding='utf-8') == parameters.yaml_text(), 'run `make defaults`'
 
