@@ -22,8 +22,8 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
-        'numpy>=1.26', 'onnxruntime', 'opencv-python-headless>=4.6', 'pyyaml', 'scikit-learn',
-        'scipy', 'setuptools', 'tqdm'],
+        'numpy>=1.26', 'onnxruntime>=1.22', 'opencv-python-headless>=4.6', 'pyyaml',
+        'scikit-learn', 'scipy', 'setuptools', 'tqdm'],
     extras_require={
         'benchmark': ['h5py', 'matplotlib', 'pyransac3d'],
         'demo': ['scikit-image'],

@@ -13,6 +13,7 @@ from plane_detector.config import DepthConfig
 from plane_detector.depth.preprocessing import (
     lower_bound_size,
 )
+from plane_detector.stopping import current_stop, raise_if_stopped
 
 _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
 # Where the tensors of an accelerator live. A provider that is not named here takes them from the
@@ -70,9 +71,9 @@ class OnnxSession:
         if self._channels_last:
             tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
         try:
-            raw = self._run_bound(tensor) if self._device else self._session.run(
-                [self._output.name], {self._input.name: tensor})[0]
+            raw = self._run_stoppably(tensor)
         except Exception as error:  # those of onnxruntime have no base class of their own
+            raise_if_stopped()
             raise ProviderError(f'an input of shape {tensor.shape} fails, {_short(error)}. '
                                  f'The network has {self._ends_text()}') from error
         image = raw.squeeze()
@@ -80,7 +81,16 @@ class OnnxSession:
             raise self._misfit(f'its output is {raw.shape}, which is not one image')
         return image
 
-    def _run_bound(self, tensor: np.ndarray) -> np.ndarray:
+    def _run_stoppably(self, tensor: np.ndarray) -> np.ndarray:
+        """Run until the end or the stop that applies; ONNX Runtime heeds it between operators."""
+        options = ort.RunOptions()
+        options.log_severity_level = 4  # what fails is told by the exception
+        with current_stop().calling(lambda: setattr(options, 'terminate', True)):
+            if self._device:
+                return self._run_bound(tensor, options)
+            return self._session.run([self._output.name], {self._input.name: tensor}, options)[0]
+
+    def _run_bound(self, tensor: np.ndarray, options: ort.RunOptions) -> np.ndarray:
         """Run with input and output in the accelerator's memory, the input's kept for the next."""
         kept = self._input_on_device
         if kept is not None and tuple(kept.shape()) == tensor.shape:
@@ -91,7 +101,7 @@ class OnnxSession:
         binding = self._session.io_binding()
         binding.bind_ortvalue_input(self._input.name, kept)
         binding.bind_output(self._output.name, self._device, 0)
-        self._session.run_with_iobinding(binding)
+        self._session.run_with_iobinding(binding, options)
         return binding.copy_outputs_to_cpu()[0]
 
     def _ends(self) -> tuple[ort.NodeArg, ort.NodeArg]:
@@ -151,8 +161,10 @@ def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
     options.log_severity_level = 3  # exported networks are full of harmless warnings
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))
     try:
-        session = ort.InferenceSession(str(path), options, providers=providers)
+        with current_stop().calling(lambda: options.set_load_cancellation_flag(True)):
+            session = ort.InferenceSession(str(path), options, providers=providers)
     except Exception as error:  # those of onnxruntime have no base class of their own
+        raise_if_stopped()
         raise ProviderError(_short(error)) from error
     # ONNX Runtime leaves a provider out without an error when its libraries are missing.
     if session.get_providers()[0] != provider:

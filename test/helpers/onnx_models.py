@@ -51,7 +51,7 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
         Of the network's normalised input.
 
     """
-    onnx = _onnx()
+    onnx = onnx_package()
     helper, numpy_helper, float32 = onnx.helper, onnx.numpy_helper, onnx.TensorProto.FLOAT
 
     def shape(channels: int) -> list[int | str]:
@@ -73,7 +73,7 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
 def write_network(path: Path, nodes: list, inputs: list[tuple], outputs: list[tuple],
                   constants: list = ()) -> Path:
     """Write a network of these nodes; inputs and outputs are (name, element type, shape)."""
-    onnx, helper = _onnx(), _onnx().helper
+    onnx, helper = onnx_package(), onnx_package().helper
     graph = helper.make_graph(
         nodes, 'test', [helper.make_tensor_value_info(*end) for end in inputs],
         [helper.make_tensor_value_info(*end) for end in outputs], list(constants))
@@ -84,5 +84,6 @@ def write_network(path: Path, nodes: list, inputs: list[tuple], outputs: list[tu
     return path
 
 
-def _onnx() -> ModuleType:
+def onnx_package() -> ModuleType:
+    """Return the package onnx; the test is skipped where it is missing."""
     return pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')

@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Work that is told to stop, and a process that leaves behind what does not listen."""
+
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from plane_detector.stopping import Background, Stop, Stopped, current_stop, raise_if_stopped
+
+ROOT = Path(__file__).resolve().parents[1]
+STUCK_S = 20.0
+
+
+def test_nothing_stops_what_runs_under_no_stop():
+    raise_if_stopped()
+    assert not current_stop().is_set
+
+
+def test_a_stop_applies_within_only():
+    stop = Stop()
+    stop.set()
+    with pytest.raises(Stopped), stop.applies():
+        raise_if_stopped()
+    raise_if_stopped()
+
+
+def test_no_handler_of_errors_swallows_it():
+    stop = Stop()
+    stop.set()
+    with pytest.raises(Stopped), stop.applies():
+        try:
+            raise_if_stopped()
+        except Exception:
+            pytest.fail('taken for a fault')
+
+
+def test_what_breaks_work_off_is_called_once_and_only_while_it_runs():
+    stop, called = Stop(), []
+    with stop.calling(lambda: called.append('before')):
+        pass
+    with stop.calling(lambda: called.append('during')):
+        stop.set()
+        stop.set()
+    assert called == ['during']
+    with pytest.raises(Stopped), stop.calling(lambda: called.append('after')):
+        called.append('begun')
+    assert called == ['during']
+
+
+def test_what_is_begun_uncut_is_done_before_the_stop_is_set():
+    stop, begun, free, done = Stop(), threading.Event(), threading.Event(), []
+
+    def whole():
+        with stop.uncut():
+            begun.set()
+            assert free.wait(STUCK_S)
+            done.append('whole')
+
+    writer = threading.Thread(target=whole)
+    writer.start()
+    assert begun.wait(STUCK_S)
+    setter = threading.Thread(target=lambda: (stop.set(), done.append('stopped')))
+    setter.start()
+    setter.join(0.1)
+    assert not stop.is_set
+    free.set()
+    setter.join(STUCK_S)
+    assert done == ['whole', 'stopped']
+    with pytest.raises(Stopped), stop.uncut():
+        done.append('again')
+
+
+def test_a_background_call_gives_its_result_or_its_error():
+    ended = threading.Event()
+    assert Background(lambda: 3, 'three', ended.set).result() == 3
+    assert ended.wait(STUCK_S)
+    with pytest.raises(ValueError, match='no'):
+        Background(lambda: int('no'), 'failing').result()
+
+
+def test_a_background_call_stops_where_it_looks():
+    begun = threading.Event()
+
+    def work():
+        while True:
+            begun.set()
+            raise_if_stopped()
+
+    call = Background(work, 'endless')
+    assert begun.wait(STUCK_S)
+    assert not call.wait(0.05)
+    call.stop.set()
+    with pytest.raises(Stopped):
+        call.result()
+
+
+@pytest.mark.parametrize('work', ['time.sleep(1000)', 'None'], ids=['deaf', 'done'])
+def test_a_process_leaves_without_what_does_not_listen(work):
+    program = f"""
+import sys, time
+from plane_detector.stopping import Background, leave
+call = Background(lambda: {work}, 'work')
+call.wait(0.2)
+print('whole', end='')
+sys.exit(leave(3))
+"""
+    done = subprocess.run([sys.executable, '-c', program], cwd=ROOT, timeout=STUCK_S,
+                          capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (3, 'whole', '')
