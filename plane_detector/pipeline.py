@@ -158,6 +158,8 @@ class PlaneDetector:
         measured = estimate_scale(_as_disparity(prediction, output), labels, intrinsics, config,
                                   output=output, gravity_camera=down_camera,
                                   sensor_depth_m=depth_m)
+        if self._is_measured():
+            measured = replace(measured, note='measured depth')
         self._scale = update_scale(self._scale, measured, config)
         return self._scale
 

@@ -83,6 +83,8 @@ def test_measured_depth_needs_no_network():
     found = PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL, SCENE.depth_m)
     np.testing.assert_array_equal(found.labels, segment_planes(SCENE.depth_m, SMALL).labels)
     assert found.scale_method == 'metric'
+    assert found.scale_note == found.scale_event.removeprefix('scale: ')
+    assert found.scale_note == 'metric: measured depth'
 
 
 def test_measured_depth_that_is_missing_is_an_error():
