@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,10 +74,10 @@ class PictureConverter:
             A message is not what it says, or they do not fit together.
 
         """
-        info = frame.camera_info
+        rgb = _decode(frame)
+        info = _with_size(frame.camera_info, rgb)
         rectify = self._is_to_rectify(info, settings.rectify)
         intrinsics = messages.intrinsics_from_msg(info, rectify or self._named_rectified)
-        rgb = _decode(frame)
         _check_size(rgb, intrinsics)
         depth_m = None
         if frame.depth is not None:
@@ -123,6 +124,16 @@ def _decode(frame: Frame) -> np.ndarray:
     if isinstance(frame.image, CompressedImage):
         return encodings.rgb_from_compressed_msg(frame.image)
     return encodings.rgb_from_msg(frame.image)
+
+
+def _with_size(info: CameraInfo, rgb: np.ndarray) -> CameraInfo:
+    """Return a CameraInfo whose size is that of the image, where its driver left it 0 x 0."""
+    if info.width and info.height:
+        return info
+    height, width = rgb.shape[:2]
+    sized = copy(info)
+    sized.width, sized.height = width * max(info.binning_x, 1), height * max(info.binning_y, 1)
+    return sized
 
 
 def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:

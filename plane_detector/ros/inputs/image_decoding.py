@@ -16,14 +16,19 @@ from sensor_msgs.msg import CompressedImage, Image
 
 _CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1,
              'uyvy': 2, 'yuv422': 2, 'yuyv': 2, 'yuv422_yuy2': 2,
-             'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1}
+             '8uc3': 3, 'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1}
 # OpenCV names a Bayer pattern after the second row, second column; ROS after the first pixels.
-_TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, 'rgba8': cv2.COLOR_RGBA2RGB, 'bgra8': cv2.COLOR_BGRA2RGB,
+# 8UC3 does not say what its channels are; OpenCV, whose name it is, takes them as BGR.
+_TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
+           'rgba8': cv2.COLOR_RGBA2RGB, 'bgra8': cv2.COLOR_BGRA2RGB,
            'mono8': cv2.COLOR_GRAY2RGB,
            'uyvy': cv2.COLOR_YUV2RGB_UYVY, 'yuv422': cv2.COLOR_YUV2RGB_UYVY,
            'yuyv': cv2.COLOR_YUV2RGB_YUYV, 'yuv422_yuy2': cv2.COLOR_YUV2RGB_YUYV,
            'bayer_rggb8': cv2.COLOR_BayerBG2RGB, 'bayer_bggr8': cv2.COLOR_BayerRG2RGB,
            'bayer_gbrg8': cv2.COLOR_BayerGR2RGB, 'bayer_grbg8': cv2.COLOR_BayerGB2RGB}
+# The luma of all pixels, then the colour of each 2 x 2, as half as many rows again.
+_HALF_COLOUR = {'nv12': cv2.COLOR_YUV2RGB_NV12, 'nv21': cv2.COLOR_YUV2RGB_NV21}
+_DEPTH_ENCODINGS = ('16uc1', '32fc1')
 
 
 def rgb_from_msg(msg: Image) -> np.ndarray:
@@ -34,7 +39,7 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     ----------
     msg : sensor_msgs.msg.Image
         Encoding rgb8, bgr8, rgba8, bgra8, mono8, mono16, yuv422 (also called uyvy), yuv422_yuy2
-        (also called yuyv) or bayer_{rggb,bggr,gbrg,grbg}8.
+        (also called yuyv), nv12, nv21, 8UC3 (as bgr8) or bayer_{rggb,bggr,gbrg,grbg}8.
 
     Returns
     -------
@@ -51,9 +56,16 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     if encoding == 'mono16':
         grey = (_pixels(msg, 'u2', 1)[..., 0] >> 8).astype(np.uint8)
         return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
+    if encoding in _HALF_COLOUR:
+        _check_sides(msg, encoding)
+        rows = _pixels(msg, 'u1', 1, msg.height * 3 // 2)
+        return cv2.cvtColor(rows, _HALF_COLOUR[encoding])
+    if encoding in _DEPTH_ENCODINGS:
+        raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, set '
+                         'depth.source to topic, and give the colour image as image')
     if encoding not in _CHANNELS:
         raise ValueError(f'image encoding {msg.encoding!r} is not known; known are '
-                         f'{", ".join(_CHANNELS)}, mono16')
+                         f'{", ".join((*_CHANNELS, *_HALF_COLOUR))}, mono16')
     pixels = _pixels(msg, 'u1', _CHANNELS[encoding])
     if encoding not in _TO_RGB:
         return pixels
@@ -113,8 +125,13 @@ def depth_from_msg(msg: Image) -> np.ndarray:
     return depth_m
 
 
-def _pixels(msg: Image, channel_type: str, channels: int) -> np.ndarray:
-    """Return the message's pixels (H, W, channels), a view of its data without the padding."""
+def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = None) -> np.ndarray:
+    """
+    Return the message's pixels (H, W, channels), a view of its data without the padding.
+
+    ``rows`` is the number of rows in the data, where that is not the height.
+    """
+    rows = msg.height if rows is None else rows
     dtype = np.dtype(channel_type).newbyteorder('>' if msg.is_bigendian else '<')
     row_bytes = msg.width * channels * dtype.itemsize
     if not row_bytes or not msg.height:
@@ -122,16 +139,19 @@ def _pixels(msg: Image, channel_type: str, channels: int) -> np.ndarray:
     if msg.step < row_bytes:
         raise ValueError(f'step is {msg.step}, but a row of {msg.width} {msg.encoding} pixels '
                          f'takes {row_bytes} bytes')
-    if len(msg.data) != msg.height * msg.step:
+    if len(msg.data) != rows * msg.step:
         raise ValueError(f'the data has {len(msg.data)} bytes, but height x step is '
-                         f'{msg.height} x {msg.step}')
-    rows = np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.step)[:, :row_bytes]
-    return np.ascontiguousarray(rows).view(dtype).reshape(msg.height, msg.width, channels)
+                         f'{rows} x {msg.step}')
+    data = np.frombuffer(msg.data, np.uint8).reshape(rows, msg.step)[:, :row_bytes]
+    return np.ascontiguousarray(data).view(dtype).reshape(rows, msg.width, channels)
 
 
 def _check_sides(msg: Image, encoding: str) -> None:
     """Colour that is shared between neighbouring pixels needs those neighbours."""
-    if _CHANNELS[encoding] == 2 and msg.width % 2:
+    if encoding in _HALF_COLOUR and (msg.width % 2 or msg.height % 2):
+        raise ValueError(f'the sides of a {msg.encoding} image must be even, not {msg.width} x '
+                         f'{msg.height}')
+    if _CHANNELS.get(encoding) == 2 and msg.width % 2:
         raise ValueError(f'the width of a {msg.encoding} image must be even, not {msg.width}')
     if encoding.startswith('bayer') and min(msg.width, msg.height) < 3:
         raise ValueError(f'a {msg.encoding} image of {msg.width} x {msg.height} is too small')

@@ -160,7 +160,7 @@ class FrameAssembler:
             return False
         can_come = (self._infos.is_alive(_stamp_ns(self._images.latest))
                     and not self._infos.is_past(_stamp_ns(image)))
-        return can_come and picture_size(info) != (image.width, image.height)
+        return can_come and picture_size(info) not in ((image.width, image.height), (0, 0))
 
     def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
         """Return whether it is decided which depth image a picture gets, and which."""

@@ -57,6 +57,17 @@ def test_auto_leaves_a_picture_without_distortion(d):
     np.testing.assert_array_equal(picture.rgb, RGB)
 
 
+@pytest.mark.parametrize('binning', [1, 2])
+def test_a_calibration_without_size_has_that_of_the_image(binning):
+    bare = frame()
+    bare.camera_info.width = bare.camera_info.height = 0
+    bare.camera_info.binning_x = bare.camera_info.binning_y = binning
+    picture = convert(bare)
+    assert (picture.intrinsics.width, picture.intrinsics.height) == (80, 60)
+    assert picture.intrinsics.fx == CAMERA.fx / binning
+    assert bare.camera_info.width == 0, 'the message is not changed'
+
+
 def test_auto_leaves_a_picture_that_is_rectified_already():
     picture = convert(frame(DISTORTION['plumb_bob']), topic='/camera/image_rect')
     assert picture.intrinsics == NEW

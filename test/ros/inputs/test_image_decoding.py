@@ -67,6 +67,41 @@ def test_bayer_of_one_colour(encoding):
     np.testing.assert_array_equal(decoded, np.broadcast_to(COLOUR, (6, 8, 3)))
 
 
+def test_8uc3_is_bgr(rgb):
+    np.testing.assert_array_equal(rgb_from_msg(image_msg(rgb[..., ::-1], '8UC3')), rgb)
+
+
+def half_colour_msg(encoding, shape=(4, 6), padding=0):
+    """Return an image of one colour: y 120, u 90, v 200."""
+    rows = np.full((shape[0] * 3 // 2, shape[1]), 120, np.uint8)
+    first, second = (90, 200) if encoding == 'nv12' else (200, 90)
+    rows[shape[0]:, 0::2], rows[shape[0]:, 1::2] = first, second
+    msg = image_msg(rows, encoding, padding=padding)
+    msg.height = shape[0]
+    return msg
+
+
+@pytest.mark.parametrize('padding', [0, 3])
+@pytest.mark.parametrize('encoding', ['nv12', 'nv21'])
+def test_colour_at_half_the_resolution(encoding, padding):
+    decoded = rgb_from_msg(half_colour_msg(encoding, padding=padding)).astype(int)
+    assert decoded.shape == (4, 6, 3)
+    assert abs(decoded[..., 0] - (1.164 * (120 - 16) + 1.596 * (200 - 128))).max() <= 1
+    assert abs(decoded[..., 2] - (1.164 * (120 - 16) + 2.018 * (90 - 128))).max() <= 1
+
+
+@pytest.mark.parametrize('shape', [(4, 5), (3, 6)])
+def test_colour_at_half_the_resolution_needs_even_sides(shape):
+    with pytest.raises(ValueError, match='must be even'):
+        rgb_from_msg(half_colour_msg('nv12', shape))
+
+
+@pytest.mark.parametrize('encoding, dtype', [('16UC1', np.uint16), ('32FC1', np.float32)])
+def test_depth_in_place_of_the_image_is_told(encoding, dtype):
+    with pytest.raises(ValueError, match='is depth .*remap its topic to depth'):
+        rgb_from_msg(image_msg(np.ones((4, 6), dtype), encoding))
+
+
 def test_input_is_not_modified(rgb):
     msg = image_msg(rgb, 'bgr8')
     before = bytes(msg.data)

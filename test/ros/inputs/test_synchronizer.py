@@ -216,3 +216,11 @@ def test_at_the_end_nothing_is_waited_for():
     assert frame.depth is near
     assert assembler.take_dropped() == 1
     assert assembler.finish() == []
+
+
+def test_a_picture_does_not_wait_for_a_calibration_with_a_size():
+    assembler = FrameAssembler()
+    bare = info(1.0)
+    bare.width = bare.height = 0
+    assembler.add_camera_info(bare)
+    assert len(assembler.add_image(image(1.1))) == 1
