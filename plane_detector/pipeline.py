@@ -158,13 +158,11 @@ class PlaneDetector:
         measured = estimate_scale(_as_disparity(prediction, output), labels, intrinsics, config,
                                   output=output, gravity_camera=down_camera,
                                   sensor_depth_m=depth_m)
-        if self._is_measured():
-            measured = replace(measured, note='measured depth')
-        self._scale = update_scale(self._scale, measured, config)
+        note = 'measured depth' if self._is_measured() else measured.note
+        self._scale = update_scale(self._scale, replace(measured, note=note), config)
         return self._scale
 
-    def _in_metres(self, prediction: np.ndarray, output: str,
-                   scale: ScaleEstimate) -> np.ndarray:
+    def _in_metres(self, prediction: np.ndarray, output: str, scale: ScaleEstimate) -> np.ndarray:
         """Return the depth (H, W) float32 in the unit of the scale, NaN invalid."""
         if output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
             return prediction
