@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How noisy the disparity is, read off the picture itself.
+How noisy the disparity is, estimated from differences between neighbouring cells.
 
-Noise has a grainy part, different from pixel to pixel, and a smooth part that moves whole cells
-and tilts them. Each is measured where it matters: the grain within a cell, the smooth part on the
-means and slopes of cells about the plane of a larger window. Most windows of a scene made of
-planes lie on one plane, so a low quantile over all windows is noise and not structure.
+Noise has a grainy part, different from pixel to pixel, and a smooth part that moves and tilts
+whole cells. Second differences of the means of cells in a row or column, and first differences of
+their slopes, are zero on every plane. Edges and curved surfaces make them large, so a low
+quantile tells the noise (Donoho and Johnstone 1994 take the median for signals with few edges).
+The same estimator serves depth of any noise, so that there is no gap between exact and noisy.
 """
 
 from __future__ import annotations
@@ -15,13 +16,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.grid import CellGrid
 
-WINDOW_CELLS = 9
-WINDOW_QUANTILE = 0.15
-# Cells without depth may be as many.
-WINDOW_MIN_SHARE = 0.4
+# Cells between those of a second difference: smooth noise is alike in nearer ones.
+# derived: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
+LAG_CELLS = 4
+# tuned: evaluation.benchmark living, flat from 0.2 to 0.3 (more is structure, less rounding).
+QUANTILE = 0.25
+# derived: that quantile of the modulus of a normal deviate, and of chi-squared with 2 degrees.
+NORMAL_QUANTILE, CHI_SQUARED_QUANTILE = 0.3186, 0.5754
+# Cells that differ from their neighbours by less than this share of the noise: smoother noise is
+# found from the planes.
+MIN_STEP_SHARE = 0.2
 # Rounded are disparities of few values, evenly spaced, that neighbours share.
 ROUNDING_LINES = 4
 MIN_VALUES, MAX_VALUES_SHARE, MIN_EVEN_SHARE, MIN_EQUAL_SHARE = 8, 0.3, 0.5, 0.2
@@ -108,7 +114,7 @@ class CellVariances:
 
 def estimate_noise(grid: CellGrid, least: Noise) -> Noise:
     """
-    Estimate the noise of a picture.
+    Estimate the noise of an image before any plane is known.
 
     Parameters
     ----------
@@ -121,11 +127,52 @@ def estimate_noise(grid: CellGrid, least: Noise) -> Noise:
     Noise
 
     """
-    windows = _window_statistics(grid)
-    mean, slope, grain = (
-        np.quantile(windows, WINDOW_QUANTILE, axis=0) if len(windows) else np.zeros(3))
-    grain = max(float(grain), GRAIN_PER_NOISE * least.known)
-    return replace(least, grain=grain).with_smooth_part(mean, slope)
+    inner = grid.inner_rms[grid.usable]
+    step, bend = _neighbour_differences(grid)
+    curvature = _second_differences(grid)
+    if not len(curvature) or not len(bend):
+        return least.with_smooth_part(least.mean, least.slope)
+    # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times.
+    mean, change = (np.quantile(values, QUANTILE) / NORMAL_QUANTILE / factor**0.5
+                    for values, factor in ((curvature, 6), (step, 2)))
+    slope = np.sqrt(np.quantile(bend, QUANTILE) / CHI_SQUARED_QUANTILE / 2)
+    grain = np.quantile(inner, QUANTILE) / _inner_rms_quantile(grid.size_px**2 - 3)
+    return replace(least, grain=max(float(grain), GRAIN_PER_NOISE * least.known)
+                   ).with_smooth_part(min(mean, change / MIN_STEP_SHARE), slope)
+
+
+def _inner_rms_quantile(freedom: int) -> float:
+    """Return QUANTILE of the rms about a fitted plane, over the deviation (Wilson-Hilferty)."""
+    freedom = max(freedom, 1)
+    spread = 2 / (9 * freedom)
+    return ((1 - spread - 0.6745 * spread**0.5) ** 3 * freedom / (freedom + 3)) ** 0.5
+
+
+def _second_differences(grid: CellGrid) -> np.ndarray:
+    """Return the moduli (n,) of second differences of means along rows and columns."""
+    disparity, usable = (values.reshape(grid.shape)
+                         for values in (grid.mean[:, 2], grid.usable))
+    found = []
+    for d, u in ((disparity, usable), (disparity.T, usable.T)):
+        lag = min(LAG_CELLS, (d.shape[1] - 1) // 2)
+        if lag < 1:
+            continue
+        near, middle, far = np.s_[:, :-2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag:]
+        found.append(np.abs(d[near] - 2 * d[middle] + d[far])[u[near] & u[middle] & u[far]])
+    return np.concatenate(found) if found else np.zeros(0)
+
+
+def _neighbour_differences(grid: CellGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Return steps and squared bends, (n,) each, from cells to their neighbours."""
+    mean, slope = grid.mean.reshape(*grid.shape, 3), grid.slope.reshape(*grid.shape, 2)
+    usable = grid.usable.reshape(grid.shape)
+    steps, bends = [], []
+    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        both = usable[near] & usable[far]
+        gap, middle = (mean[far] - mean[near])[both], (slope[near] + slope[far])[both] / 2
+        steps.append(np.abs(gap[:, 2] - (gap[:, :2] * middle).sum(axis=1)))
+        bends.append(((slope[far] - slope[near])[both] ** 2).sum(axis=1))
+    return np.concatenate(steps), np.concatenate(bends)
 
 
 def with_rounding(least: Noise, disparity: np.ndarray, valid: np.ndarray) -> Noise:
@@ -160,27 +207,9 @@ def with_rounding(least: Noise, disparity: np.ndarray, valid: np.ndarray) -> Noi
     floor = np.sqrt(least.floor(float(np.median(values))))
     if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE or step / 2 < 2 * floor:
         return least
-    return replace(least, known=max(least.known, step / 2))
-
-
-def _window_statistics(grid: CellGrid) -> np.ndarray:
-    """Return the rms of means, slopes and pixels in each window of enough cells, (n, 3)."""
-    usable = grid.usable[:, None].astype(float)
-    slope_square = (grid.slope**2).sum(axis=1, keepdims=True)
-    values = np.hstack([grid.mean_moments, grid.slope, slope_square,
-                        grid.inner_rms[:, None] ** 2]) * usable
-    side = min(WINDOW_CELLS, *grid.shape)
-    rows, columns = grid.shape[0] // side, grid.shape[1] // side
-    tiles = values.reshape(*grid.shape, -1)[:rows * side, :columns * side]
-    sums = tiles.reshape(rows, side, columns * side, -1).sum(axis=1)
-    sums = sums.reshape(rows, columns, side, -1).sum(axis=2).reshape(rows * columns, -1)
-    sums = sums[sums[:, cells.N] > max(WINDOW_MIN_SHARE * side**2, 3)]
-    planes, count = cells.fit_planes(sums), sums[:, cells.N]
-    mean = cells.squared_error(planes, sums) / (count - 3)
-    slope = (sums[:, 12] - 2 * (planes[:, :2] * sums[:, 10:12]).sum(axis=1)
-             + count * (planes[:, :2] ** 2).sum(axis=1)) / (2 * count)
-    statistics = np.stack([mean, slope, sums[:, 13] / count], axis=1)
-    return np.sqrt(np.maximum(statistics[np.isfinite(mean)], 0))
+    # The error of rounding is uniform over one step.
+    return replace(least, known=max(least.known, step / 2),
+                   disparity_floor=max(least.disparity_floor, step / 12**0.5))
 
 
 def cell_variances(grid: CellGrid, noise: Noise) -> CellVariances:
@@ -193,5 +222,7 @@ def cell_variances(grid: CellGrid, noise: Noise) -> CellVariances:
     floor, (slope_x, slope_y) = noise.floor(grid.mean[:, 2]), grid.slope.T
     span = (grid.size_px / grid.width_px) ** 2 / 12 * (slope_x**2 + slope_y**2)
     tilt = 12 * (grid.width_px / grid.size_px**2) ** 2
-    return CellVariances(noise.mean**2 + floor, noise.slope**2 + floor * tilt,
+    # Rounding is alike in neighbouring pixels: it tilts a cell as a whole.
+    rounding = (noise.disparity_floor * grid.width_px / grid.size_px) ** 2
+    return CellVariances(noise.mean**2 + floor, noise.slope**2 + floor * tilt + rounding,
                          noise.grain**2 + floor + ROUNDING * span)

@@ -3,8 +3,8 @@
 """
 The noise as the largest planes show it.
 
-A window of cells takes curved things for noise, and sees only that noise which varies within it.
-How cells stray from the largest planes of the picture tells both apart.
+Differences between cells tell only of noise that varies from cell to cell, and take clutter for
+noise. How cells stray from the largest planes of the image tells both.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ MIN_CELLS = 100
 SIGMA_PER_MEDIAN = 1.4826
 # More cells than these only cost time.
 MAX_SAMPLES = 1500
-# The noise is as good as known when it would change by less than this factor, down and up.
-TOLERANCE = (0.75, 1.1)
+# The noise is known when another round would change it by less than this share.
+TOLERANCE = 0.1
 
 
 def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
@@ -55,7 +55,7 @@ def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
     residual = d - (plane[0] * x + plane[1] * y) - plane[2]
     tilt = (model.grid.slope[members].T - plane[:2]).ravel()
     grain = max(median(model.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.known)
-    return replace(noise, grain=min(noise.grain, grain)).with_smooth_part(
+    return replace(noise, grain=grain).with_smooth_part(
         SIGMA_PER_MEDIAN * median(np.abs(residual)), SIGMA_PER_MEDIAN * median(np.abs(tilt)))
 
 
@@ -63,4 +63,4 @@ def is_settled(model: CellModel, before: Noise, after: Noise) -> bool:
     """Say whether a search with the noise ``after`` would find the same as with ``before``."""
     floor = np.sqrt(before.floor(model.grid.typical_disparity))
     ratio = max(after.mean, floor) / max(before.mean, floor, np.finfo(float).tiny)
-    return TOLERANCE[0] <= ratio <= TOLERANCE[1]
+    return 1 - TOLERANCE <= ratio <= 1 + TOLERANCE

@@ -3,9 +3,14 @@
 """
 The planes on the cells, and the noise that they were found with.
 
-One cannot be known without the other. The first guess is that there is no noise but the floor:
-where most of the picture then falls into planes, it was right. Otherwise the noise is estimated
-from the picture, and the search starts again while the largest planes say that it is another.
+One cannot be known without the other:
+
+1. the noise is estimated from differences between neighbouring cells;
+2. where it lets creases be seen, the connected components of cells are tried: planes that cover
+   most of the image are planes indeed, and the search needs no hypotheses for them;
+3. the largest planes are found and the noise is taken from their residuals, in rounds, until it
+   has converged;
+4. the other planes are found with this noise.
 """
 
 from __future__ import annotations
@@ -25,11 +30,16 @@ from plane_detector.segmentation.search.connected_components import flat_compone
 from plane_detector.segmentation.search.dbscan import GridDbscan
 from plane_detector.segmentation.search.ransac import collect, peel_planes
 
-# The largest planes tell noise that is smooth over more than a window of the estimate.
+# Noise taken too high hides planes; taken too low, the planes raise it.
+# tuned: evaluation.benchmark rooms at 0.01, living at 0.004, flat from 0.5 to 0.8.
+START_SHARE = 0.7
+# The largest planes tell noise that is smooth over more than neighbouring cells.
 CALIBRATION_PLANES = 3
 CALIBRATION_ROUNDS = 5
-# Depth is exact when this share of it lies on planes that only exact depth shows.
-MIN_EXACT_SHARE = 0.5
+# Components are the planes when this share of the depth lies on flat ones.
+MIN_COMPONENT_SHARE = 0.5
+# Creases of 30 degrees stay visible, at a common focal length over the width of the image.
+TYPICAL_FOCAL_SHARE, MIN_CREASE_SLOPE = 0.8, 0.577
 
 Found = tuple[np.ndarray, np.ndarray]
 """A plane, 1/z = a x + b y + c, (3,) float64, and its cells, (R * C,) bool."""
@@ -58,21 +68,29 @@ def find_patches(grid: CellGrid, least: Noise, min_pixels: float, config: Config
 
     """
     most, threshold = config.segmentation.max_planes, config.ransac.inlier_threshold
-    noise, exact = least, least.known == 0
+    noise = estimate_noise(grid, least)
+    noise = noise.with_smooth_part(START_SHARE * noise.mean, noise.slope)
+    model, plain = make_model(grid, noise), []
+    if _sees_creases(grid, noise, threshold):
+        plain = flat_components(model, min_pixels, threshold)
+    is_plain = _share(model, plain) >= MIN_COMPONENT_SHARE
     for _ in range(CALIBRATION_ROUNDS):
-        model = make_model(grid, noise)
-        plain = flat_components(model, min_pixels, threshold) if exact else []
-        if noise is least and _share(model, plain) < MIN_EXACT_SHARE:
-            exact, plain, noise = False, [], estimate_noise(grid, least)
-            model = make_model(grid, noise)
-        search = search_planes(model, plain, min_pixels, config, rng)
+        search = search_planes(model, plain if is_plain else [], min_pixels, config, rng)
         found = list(islice(search, min(CALIBRATION_PLANES, most)))
         calibrated = calibrate(model, collect(model, found), noise)
         if is_settled(model, noise, calibrated):
-            break
-        noise = calibrated
-    found += islice(search, most - len(found))
-    return model, collect(model, found), noise
+            found += islice(search, most - len(found))
+            return model, collect(model, found), noise
+        noise, model = calibrated, make_model(grid, calibrated)
+        plain = flat_components(model, min_pixels, threshold) if is_plain else []
+    search = search_planes(model, plain, min_pixels, config, rng)
+    return model, collect(model, list(islice(search, most))), noise
+
+
+def _sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
+    """Say whether neighbours on two planes at an angle of 30 degrees differ beyond the noise."""
+    tolerance = threshold * 2**0.5 * noise.slope * TYPICAL_FOCAL_SHARE
+    return noise.known == 0 and tolerance < MIN_CREASE_SLOPE * grid.typical_disparity
 
 
 def _share(model: CellModel, found: list[Found]) -> float:

@@ -40,8 +40,8 @@ def test_rounded_rooms_do_not_fall_into_stripes(seed):
     found = segment_planes(rounded(scene.depth_m, 0.003), scene.intrinsics)
     result = score(scene.labels, scene.planes, found.labels, plane_array(found),
                    np.isfinite(scene.depth_m))
-    assert result.segmentation_covering > 0.8
-    assert result.precision > 0.75
+    assert result.segmentation_covering > 0.95
+    assert result.precision > 0.9
 
 
 @pytest.mark.parametrize('yaw_deg', [0, 1, 5, 20])

@@ -61,7 +61,7 @@ def test_exact_depth_has_no_noise_and_takes_one_pass(room, seed, exact_calls):
 def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma, exact_calls):
     noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
     model, patches, noise = found(noisy_m)
-    assert exact_calls == [0], 'looked for exact planes once, in vain'
+    assert exact_calls == [], 'neighbours link across creases: not worth looking'
     assert sigma * PART / 1.5 < noise.mean < sigma * PART * 1.5
     assert noise.grain == pytest.approx(sigma * PART, rel=0.1)
     assert not noise.is_exact(model.grid.typical_disparity)
@@ -77,7 +77,7 @@ def test_known_noise_bounds_the_noise_and_rules_out_exact_depth(room, seed, exac
     assert len(patches.planes) >= 5
 
 
-@pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.35, False)])
+@pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.1, False)])
 def test_most_of_the_picture_must_be_flat_for_exact_depth(flat_share, is_exact):
     """What is left of the picture is far too noisy for a plane."""
     scene = view([wall(2)], angles_deg=(20, 0, 0))
@@ -85,7 +85,7 @@ def test_most_of_the_picture_must_be_flat_for_exact_depth(flat_share, is_exact):
     edge = round(flat_share * noisy_m.shape[1])
     noisy_m[:, :edge] = scene.depth_m[:, :edge]
     _, patches, noise = found(noisy_m)
-    assert (noise.grain == 0) == is_exact
+    assert (noise.grain < 1e-5) == is_exact
     assert len(patches.planes) >= 1
 
 
@@ -117,3 +117,13 @@ def test_same_generator_same_planes(room):
     first, second = found(depth_m)[1], found(depth_m)[1]
     np.testing.assert_array_equal(first.labels, second.labels)
     np.testing.assert_array_equal(first.planes, second.planes)
+
+
+@pytest.mark.parametrize('sigma', [0.0001, 0.0003, 0.001])
+@pytest.mark.parametrize('seed', ROOMS)
+def test_slight_noise_is_estimated_too(room, seed, sigma):
+    """Between exact and noisy there is no gap: all parts of the noise are known at any level."""
+    noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
+    _, _, noise = found(noisy_m)
+    assert sigma * PART / 1.5 < noise.mean < sigma * PART * 1.5
+    assert noise.grain == pytest.approx(sigma * PART, rel=0.1)
