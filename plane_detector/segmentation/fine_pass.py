@@ -19,7 +19,7 @@ from plane_detector.segmentation.regions.bends import find_bent
 from plane_detector.segmentation.regions.curvature import drop_curved
 from plane_detector.segmentation.regions.merging import MAX_JOINT_VARIANCES, memberships
 from plane_detector.segmentation.search.connected_components import flat_components
-from plane_detector.segmentation.search.plane_search import search_planes
+from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE, search_planes
 from plane_detector.segmentation.search.ransac import collect
 
 # Cells of fewer pixels say nothing of their slope.
@@ -62,7 +62,7 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     size, min_pixels = model.grid.size_px // 2, config.segmentation.min_plane_share * labels.size
     room = config.segmentation.max_planes - len(planes)
     # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
-    if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1:
+    if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(model, noise):
         return labels, planes
     left, cut = _large_pieces(valid, labels, min_pixels)
     if cut is None:
@@ -86,6 +86,12 @@ def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, mod
     labels[cut] = np.where(new >= 0, new + len(planes), whole)
     planes = np.vstack([planes, patches.planes])
     return _with_continuations(labels, cut, smaller, patches, planes), planes
+
+
+def _sees_width(model: CellModel, noise: Noise) -> bool:
+    """Say whether the noise is less than what a thing as wide as a smaller cell stands out by."""
+    width = model.grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * model.grid.width_px)
+    return noise.mean < width * model.grid.typical_disparity
 
 
 def _with_continuations(labels: np.ndarray, cut: Cut, model: CellModel, patches: Patches,

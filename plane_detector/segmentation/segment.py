@@ -19,7 +19,6 @@ from plane_detector.segmentation.cells.labels import without
 from plane_detector.segmentation.cells.noise import Noise, with_rounding
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_narrow
-from plane_detector.segmentation.pixels.creases import straighten
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.bends import find_bent, join_bowed
@@ -28,7 +27,6 @@ from plane_detector.segmentation.regions.depth_steps import split_at_steps
 from plane_detector.segmentation.regions.icm import relabel
 from plane_detector.segmentation.regions.merging import merge_patches
 from plane_detector.segmentation.regions.occlusion import join_hidden
-from plane_detector.segmentation.regions.refinement import refine_borders
 from plane_detector.segmentation.search.plane_search import find_patches
 from plane_detector.segmentation.threads import one_blas_thread
 
@@ -115,7 +113,6 @@ def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise_floor
         patches = drop_curved(model, patches, noise)
     else:
         patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
-        patches = refine_borders(model, straighten(model, patches, threshold), noise)
         patches = join_bowed(model, patches, noise)
     labels = label_pixels(disparity, valid, model, patches, noise, threshold)
     labels, planes = add_narrow(disparity, valid, labels, model, noise, patches.planes, config,

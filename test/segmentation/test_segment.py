@@ -87,7 +87,7 @@ def test_slight_noise_costs_next_to_nothing(room, seed, sigma):
     on_plane = scene.labels >= 0
     assert (found.labels[on_plane] < 0).mean() < 0.02
     assert (scored(scene, found).segmentation_covering
-            > scored(scene, exact).segmentation_covering - 0.03)
+            > scored(scene, exact).segmentation_covering - 0.05)
 
 
 def test_every_tread_and_riser_is_its_own_plane():

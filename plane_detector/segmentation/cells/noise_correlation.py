@@ -24,8 +24,6 @@ MAX_RESIDUAL = 3.0
 LEAST_SHARE = 1e-3
 CORRELATION_RANGE = (0.02, 0.98)
 POWER_RANGE = (0.5, 2.0)
-# Of a torus of cells that stands for the endless plane.
-PERIOD = 32
 
 
 @dataclass(frozen=True)
@@ -85,14 +83,6 @@ class Correlation:
         variance = model.variances.mean[cell]
         matrix[np.diag_indices(len(cell))] += variance - variance.min()
         return matrix
-
-    def precision(self, reach: int) -> np.ndarray:
-        """Return the inverse of the covariance as a filter (2 * reach + 1, 2 * reach + 1)."""
-        apart = np.minimum(np.arange(PERIOD), PERIOD - np.arange(PERIOD))
-        spectrum = np.fft.fft2(self.covariance(apart[:, None], apart)).real
-        inverse = np.fft.fftshift(np.fft.ifft2(1 / np.maximum(spectrum, self.own)).real)
-        middle = slice(PERIOD // 2 - reach, PERIOD // 2 + reach + 1)
-        return np.ascontiguousarray(inverse[middle, middle])
 
 
 def residuals(model: CellModel, planes: np.ndarray, cell: np.ndarray, label: np.ndarray,

@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.segmentation.cells.model import CellModel, Patches
-from plane_detector.segmentation.regions.merging import Borders, find_borders
+from plane_detector.segmentation.regions.merging import find_borders
 
 REACH_CELLS = 3
 
@@ -29,11 +29,7 @@ def find_creases(model: CellModel, patches: Patches) -> np.ndarray:
         one is in front of the other or they do not touch.
 
     """
-    return _signs(model, patches, find_borders(patches.labels, REACH_CELLS))
-
-
-def _signs(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
-    """Return what :func:`find_creases` does, given the borders."""
+    borders = find_borders(patches.labels, REACH_CELLS)
     signs = np.zeros((len(patches.planes),) * 2, np.int8)
     if not len(borders.first):
         return signs
@@ -45,20 +41,6 @@ def _signs(model: CellModel, patches: Patches, borders: Borders) -> np.ndarray:
     signs[first, second] = np.sign(sides[0][crease])
     signs[second, first] = -np.sign(sides[1][crease])
     return signs
-
-
-def straighten(model: CellModel, patches: Patches, threshold: float) -> Patches:
-    """Give the cells along creases, where both planes fit, to the plane of their side."""
-    borders, labels = find_borders(patches.labels, REACH_CELLS), patches.labels.ravel().copy()
-    signs = _signs(model, patches, borders)
-    first, second = borders.first[borders.pair], borders.second[borders.pair]
-    for own, other, cell in ((first, second, borders.cell_first),
-                             (second, first, borders.cell_second)):
-        difference = _at_cells(model, patches.planes[own] - patches.planes[other], cell)
-        unclear = np.abs(difference) < threshold * np.sqrt(model.variances.mean[cell])
-        wrong = unclear & (signs[own, other] * difference < 0)
-        labels[cell[wrong]] = other[wrong]
-    return Patches(labels.reshape(patches.labels.shape), patches.planes)
 
 
 def _at_cells(model: CellModel, planes: np.ndarray, cell: np.ndarray) -> np.ndarray:

@@ -94,13 +94,9 @@ def find_bent(model: CellModel, patches: Patches, noise: Noise) -> np.ndarray:
     if not len(pairs):
         return np.zeros(0, int)
     facets = _facets(model, patches)
-    touching = np.zeros((len(patches.planes),) * 2, bool)
-    touching[pairs[:, 0], pairs[:, 1]] = touching[pairs[:, 1], pairs[:, 0]] = True
-    clear = np.zeros(len(touching), bool)
-    bent, goes_on = _judge(facets, _one_hot(pairs, len(touching)))
+    clear = np.zeros(len(patches.planes), bool)
+    bent, goes_on = _judge(facets, _one_hot(pairs, len(clear)))
     clear[pairs[bent].ravel()] = True
-    triples = _extended(pairs[goes_on], touching)
-    clear |= triples[_judge(facets, triples)[0]].any(axis=0)
     return np.flatnonzero(_spread(clear, pairs[goes_on]))
 
 
@@ -181,15 +177,6 @@ def _folds(model: CellModel, patches: Patches,
 def _one_hot(groups: np.ndarray, count: int) -> np.ndarray:
     """Return groups of patches (G, n) as the members of each, (G, K) bool."""
     return (groups[:, :, None] == np.arange(count)).any(axis=1)
-
-
-def _extended(pairs: np.ndarray, touching: np.ndarray) -> np.ndarray:
-    """Return the members (G, K) of all groups of a pair and a patch that touches it."""
-    pair = _one_hot(pairs, len(touching))
-    at, third = np.nonzero(touching[pairs].any(axis=1) & ~pair)
-    groups = pair[at]
-    groups[np.arange(len(at)), third] = True
-    return groups
 
 
 def _judge(facets: _Facets, groups: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The correlation of the errors is found as it was made, and its inverse undoes it."""
 
-import cv2
 import numpy as np
 import pytest
 from cell_helpers import bare_wall, cells_and_noise, noisy, one_patch, rough_wall
@@ -53,14 +52,3 @@ def test_the_covariance_goes_by_rows_and_columns():
     assert matrix[1, 3] == correlation.covariance(1, 1)
     assert matrix[0, 4] == correlation.covariance(59, 79)
     np.testing.assert_allclose(matrix[0, 0], correlation.smooth + correlation.own, rtol=0.01)
-
-
-def test_the_precision_undoes_the_covariance():
-    correlation = Correlation(4.0, 0.5, 0.3, 1.3)
-    apart = np.arange(-15, 16.0)
-    covariance = correlation.covariance(apart[:, None], apart)
-    product = cv2.filter2D(covariance, -1, correlation.precision(6),
-                           borderType=cv2.BORDER_CONSTANT)[8:-8, 8:-8]
-    expected = np.zeros_like(product)
-    expected[7, 7] = 1
-    np.testing.assert_allclose(product, expected, atol=0.02)

@@ -116,7 +116,7 @@ def test_a_ball_has_no_plane(radius, angles_deg, keep):
 
 @pytest.mark.parametrize('keep', KEEP)
 @pytest.mark.parametrize(('thing', 'least'), [
-    (upright(0.3), 0.96), (upright(0.5), 0.97), (upright(1.0), 0.9), (upright(2.0), 0.85),
+    (upright(0.3), 0.96), (upright(0.5), 0.96), (upright(1.0), 0.9), (upright(2.0), 0.85),
     (lying(0.3), 0.97), (lying(1.0), 0.85)], ids=str)
 def test_a_cylinder_at_an_angle_to_the_rows_has_hardly_a_plane(thing, least, keep):
     """Slabs along rows or columns are only a cell or two wide: these show no curve."""
