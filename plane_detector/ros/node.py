@@ -7,7 +7,6 @@ from __future__ import annotations
 import signal
 import sys
 
-
 USAGE = """\
 usage: ros2 run plane_detector node [--ros-args [-r FROM:=TO] [-p NAME:=VALUE]
                                      [--params-file FILE] [--log-level LEVEL]]
