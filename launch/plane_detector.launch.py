@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start the node: `ros2 launch plane_detector plane_detector.launch.py image:=/camera/image_raw`.
 
-`--show-args` lists the arguments. `model` and `use_sim_time` win over `params_file` when given.
+`--show-args` lists the arguments; those that are given win over `params_file`.
 """
 
+import sys
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -12,50 +13,34 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
+from plane_detector.ros.launching import ARGUMENTS, check_command_line, node_arguments
 
 PACKAGE = 'plane_detector'
-ARGUMENTS = {
-    'params_file': (str(Path(get_package_share_directory(PACKAGE)) / 'config' / f'{PACKAGE}.yaml'),
-                    'yaml file of the parameters'),
-    'namespace': ('', 'namespace of the node'),
-    'image': ('image', 'topic of the colour picture'),
-    'camera_info': ('camera_info', 'topic of its CameraInfo'),
-    'depth': ('depth', 'topic of measured depth, for depth.source: topic'),
-    'imu': ('imu', 'topic of the IMU, for use_imu'),
-    'model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
-    'use_sim_time': ('', 'true: take the time from /clock'),
-    'log_level': ('info', 'debug, info, warn, error or fatal'),
-}
+RESPAWN_DELAY_S = 5.0
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Return the arguments and the node."""
+    """Return the arguments and the nodes."""
     arguments = [DeclareLaunchArgument(name, default_value=default, description=description)
                  for name, (default, description) in ARGUMENTS.items()]
-    return LaunchDescription([*arguments, OpaqueFunction(function=start_node)])
+    return LaunchDescription([*arguments, OpaqueFunction(function=start_nodes)])
 
 
-def start_node(context: LaunchContext) -> list[Node]:
-    """Return the node with the values of the arguments."""
+def start_nodes(context: LaunchContext) -> list[Node]:
+    """Return the node, and RViz where it is asked for, with the values of the arguments."""
+    check_command_line(context.argv, sys.argv)
     value = context.launch_configurations
-    overrides = {}
-    if value['model']:
-        overrides['depth.model'] = value['model']
-    if value['use_sim_time']:
-        overrides['use_sim_time'] = value['use_sim_time'].lower() == 'true'
-    return [Node(
-        package=PACKAGE,
-        executable='node',
-        name=PACKAGE,
-        namespace=value['namespace'],
-        output='screen',
-        parameters=[value['params_file'], overrides],
-        remappings=[
-            ('image', value['image']),
-            ('image/compressed', f'{value["image"]}/compressed'),
-            ('camera_info', value['camera_info']),
-            ('depth', value['depth']),
-            ('imu', value['imu']),
-        ],
-        arguments=['--ros-args', '--log-level', value['log_level']],
-    )]
+    share = Path(get_package_share_directory(PACKAGE))
+    arguments = node_arguments(value, str(share / 'config' / f'{PACKAGE}.yaml'))
+    detector = Node(
+        package=PACKAGE, executable='node', name=value['node_name'],
+        namespace=value['namespace'], output='screen', parameters=arguments.parameters,
+        remappings=arguments.remappings, respawn=arguments.respawn,
+        respawn_delay=RESPAWN_DELAY_S, arguments=['--ros-args', '--log-level',
+                                                  value['log_level']])
+    if not arguments.rviz:
+        return [detector]
+    rviz = Node(package=PACKAGE, executable='rviz', namespace=value['namespace'], output='screen',
+                arguments=['--node', value['node_name'],],
+                remappings=arguments.remappings)
+    return [detector, rviz]

@@ -34,8 +34,9 @@ from plane_detector.ros.diagnostics import (
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
-from plane_detector.ros.inputs.subscriptions import Inputs, image_topic
+from plane_detector.ros.inputs.subscriptions import Inputs
 from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.spinning import answer_impossible_transitions, interruptible
 
@@ -108,8 +109,8 @@ class PlaneDetectorNode(LifecycleNode):
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
-        self._processor = FrameProcessor(
-            detector, self._settings, self.resolve_topic_name(image_topic(self._settings)))
+        image = input_topics(self, self._settings.image_transport)['image']
+        self._processor = FrameProcessor(detector, self._settings, image)
         for line in self._introduction():
             self.get_logger().info(line)
         return super().on_configure(state)
@@ -246,10 +247,11 @@ class PlaneDetectorNode(LifecycleNode):
         """Return what is logged at configure: where depth comes from, why, what is waited for."""
         facts = model_facts(self._config.depth.source, self._processor.detector.estimate_depth)
         runs_on = facts.get('execution_provider')
-        image = self.resolve_topic_name(image_topic(self._settings))
+        topics = input_topics(self, self._settings.image_transport)
         lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
                  facts.get('depth_model_reason', ''),
-                 f'{image} -> {self.resolve_topic_name("~/planes")} and the other outputs']
+                 f'{topics["image"]}, {topics["camera_info"]} -> '
+                 f'{self.resolve_topic_name("~/planes")} and the other outputs']
         return [line for line in lines if line]
 
     # Parts of the transitions

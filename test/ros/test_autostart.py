@@ -64,4 +64,4 @@ def test_the_log_at_configure_is_three_lines(robot):
     start(robot, estimate)
     lines = [line.split(']: ')[-1] for line in robot.log().splitlines() if 'INFO' in line]
     assert lines == ['depth from a network, on a GPU', 'as asked for',
-                     '/image -> /plane_detector/planes and the other outputs']
+                     '/image, /camera_info -> /plane_detector/planes and the other outputs']

@@ -12,13 +12,9 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
+from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.topic_watch import TopicWatch
 from plane_detector.ros.qos import InputSubscription
-
-
-def image_topic(settings: NodeConfig) -> str:
-    """Return the name, not resolved, of the topic of the pictures."""
-    return 'image/compressed' if settings.image_transport == 'compressed' else 'image'
 
 
 class Inputs:
@@ -46,7 +42,7 @@ class Inputs:
                  on_frame: Callable[[Frame], None], on_dropped: Callable[[int], None]):
         self._node = node
         self._on_frame, self._on_dropped = on_frame, on_dropped
-        self._names = {'image': image_topic(settings)}
+        self._names = input_topics(node, settings.image_transport)
         depth = depth_use(config, output)
         self._assembler = FrameAssembler(depth, settings.stamp_slop, config.scale.imu_to_camera)
         compressed = settings.image_transport == 'compressed'
@@ -86,8 +82,8 @@ class Inputs:
                 self._watch.heard(role)
             on_message(msg)
 
-        subscription = InputSubscription(self._node, msg_type, self._names.get(role, role),
-                                         receive, reliability)
+        subscription = InputSubscription(self._node, msg_type, self._names[role], receive,
+                                         reliability)
         self._subscriptions.append(subscription)
         if is_watched:  # one CameraInfo is enough
             self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info')
