@@ -27,6 +27,8 @@ except ModuleNotFoundError as error:
         'pip install rosbags', name=error.name) from error
 
 _FILES = ('.bag', '.mcap', '.db3')
+# Where a bag is damaged, reading goes on after a pause of at least this, found by bisection.
+_FINEST_SKIP_NS = 1_000_000
 
 
 class BagError(ValueError):
@@ -71,6 +73,11 @@ class BagReader:
     path : Path
         A rosbag2 folder, or a .mcap, .db3 or ROS 1 .bag file.
 
+    Attributes
+    ----------
+    damaged : int
+        How many messages, or stretches of unreadable bytes, were passed over.
+
     Raises
     ------
     FileNotFoundError
@@ -89,6 +96,8 @@ class BagReader:
         with self._readable():
             self._reader = (rosbag1 if self.is_ros1 else rosbag2).Reader(file)
             self._reader.open()
+        self.damaged = 0
+        self._first: dict[str, Any] = {}
         self._connections: dict[str, list[Connection]] = {}
         for connection in self._reader.connections:
             self._connections.setdefault(connection.topic, []).append(connection)
@@ -141,15 +150,62 @@ class BagReader:
         Raises
         ------
         BagError
-            The bag is damaged.
+            The bag is damaged, and nothing after the damage can be read.
 
         """
         connections = [c for topic in topics for c in self._connections[topic]]
-        with self._readable():
-            # An empty list would mean all topics.
-            for connection, time_ns, data in (
-                    self._reader.messages(connections, start_ns, stop_ns) if connections else ()):
-                yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
+        last_ns = self.start_ns if start_ns is None else start_ns
+        while connections:  # an empty list would mean all topics
+            try:
+                for connection, time_ns, data in self._reader.messages(
+                        connections, start_ns, stop_ns):
+                    last_ns = time_ns
+                    yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
+                return
+            except Exception as error:  # damaged bytes may provoke anything in a parser
+                start_ns = self._after_damage(connections, last_ns, stop_ns)
+                if start_ns is None:
+                    raise self._unreadable(error) from error
+                self.damaged += 1
+
+    def messages(self, topic: str, message_class: Any, start_ns: int | None = None,
+                 stop_ns: int | None = None) -> Iterator[Any]:
+        """Yield the messages of a topic as a subscription would get them; damaged ones not."""
+        for recorded in self.read([topic], start_ns, stop_ns):
+            try:
+                yield to_message(recorded, message_class)
+            except BagError:
+                continue
+
+    def first(self, topic: str, message_class: Any) -> Any:
+        """Return the first message of a topic that can be read, or None."""
+        if topic not in self._first:
+            self._first[topic] = next(self.messages(topic, message_class), None)
+        return self._first[topic]
+
+    def _after_damage(self, connections: list[Connection], last_ns: int,
+                      stop_ns: int | None) -> int | None:
+        """Return from when on there is something to read again, or None."""
+        end_ns = self.end_ns if stop_ns is None else min(stop_ns, self.end_ns)
+        step_ns = _FINEST_SKIP_NS
+        while last_ns + step_ns < end_ns and not self._can_read(connections, last_ns + step_ns):
+            step_ns *= 2
+        if last_ns + step_ns >= end_ns:
+            return None
+        low_ns, high_ns = last_ns + step_ns // 2, last_ns + step_ns
+        while high_ns - low_ns > _FINEST_SKIP_NS:
+            middle_ns = (low_ns + high_ns) // 2
+            if self._can_read(connections, middle_ns):
+                high_ns = middle_ns
+            else:
+                low_ns = middle_ns
+        return high_ns
+
+    def _can_read(self, connections: list[Connection], start_ns: int) -> bool:
+        try:
+            return next(self._reader.messages(connections, start_ns, None), None) is not None
+        except Exception:  # as above
+            return False
 
     def _to_cdr(self, connection: Connection, data: bytes) -> bytes | memoryview:
         if not self.is_ros1:
@@ -164,10 +220,12 @@ class BagReader:
         except (OSError, BagError):
             raise
         except Exception as error:
-            reason = ' '.join(str(error).split()).rstrip('.')
-            raise BagError(f'{self.path} cannot be read: {reason}. {_listing(self.path)} If it '
-                           f'is damaged or was not closed, {_repair(self.path)} may help'
-                           ) from error
+            raise self._unreadable(error) from error
+
+    def _unreadable(self, error: Exception) -> BagError:
+        reason = ' '.join(str(error).split()).rstrip('.')
+        return BagError(f'{self.path} cannot be read: {reason}. {_listing(self.path)} If it is '
+                        f'damaged or was not closed, {_repair(self.path)} may help')
 
 
 def to_message(recorded: Recorded, message_class: Any) -> Any:

@@ -10,7 +10,8 @@ from typing import Any
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
-from plane_detector.tools.replay.bag_reader import BagError, BagReader, Topic, to_message
+from plane_detector.ros.outputs.messages import picture_size
+from plane_detector.tools.replay.bag_reader import BagError, BagReader, Topic
 
 _CLASSES = {'sensor_msgs/msg/Image': Image, 'sensor_msgs/msg/CompressedImage': CompressedImage,
             'sensor_msgs/msg/CameraInfo': CameraInfo, 'sensor_msgs/msg/Imu': Imu}
@@ -111,12 +112,15 @@ def _check(bag: BagReader, role: str, name: str) -> None:
         expected = ' or '.join(f'sensor_msgs/msg/{c.__name__}' for c in _ROLES[role])
         raise BagError(f'{name} is of type {types[name]}, but {option} must be {expected}. '
                        f'{bag.describe()}')
+    if _first(bag, name) is None:
+        raise BagError(f'no message on {name} can be read. {bag.describe()}')
 
 
 def _of_role(bag: BagReader, role: str) -> list[Topic]:
-    """Return the topics that have messages and a type that fits."""
+    """Return the topics that have messages, not only announce them, and a type that fits."""
     return [topic for topic in bag.topics
-            if topic.count and _CLASSES.get(topic.msg_type) in _ROLES[role]]
+            if topic.count and _CLASSES.get(topic.msg_type) in _ROLES[role]
+            and _first(bag, topic.name) is not None]
 
 
 def _find_image(bag: BagReader) -> str:
@@ -146,14 +150,61 @@ def _calibrations(bag: BagReader, image: str) -> list[str]:
 
 
 def _find_depth(bag: BagReader, image: str, required: bool) -> str:
-    """Registered depth is in the frame of the picture."""
+    """Registered depth is in the frame of the image."""
     frame_id = _first(bag, image).header.frame_id
-    candidates = [topic for topic in _of_role(bag, 'depth')
-                  if topic.name != image and _encoding(bag, topic) in _DEPTH_ENCODINGS
-                  and _first(bag, topic.name).header.frame_id == frame_id]
+    candidates = [topic for topic in _depth_images(bag, image)
+                  if _first(bag, topic.name).header.frame_id == frame_id]
     if not candidates and not required:
         return ''
     return _only(bag, 'depth', candidates)
+
+
+def _depth_images(bag: BagReader, image: str) -> list[Topic]:
+    return [topic for topic in _of_role(bag, 'depth')
+            if topic.name != image and _encoding(bag, topic) in _DEPTH_ENCODINGS]
+
+
+def registered_depth(bag: BagReader, camera: InputTopics) -> tuple[str, str]:
+    """
+    Return measured depth that needs no transform: in the frame_id and the size of the image.
+
+    Returns
+    -------
+    topic : str
+        Empty where there is none.
+    what : str
+        What it is, or why there is none, for people.
+
+    Raises
+    ------
+    BagError
+        Several may be meant.
+
+    """
+    image, size = _first(bag, camera.image), _image_size(bag, camera)
+    others, fitting = [], []
+    for topic in _depth_images(bag, camera.image):
+        depth = _first(bag, topic.name)
+        what = (f'{topic.name} ({depth.width} x {depth.height}, {depth.encoding}, frame_id '
+                f'{depth.header.frame_id!r})')
+        fits = (depth.header.frame_id == image.header.frame_id
+                and (depth.width, depth.height) == size)
+        (fitting if fits else others).append((topic, what))
+    if fitting:
+        name = _only(bag, 'depth', [topic for topic, _ in fitting])
+        return name, f'{fitting[0][1]}, registered to the image'
+    if others:
+        return '', (f'{", ".join(what for _, what in others)} is not registered to the image '
+                    f'({size[0]} x {size[1]}, frame_id {image.header.frame_id!r})')
+    return '', 'the bag has no depth images'
+
+
+def _image_size(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
+    """Return width and height of the image; a compressed one has that of its calibration."""
+    image = _first(bag, camera.image)
+    if isinstance(image, CompressedImage):
+        return picture_size(_first(bag, camera.camera_info))
+    return image.width, image.height
 
 
 def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
@@ -161,7 +212,10 @@ def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
         return candidates[0].name
     option = '--' + role.replace('_', '-')
     if not candidates:
-        raise BagError(f'no topic for {option} was found. {bag.describe()}')
+        empty = [topic.name for topic in bag.topics if topic.count
+                 and _CLASSES.get(topic.msg_type) in _ROLES[role] and not _first(bag, topic.name)]
+        why = f', and of {", ".join(empty)} no announced message is there' if empty else ''
+        raise BagError(f'no topic for {option} was found{why}. {bag.describe()}')
     names = ', '.join(topic.name for topic in candidates)
     raise BagError(f'{names} may all be meant: say which by {option}. {bag.describe()}')
 
@@ -172,4 +226,4 @@ def _encoding(bag: BagReader, topic: Topic) -> str:
 
 
 def _first(bag: BagReader, topic: str) -> Any:
-    return to_message(next(bag.read([topic])), input_class(bag, topic))
+    return bag.first(topic, input_class(bag, topic))

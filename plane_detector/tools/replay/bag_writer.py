@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,10 +21,11 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
+from plane_detector.tools.replay.bag_storage import CommittingWriter
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # Chunks of an mcap file are compressed inside it; sqlite3 has no chunks.
@@ -33,11 +36,16 @@ _OUTPUT_QOS = Qos(QosHistory.KEEP_LAST, 2, QosReliability.RELIABLE, QosDurabilit
                   _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
 # The last one whose quality of service rosbag2 before Jazzy reads too.
 _VERSION = 8
+# A process that is killed loses what came after the last commit: a second, or so many bytes.
+_COMMIT_PERIOD_S = 1.0
+_COMMIT_BYTES = 1 << 22
 
 
 class BagWriter:
     """
     A new rosbag2; a context manager, which closes it so that it can be read, come what may.
+
+    What is written stays when the process is killed, but for the last second, see `end_frame`.
 
     Parameters
     ----------
@@ -56,20 +64,36 @@ class BagWriter:
     """
 
     def __init__(self, path: Path, storage: str = 'mcap', compressed: bool = False):
-        if path.exists():
+        if os.path.lexists(path):
             raise FileExistsError(f'{path} is there already: choose another name')
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        self._writer = Writer(path, version=_VERSION, storage_plugin=STORAGES[storage])
+        self._writer = CommittingWriter(path, version=_VERSION, storage_plugin=STORAGES[storage])
         if compressed:
             self._writer.set_compression(_COMPRESSIONS[storage], CompressionFormat.ZSTD)
         self._writer.open()
         self._connections: dict[str, Connection] = {}
+        self._fields: dict[str, str] = {}
+        self._pending_bytes, self._committed_s = 0, time.monotonic()
 
     def __enter__(self) -> BagWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._writer.close()
+        try:
+            self._writer.commit()
+        finally:
+            for name, value in self._fields.items():
+                self._writer.set_custom_data(name, value)
+            self._writer.close()
+
+    @property
+    def topics(self) -> frozenset[str]:
+        """What is announced."""
+        return frozenset(self._connections)
+
+    def describe(self, fields: Mapping[str, str]) -> None:
+        """Put names and values into the metadata, where `ros2 bag info` shows them."""
+        self._fields.update(fields)
 
     def add_outputs(self, classes: Mapping[str, Any]) -> None:
         """Announce topics whose messages are of these classes."""
@@ -90,15 +114,40 @@ class BagWriter:
 
         """
         for topic in topics:
-            self._connections[topic] = self._copied(bag, bag.connection(topic))
+            if topic not in self._connections:  # diagnostics of both go on one topic
+                self._connections[topic] = self._copied(bag, bag.connection(topic))
 
     def write(self, topic: str, time_ns: int, msg: Any) -> None:
         """Write a message of an announced topic."""
-        self._writer.write(self._connections[topic], time_ns, serialize_message(msg))
+        self._put(topic, time_ns, serialize_message(msg))
 
     def copy(self, recorded: Recorded) -> None:
         """Write a recorded message of an announced topic."""
-        self._writer.write(self._connections[recorded.topic], recorded.time_ns, recorded.cdr)
+        self._put(recorded.topic, recorded.time_ns, recorded.cdr)
+
+    def end_frame(self) -> None:
+        """
+        Say that the messages of a frame are complete; once a second they go into the file.
+
+        Raises
+        ------
+        OSError
+            There is no room for them: the bag holds the frames up to the last such moment.
+
+        """
+        now_s = time.monotonic()
+        if (self._pending_bytes >= _COMMIT_BYTES
+                or now_s - self._committed_s >= _COMMIT_PERIOD_S):
+            self._writer.commit()
+            self._pending_bytes, self._committed_s = 0, now_s
+
+    def commit(self) -> None:
+        """Bring all that was written into the file now; see `end_frame`."""
+        self._writer.commit()
+
+    def _put(self, topic: str, time_ns: int, cdr: bytes | memoryview) -> None:
+        self._writer.write(self._connections[topic], time_ns, cdr)
+        self._pending_bytes += len(cdr)
 
     def _copied(self, bag: BagReader, source: Connection) -> Connection:
         qos = [] if bag.is_ros1 else source.ext.offered_qos_profiles

@@ -8,6 +8,7 @@ import csv
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from tempfile import NamedTemporaryFile
 
 import cv2
 import numpy as np
@@ -31,23 +32,34 @@ class ReplayFiles:
         Folders, made if need be, of a picture (.jpg) and of a labelled cloud of each frame.
     table : Path, optional
         CSV file of all planes of all frames, replaced when it is there.
+    first_index : int
+        Number of the first frame that comes: of a table that is there the rows before are kept.
+
+    Raises
+    ------
+    OSError
+        A folder or the table cannot be written.
 
     """
 
     def __init__(self, figures: Path | None = None, ply: Path | None = None,
-                 table: Path | None = None):
+                 table: Path | None = None, first_index: int = 0):
         self._figures, self._ply, self._table = figures, ply, table
+        self._first_index = first_index
         self._opened = ExitStack()
         self._rows = None
 
     def __enter__(self) -> ReplayFiles:
         for folder in (self._figures, self._ply):
             if folder is not None:
-                folder.mkdir(parents=True, exist_ok=True)
+                _check_writable(folder)
         if self._table is not None:
-            file = open(self._table, 'w', newline='', encoding='utf-8')
-            self._rows = csv.writer(self._opened.enter_context(file))
-            self._rows.writerow(['frame', 'stamp', *PLANE_DTYPE.names])
+            kept = _rows_before(self._table, self._first_index)
+            self._table.parent.mkdir(parents=True, exist_ok=True)
+            self._file = open(self._table, 'w', newline='', encoding='utf-8')
+            self._opened.enter_context(self._file)
+            self._rows = csv.writer(self._file)
+            self._rows.writerows([['frame', 'stamp', *PLANE_DTYPE.names], *kept])
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -68,7 +80,9 @@ class ReplayFiles:
         result = processed.result
         if self._figures is not None:
             bgr = cv2.cvtColor(_figure(result), cv2.COLOR_RGB2BGR)
-            cv2.imwrite(str(self._figures / f'{index:06d}.jpg'), bgr)
+            path = self._figures / f'{index:06d}.jpg'
+            if not cv2.imwrite(str(path), bgr):
+                raise OSError(f'{path} cannot be written')
         if self._ply is not None:
             points_m = depth_to_points(result.detection.depth_m, result.intrinsics)
             write_ply(self._ply / f'{index:06d}.ply', points_m,
@@ -76,6 +90,22 @@ class ReplayFiles:
                       in_metres=result.detection.scale_method != RELATIVE)
         if self._rows is not None:
             self._rows.writerows(_rows(index, processed))
+            self._file.flush()  # no later than the bag, which a resumed run goes by
+
+
+def _check_writable(folder: Path) -> None:
+    """Make a folder and a file in it, which is removed: the first frame comes much later."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=folder):
+        pass
+
+
+def _rows_before(table: Path, first_index: int) -> list[list[str]]:
+    """Return the rows of the frames before one, of a table that is there."""
+    if not first_index or not table.exists():
+        return []
+    with open(table, newline='', encoding='utf-8') as file:
+        return [row for row in list(csv.reader(file))[1:] if int(row[0]) < first_index]
 
 
 def _figure(result: Result) -> np.ndarray:

@@ -6,20 +6,18 @@ from __future__ import annotations
 
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
 from tqdm import tqdm
 
-from plane_detector.config import Config, NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.frame_processor import FrameProcessor, Processed
 from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
 from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.stopping import Stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, to_message
 from plane_detector.tools.replay.bag_topics import (
     InputTopics,
@@ -28,104 +26,26 @@ from plane_detector.tools.replay.bag_topics import (
     with_companions,
 )
 from plane_detector.tools.replay.bag_writer import BagWriter
+from plane_detector.tools.replay.copies import CopiedMessages
+from plane_detector.tools.replay.depth_choice import DepthChoice, choose_depth
 from plane_detector.tools.replay.exports import ReplayFiles
+from plane_detector.tools.replay.options import ReplayOptions
+from plane_detector.tools.replay.part_folder import PartFolder
+from plane_detector.tools.replay.resume import Earlier, copy_earlier, read_earlier
+from plane_detector.tools.replay.signals import ShouldStop, until_stopped
+from plane_detector.tools.replay.tally import (
+    DIAGNOSTICS_TOPIC,
+    Tally,
+    diagnostics_msg,
+    scale_of,
+)
 
 NODE_NAME = '/plane_detector'
 
 
-@dataclass(frozen=True)
-class ReplayOptions:
-    """
-    What is replayed, and what is made of it.
-
-    Attributes
-    ----------
-    source, target : Path
-        The bag that is read, and the new one.
-    config : Config
-    settings : NodeConfig
-    topics : mapping of str to str
-        Input topics asked for; see :func:`find_camera`.
-    start_s, duration_s : float
-        The part of the bag that is replayed, from its first message on.
-    every : int
-        Of so many frames the first is taken.
-    outputs : tuple of str
-        Names of the outputs that are written.
-    copied : tuple of str or None
-        Topics that are copied; an empty tuple: the inputs; None: nothing.
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    compressed : bool
-    figures, ply, table : Path or None
-        See :class:`ReplayFiles`.
-
-    """
-
-    source: Path
-    target: Path
-    config: Config = field(default_factory=Config)
-    settings: NodeConfig = field(default_factory=NodeConfig)
-    topics: Mapping[str, str] = field(default_factory=dict)
-    start_s: float = 0.0
-    duration_s: float = float('inf')
-    every: int = 1
-    outputs: tuple[str, ...] = tuple(OUTPUTS)
-    copied: tuple[str, ...] | None = None
-    storage: str = 'mcap'
-    compressed: bool = False
-    figures: Path | None = None
-    ply: Path | None = None
-    table: Path | None = None
-
-
-@dataclass
-class Tally:
-    """
-    What was done so far.
-
-    Attributes
-    ----------
-    processed, skipped, without_partner : int
-        Frames that gave planes, that could not be processed, pictures without calibration or
-        depth.
-    errors : Counter of str
-        Why frames were skipped.
-    stage_seconds : Counter of str
-        Total time of each stage.
-    interrupted : bool
-    failure : str
-        Why the bag could not be read to its end.
-
-    """
-
-    processed: int = 0
-    skipped: int = 0
-    without_partner: int = 0
-    errors: Counter[str] = field(default_factory=Counter)
-    stage_seconds: Counter[str] = field(default_factory=Counter)
-    interrupted: bool = False
-    failure: str = ''
-
-    def describe(self) -> str:
-        """Return counts, rate and times for people."""
-        seconds = sum(self.stage_seconds.values())
-        frames = max(self.processed, 1)
-        stages = ', '.join(f'{stage} {1e3 * total / frames:.1f}'
-                           for stage, total in self.stage_seconds.items())
-        lines = [f'{self.processed} frames in {seconds:.1f} s: '
-                 f'{self.processed / max(seconds, 1e-9):.1f} frames per second',
-                 f'ms per frame: {stages}']
-        if self.without_partner:
-            lines.append(f'{self.without_partner} pictures had no calibration or depth')
-        lines += [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
-        if self.interrupted:
-            lines.insert(0, 'interrupted: the results so far are complete')
-        return '\n'.join(lines)
-
-
-def replay(options: ReplayOptions, should_stop: Callable[[], bool] = lambda: False,
-           estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None) -> Tally:
+def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
+           estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None,
+           tell: Callable[[str], None] = lambda line: print(line, file=sys.stderr)) -> Tally:
     """
     Replay a bag.
 
@@ -133,101 +53,162 @@ def replay(options: ReplayOptions, should_stop: Callable[[], bool] = lambda: Fal
     ----------
     options : ReplayOptions
     should_stop : callable
-        Asked before every frame; what is written stays whole.
+        Asked before and during every frame; what is written stays whole.
     estimate_depth : callable, optional
         Takes the place of the network, as in :class:`PlaneDetector`.
+    tell : callable
+        Takes lines for people, before the first frame.
 
     Raises
     ------
     FileNotFoundError, FileExistsError
         There is no bag to read, or there is already one where the new one shall be.
+    OSError
+        The new bag or the files cannot be written.
     BagError
-        The bag cannot be opened, or lacks a topic, with what is there; or no picture is in the
+        The bag cannot be opened, or lacks a topic, with what is there; or no image is in the
         part of it that is asked for.
     ValueError
         The network cannot be run as the settings say.
+    Stopped
+        It was told to stop before the first frame.
 
     """
     with ExitStack() as opened:
         bag = opened.enter_context(BagReader(options.source))
         camera = find_camera(bag, options.topics)
         part_ns = _part_asked_for(bag, camera.image, options)
-        if options.target.exists():
-            raise FileExistsError(f'{options.target} is there already: choose another name')
-        detector = PlaneDetector(options.config, estimate_depth)
+        folder = opened.enter_context(PartFolder(options.target, options.leftover))
+        choice = choose_depth(bag, camera, options)
+        detector = until_stopped(lambda: PlaneDetector(choice.config, estimate_depth), should_stop)
         processor = FrameProcessor(detector, options.settings, camera.image)
-        use = depth_use(options.config, processor.output)
-        topics = with_companions(bag, camera, options.topics, use, options.settings.use_imu)
-        print(f'Reading {", ".join(topics.names)} of {options.source}', file=sys.stderr)
-        writer = opened.enter_context(
-            BagWriter(options.target, options.storage, options.compressed))
-        writer.add_outputs({_output_topic(name): OUTPUTS[name].msg_type
-                            for name in options.outputs})
-        files = opened.enter_context(ReplayFiles(options.figures, options.ply, options.table))
-        assembler = FrameAssembler(use, options.settings.stamp_slop,
-                                   options.config.scale.imu_to_camera)
-        run = _Run(options, bag, part_ns, topics, assembler, processor, writer, files)
-        return run.to_end(should_stop)
+        wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
+        topics = with_companions(bag, camera, wanted, depth_use(choice.config, processor.output),
+                                 options.settings.use_imu)
+        depth = choice.describe(detector)
+        tell(f'Reading {", ".join(topics.names)} of {options.source}\nDepth: {depth}')
+        earlier = read_earlier(folder.before)
+        files = opened.enter_context(ReplayFiles(options.figures, options.ply, options.table,
+                                                 earlier.next_index))
+        with BagWriter(folder.bag, options.storage, options.compressed) as writer:
+            run = _Run(options, bag, part_ns, topics, choice, processor, writer, files)
+            tally = run.to_end(earlier, should_stop, depth)
+        _keep(folder, tally)
+        return tally
+
+
+def _keep(folder: PartFolder, tally: Tally) -> None:
+    """Give the bag its name, unless it is of no use."""
+    if tally.processed or tally.state == 'finished':
+        folder.finish()
+    else:
+        folder.discard()
 
 
 class _Run:
     """The open parts of a replay, and its loop."""
 
     def __init__(self, options: ReplayOptions, bag: BagReader, part_ns: tuple[int, int],
-                 topics: InputTopics, assembler: FrameAssembler, processor: FrameProcessor,
+                 topics: InputTopics, choice: DepthChoice, processor: FrameProcessor,
                  writer: BagWriter, files: ReplayFiles):
         self._options, self._bag, self._topics = options, bag, topics
         self._start_ns, self._stop_ns = part_ns
-        self._assembler, self._processor = assembler, processor
-        self._writer, self._files = writer, files
-        copied = options.copied
-        self._copied = () if copied is None else copied or topics.names
-        writer.add_copies(bag, self._copied)
+        self._processor, self._writer, self._files = processor, writer, files
+        self._source = choice.config.depth.source
+        self._assembler = FrameAssembler(
+            depth_use(choice.config, processor.output), options.settings.stamp_slop,
+            choice.config.scale.imu_to_camera)
         self._tally = Tally()
+        self._facts: dict[str, str] = {}
 
-    def to_end(self, should_stop: Callable[[], bool]) -> Tally:
-        """Process all frames; an error of the bag ends it, one of a frame does not."""
+    def to_end(self, earlier: Earlier, should_stop: ShouldStop, depth: str) -> Tally:
+        """Process all frames; an error of a bag ends it, one of a frame or a message does not."""
         tally = self._tally
-        with tqdm(total=self._expected_frames(), unit='frame', disable=None) as progress:
-            try:
-                for index, (time_ns, frame) in enumerate(self._timed_frames()):
-                    if should_stop():
-                        tally.interrupted = True
-                        break
-                    if index % self._options.every == 0:
-                        self._take(index, time_ns, frame)
-                        progress.update()
-            except BagError as error:
-                tally.failure = str(error)
+        tally.depth, self._facts = depth, {'depth': depth}
+        try:
+            self._announce(earlier)
+            self._process_all(should_stop)
+        except Stopped:
+            tally.interrupted = True
+        except (BagError, OSError) as error:
+            tally.failure = str(error)
         tally.without_partner = self._assembler.take_dropped()
+        tally.damaged += self._bag.damaged
         if not (tally.processed or tally.interrupted or tally.failure):
             tally.failure = f'no frame could be processed. {self._bag.describe()}'
+        self._close_books()
         return tally
 
-    def _take(self, index: int, time_ns: int, frame: Frame) -> None:
+    def _announce(self, earlier: Earlier) -> None:
+        """Announce the topics, and write what an earlier run did."""
+        options, writer = self._options, self._writer
+        copied = () if options.copied is None else options.copied or self._topics.names
+        writer.add_outputs({
+            **{_output_topic(name): OUTPUTS[name].msg_type for name in options.outputs},
+            DIAGNOSTICS_TOPIC: DiagnosticArray})
+        writer.add_copies(self._bag, copied)
+        done = copy_earlier(earlier, writer, self._tally)
+        self._copies = CopiedMessages(writer, copied, self._topics, options.every, done)
+
+    def _process_all(self, should_stop: ShouldStop) -> None:
+        first = self._tally.resumed_at
+        with tqdm(total=self._expected_frames(), unit='frame', disable=None) as progress:
+            for index, (time_ns, frame) in enumerate(self._timed_frames()):
+                if should_stop():
+                    raise Stopped
+                if index % self._options.every == 0:
+                    self._copies.take(frame)
+                    if index >= first:
+                        self._take(index, time_ns, frame, should_stop)
+                    progress.update()
+
+    def _take(self, index: int, time_ns: int, frame: Frame, should_stop: ShouldStop) -> None:
         """Process a frame and write what comes of it."""
-        options, tally = self._options, self._tally
-        wanted = dict.fromkeys((*options.outputs, *self._files.outputs))
+        tally, error = self._tally, ''
+        wanted = dict.fromkeys((*self._options.outputs, *self._files.outputs))
+        stages: dict[str, float] = {}
         try:
-            processed = self._processor.process(frame, wanted)
-        except ValueError as error:
+            processed = until_stopped(lambda: self._processor.process(frame, wanted), should_stop)
+        except ValueError as raised:
+            error = str(raised)
             tally.skipped += 1
-            tally.errors[str(error)] += 1
-            return
+            tally.errors[error] += 1
+        else:
+            stages = dict(processed.stage_seconds)
+            self._write(index, time_ns, processed)
+        tally.stage_seconds.update(stages)
         start_s = time.perf_counter()
-        self._write(time_ns, processed)
-        tally.stage_seconds.update(processed.stage_seconds)
+        self._writer.write(DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
+            frame.image.header, index, tally, self._facts, stages, error))
+        self._writer.end_frame()
         tally.stage_seconds['write'] += time.perf_counter() - start_s
+
+    def _write(self, index: int, time_ns: int, processed: Processed) -> None:
+        """Write files and outputs of a frame, and count it."""
+        tally, detection = self._tally, processed.result.detection
         if self._files.is_wanted:
             start_s = time.perf_counter()
             self._files.write(index, processed)
             tally.stage_seconds['files'] += time.perf_counter() - start_s
-        tally.processed += 1
-
-    def _write(self, time_ns: int, processed: Processed) -> None:
+        start_s = time.perf_counter()
         for name in self._options.outputs:
             if name in processed.messages:  # an output may have nothing to say of a frame
                 self._writer.write(_output_topic(name), time_ns, processed.messages[name])
+        tally.stage_seconds['write'] += time.perf_counter() - start_s
+        tally.processed += 1
+        tally.planes += len(detection.planes)
+        scale = scale_of(self._source, detection)
+        tally.scales[scale] += 1
+        self._facts['scale'] = scale
+
+    def _close_books(self) -> None:
+        """Bring all into the file, and how it ended into its metadata."""
+        try:
+            self._writer.commit()
+        except OSError as error:
+            self._tally.failure = self._tally.failure or str(error)
+        self._writer.describe({**self._tally.to_fields(), 'replay.source': self._bag.path.name,
+                               'replay.options': self._options.fingerprint})
 
     def _timed_frames(self) -> Iterator[tuple[int, Frame]]:
         """Yield the frames, the time that reading them takes on the tally."""
@@ -247,22 +228,25 @@ class _Run:
                topics.depth: assembler.add_depth, topics.imu: assembler.add_imu}
         classes = {name: input_class(self._bag, name) for name in topics.names}
         self._add_first_calibration()
-        for recorded in self._bag.read({*topics.names, *self._copied}, self._start_ns,
+        for recorded in self._bag.read({*topics.names, *self._copies.topics}, self._start_ns,
                                        self._stop_ns):
-            time_ns = recorded.time_ns
-            if recorded.topic in self._copied:
-                self._writer.copy(recorded)
+            time_ns, msg = recorded.time_ns, None
             if recorded.topic in classes:
-                msg = to_message(recorded, classes[recorded.topic])
+                try:
+                    msg = to_message(recorded, classes[recorded.topic])
+                except BagError:
+                    self._tally.damaged += 1
+            self._copies.add(recorded, msg)
+            if msg is not None:
                 yield from ((time_ns, frame) for frame in add[recorded.topic](msg) or ())
         yield from ((time_ns, frame) for frame in assembler.finish())
 
     def _add_first_calibration(self) -> None:
-        """Let pictures from before the first CameraInfo have it, and those after a late start."""
+        """Let images from before the first CameraInfo have it, and those after a late start."""
         topic = self._topics.camera_info
-        earlier = list(self._bag.read([topic], None, self._start_ns + 1))
-        first = earlier[-1:] or [next(self._bag.read([topic]))]
-        self._assembler.add_camera_info(to_message(first[0], input_class(self._bag, topic)))
+        kind = input_class(self._bag, topic)
+        earlier = list(self._bag.messages(topic, kind, None, self._start_ns + 1))
+        self._assembler.add_camera_info(earlier[-1] if earlier else self._bag.first(topic, kind))
 
     def _expected_frames(self) -> int:
         count = {topic.name: topic.count for topic in self._bag.topics}[self._topics.image]
@@ -280,7 +264,7 @@ def _part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple
         raise BagError(
             f'{options.source} spans 0 to {length_ns * 1e-9:.3f} s, and in what is '
             f'asked for, --start {options.start_s:g} --duration {options.duration_s:g}, there is '
-            f'no picture on {image}')
+            f'no image on {image}')
     return start_ns, stop_ns
 
 

@@ -36,6 +36,7 @@ from plane_detector.tools.replay.bag_reader import BagReader, to_message
 from plane_detector.tools.replay.bag_topics import input_class
 
 FLOORLESS = '/plane_detector/points_without_floor'  # only where gravity is known
+DIAGNOSTICS = '/diagnostics'
 
 
 @pytest.mark.parametrize('bag_format', [*FORMATS, ROS1])
@@ -44,7 +45,8 @@ def test_planes_of_every_format_are_true(tmp_path, scenes, replay, bag_format):
     code, target, text = replay(source)
     assert code == 0, text
     written = read_bag(target)
-    assert set(written) == {f'/plane_detector/{name}' for name in OUTPUTS} - {FLOORLESS}
+    assert set(written) == (
+        {DIAGNOSTICS} | {f'/plane_detector/{name}' for name in OUTPUTS}) - {FLOORLESS}
     assert all(len(messages) == len(scenes) for messages in written.values())
     assert_true(target, scenes)
     assert f'{len(scenes)} frames in' in text
@@ -150,7 +152,8 @@ def test_a_part_without_pictures_is_told_and_nothing_is_written(bag, replay, tmp
 def test_every_nth_frame_and_chosen_outputs(bag, replay):
     _, target, _ = replay(bag, '--every', 2, '--outputs', 'planes', 'labels')
     assert stamps_of(planes_of(target)) == [0.0, 0.2]
-    assert set(read_bag(target)) == {'/plane_detector/planes', '/plane_detector/labels'}
+    assert set(read_bag(target)) == {'/plane_detector/planes', '/plane_detector/labels',
+                                     DIAGNOSTICS}
 
 
 def test_a_calibration_that_comes_once_serves_all_pictures(tmp_path, scenes, replay):
@@ -169,7 +172,7 @@ def test_figures_clouds_and_table(bag, scenes, replay, tmp_path):
     code, target, _ = replay(bag, '--figures', tmp_path / 'figures', '--ply', tmp_path / 'ply',
                              '--csv', tmp_path / 'planes.csv', '--outputs', 'labels')
     assert code == 0
-    assert set(read_bag(target)) == {'/plane_detector/labels'}
+    assert set(read_bag(target)) == {'/plane_detector/labels', DIAGNOSTICS}
     names = [f'{index:06d}' for index in range(len(scenes))]
     assert sorted(path.stem for path in (tmp_path / 'figures').iterdir()) == names
     assert sorted(path.stem for path in (tmp_path / 'ply').iterdir()) == names

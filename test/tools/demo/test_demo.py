@@ -28,7 +28,7 @@ from plane_detector.tools.demo.photographs import (
 from plane_detector.tools.ply import write_ply
 from plane_detector.types import CameraIntrinsics
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 CAMERA = CameraIntrinsics(100.0, 100.0, 79.5, 59.5, 160, 120)
 
 

@@ -1,0 +1,75 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of the old bag that go into the new one."""
+
+from __future__ import annotations
+
+from collections import Counter, OrderedDict
+from typing import Any
+
+from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.tools.replay.bag_reader import Recorded
+from plane_detector.tools.replay.bag_topics import InputTopics
+from plane_detector.tools.replay.bag_writer import BagWriter
+
+# derived: an image waits for its partners while at most 16 others do, see FrameAssembler.
+_WAITING = 64
+
+
+class CopiedMessages:
+    """
+    Copies messages: all of them, or, where only some frames are taken, what belongs to these.
+
+    Parameters
+    ----------
+    writer : BagWriter
+    topics : tuple of str
+        What is copied.
+    inputs : InputTopics
+        Of which image, calibration and depth belong to frames; other topics are copied whole.
+    every : int
+        Of so many frames one is taken.
+    done : Counter of str
+        How many messages of each topic an earlier run copied: the first ones, as the order is
+        the same in every run.
+
+    """
+
+    def __init__(self, writer: BagWriter, topics: tuple[str, ...], inputs: InputTopics, every: int,
+                 done: Counter[str]):
+        self.topics = frozenset(topics)
+        self._writer, self._inputs, self._done = writer, inputs, Counter(done)
+        of_frames = (inputs.image, inputs.camera_info, inputs.depth)
+        self._waiting: dict[str, OrderedDict[tuple[int, int], Recorded]] = {
+            name: OrderedDict() for name in of_frames if every > 1 and name in self.topics}
+
+    def add(self, recorded: Recorded, msg: Any) -> None:
+        """Copy a message, or keep it until its frame is taken; ``msg`` is None when damaged."""
+        if recorded.topic not in self.topics:
+            return
+        waiting = self._waiting.get(recorded.topic)
+        if waiting is None:
+            self._copy(recorded)
+        elif msg is not None:
+            waiting[_stamp(msg)] = recorded
+            while len(waiting) > _WAITING:
+                waiting.popitem(last=False)
+
+    def take(self, frame: Frame) -> None:
+        """Copy what belongs to a frame."""
+        for topic, msg in ((self._inputs.image, frame.image), (self._inputs.depth, frame.depth),
+                           (self._inputs.camera_info, frame.camera_info)):
+            if msg is not None and topic in self._waiting:
+                recorded = self._waiting[topic].pop(_stamp(msg), None)
+                if recorded is not None:  # else copied with an earlier frame
+                    self._copy(recorded)
+
+    def _copy(self, recorded: Recorded) -> None:
+        if self._done[recorded.topic]:
+            self._done[recorded.topic] -= 1
+        else:
+            self._writer.copy(recorded)
+
+
+def _stamp(msg: Any) -> tuple[int, int]:
+    return msg.header.stamp.sec, msg.header.stamp.nanosec

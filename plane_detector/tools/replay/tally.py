@@ -1,0 +1,144 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What a replay has done, for people, for the diagnostics in the bag, and for the table."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Header
+
+from plane_detector.ros.diagnostics import Report, status_to_msg
+from plane_detector.types import Detection
+
+DIAGNOSTICS_TOPIC = '/diagnostics'
+HARDWARE_ID = 'replay'
+FRAME_KEY = 'frame'
+
+
+@dataclass
+class Tally:
+    """
+    What was done so far.
+
+    Attributes
+    ----------
+    processed, skipped, without_partner : int
+        Frames that gave planes, that could not be processed, images without calibration or
+        depth.
+    planes : int
+        In all frames together.
+    damaged : int
+        Messages, or stretches of the bag, that could not be read and were left out.
+    resumed_at : int
+        Number of the first frame that an earlier run had not done.
+    errors, scales : Counter of str
+        Why frames were skipped; where the unit of depth came from.
+    depth : str
+        Which depth, which network and why.
+    stage_seconds : Counter of str
+        Total time of each stage.
+    interrupted : bool
+    failure : str
+        Why the bag could not be read or written to its end.
+
+    """
+
+    processed: int = 0
+    skipped: int = 0
+    without_partner: int = 0
+    planes: int = 0
+    damaged: int = 0
+    resumed_at: int = 0
+    errors: Counter[str] = field(default_factory=Counter)
+    scales: Counter[str] = field(default_factory=Counter)
+    depth: str = ''
+    stage_seconds: Counter[str] = field(default_factory=Counter)
+    interrupted: bool = False
+    failure: str = ''
+
+    @property
+    def seconds(self) -> float:
+        """All stages together."""
+        return sum(self.stage_seconds.values())
+
+    @property
+    def state(self) -> str:
+        """How it ended, in a word or two."""
+        if self.interrupted:
+            return 'interrupted'
+        return 'broken off' if self.failure else 'finished'
+
+    def add_scale(self, depth_source: str, detection: Detection) -> None:
+        """Count where the unit of a frame's depth came from."""
+        self.scales[scale_of(depth_source, detection)] += 1
+
+    def describe(self) -> str:
+        """Return counts, rate and times for people."""
+        frames = max(self.processed, 1)
+        stages = ', '.join(f'{stage} {1e3 * total / frames:.1f}'
+                           for stage, total in self.stage_seconds.items())
+        lines = [f'{self.processed} frames in {self.seconds:.1f} s: '
+                 f'{self.processed / max(self.seconds, 1e-9):.1f} frames per second',
+                 f'ms per frame: {stages}']
+        lines += [f'Scale of {count} frames: {scale}' for scale, count in self.scales.items()]
+        if self.without_partner:
+            lines.append(f'{self.without_partner} images had no calibration or depth')
+        if self.damaged:
+            lines.append(f'{self.damaged} damaged messages were left out')
+        lines += [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
+        if self.interrupted:
+            lines.insert(0, 'interrupted: the results so far are complete, --resume goes on')
+        return '\n'.join(lines)
+
+    def to_fields(self) -> dict[str, str]:
+        """Return what goes into the metadata of the bag."""
+        return {'replay.state': self.state, 'replay.frames': str(self.processed),
+                'replay.planes': str(self.planes), 'replay.skipped': str(self.skipped),
+                'replay.damaged': str(self.damaged), 'replay.seconds': f'{self.seconds:.3f}',
+                'replay.depth': self.depth, 'replay.error': self.failure}
+
+
+def scale_of(depth_source: str, detection: Detection) -> str:
+    """Return where the unit of depth came from, with the note of the method."""
+    if depth_source == 'topic':
+        return 'metres, as measured'
+    note = f', {detection.scale_note}' if detection.scale_note else ''
+    return f'{detection.scale_method}{note}'
+
+
+def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],
+                    stage_seconds: Mapping[str, float], error: str = '') -> DiagnosticArray:
+    """
+    Return the diagnostics of one frame, as the node publishes them once a second.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image.
+    index : int
+        Number of the frame in the bag.
+    tally : Tally
+        With this frame.
+    facts : mapping of str to str
+        Further keys and values.
+    stage_seconds : mapping of str to float
+        Empty for a frame that was skipped.
+    error : str
+        Why it was.
+
+    """
+    total_s = sum(stage_seconds.values())
+    report = Report(tally.processed, tally.without_partner, tally.skipped,
+                    1 / total_s if total_s else 0.0, stage_seconds, bool(error), error)
+    level, message = ((DiagnosticStatus.WARN, f'frame skipped: {error}') if error
+                      else (DiagnosticStatus.OK, 'replayed'))
+    status: Any = status_to_msg('plane_detector', level, message, report,
+                                {FRAME_KEY: str(index), 'planes_in_all': str(tally.planes),
+                                 **facts})
+    status.hardware_id = HARDWARE_ID
+    return DiagnosticArray(header=header, status=[status])

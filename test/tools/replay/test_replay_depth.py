@@ -1,0 +1,161 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which depth a replay takes, that it says so, and that the new bag says so too."""
+
+import pytest
+from bags import messages_of, write_bag
+from diagnostic_msgs.msg import DiagnosticArray
+from onnx_models import millimetres_as_rgb, write_depth_network
+from replay_helpers import (
+    DEPTH,
+    IMAGE,
+    assert_true,
+    camera_messages,
+    planes_of,
+    stamps_of,
+)
+from ros_helpers import image_msg
+
+from plane_detector.tools.replay.node_settings import load_settings
+
+
+@pytest.fixture
+def network(tmp_path):
+    """Return options for a network that reads millimetres out of the colours."""
+    path = write_depth_network(tmp_path / 'depth.onnx', height=120, width=160)
+    return ('-p', 'depth.output:=metric_depth', '-p', 'depth.mean:=[0.0, 0.0, 0.0]',
+            '-p', 'depth.std:=[1.0, 1.0, 1.0]'), path
+
+
+def coded(scenes, **options):
+    """Return the walk with images that this network understands."""
+    messages = camera_messages(scenes, **options)
+    images = [msg for topic, _, msg in messages if topic == IMAGE]
+    for msg, scene in zip(images, scenes, strict=True):
+        msg.data = image_msg(millimetres_as_rgb(scene.depth_m), 'rgb8').data
+    return messages
+
+
+def facts_of(target):
+    return [{pair.key: pair.value for pair in msg.status[0].values}
+            for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
+
+
+def test_measured_depth_that_is_there_is_used(bag, scenes, replay):
+    code, target, text = replay(bag, depth='')
+    assert code == 0, text
+    assert_true(target, scenes)
+    line = (f"measured: {DEPTH} (160 x 120, 32FC1, frame_id 'camera_optical_frame'), registered "
+            'to the image; --network takes a network instead')
+    assert f'Depth: {line}' in text
+    assert f'Scale of {len(scenes)} frames: metres, as measured' in text
+    facts = facts_of(target)
+    assert [one['frame'] for one in facts] == ['0', '1', '2', '3']
+    assert {one['depth'] for one in facts} == {line}
+    assert {one['scale'] for one in facts} == {'metres, as measured'}
+
+
+def test_the_diagnostics_have_the_stamps_of_the_images(bag, replay):
+    _, target, _ = replay(bag)
+    messages = messages_of(target, '/diagnostics', DiagnosticArray)
+    assert stamps_of(messages) == [0.0, 0.1, 0.2, 0.3]
+    assert {msg.status[0].name for msg in messages} == {'plane_detector'}
+    assert messages[-1].status[0].message == 'replayed'
+
+
+def test_a_network_is_taken_though_there_is_depth_when_asked_for(
+        tmp_path, scenes, replay, network):
+    options, path = network
+    source = write_bag(tmp_path / 'walk', coded(scenes))
+    code, target, text = replay(source, '--network', path, *options, depth='')
+    assert code == 0, text
+    assert f'Reading {IMAGE}, /cam/camera_info of' in text
+    assert 'Depth: network ' in text
+    assert 'depth.onnx' in text
+    assert 'not measured depth, as asked for' in text
+    assert 'Scale of 4 frames: metric' in text
+    assert_true(target, scenes)
+
+
+@pytest.mark.parametrize('change, told', [
+    (None, 'because the bag has no depth images'),
+    ('frame', "because /cam/depth (160 x 120, 32FC1, frame_id 'depth_optical') is not registered "
+              "to the image (160 x 120, frame_id 'camera_optical_frame')"),
+    ('size', 'because /cam/depth (80 x 60, 32FC1')])
+def test_without_registered_depth_a_network_is_taken_and_it_says_why(
+        tmp_path, scenes, replay, network, change, told):
+    messages = coded(scenes, depth=change is not None)
+    for topic, _, msg in messages:
+        if topic == DEPTH and change == 'frame':
+            msg.header.frame_id = 'depth_optical'
+        elif topic == DEPTH:
+            half = image_msg(scenes[0].depth_m[::2, ::2].copy(), '32FC1')
+            msg.width, msg.height, msg.step, msg.data = 80, 60, half.step, half.data
+    options, path = network
+    yaml = tmp_path / 'network.yaml'
+    yaml.write_text(f'/**:\n  ros__parameters:\n    depth:\n      model: {path}\n')
+    code, target, text = replay(write_bag(tmp_path / 'walk', messages), '--params-file', yaml,
+                                *options, depth='')
+    assert code == 0, text
+    assert told in text
+    assert_true(target, scenes)
+    assert told in facts_of(target)[0]['depth']
+
+
+def test_of_two_registered_depths_one_must_be_named(tmp_path, scenes, replay):
+    messages = camera_messages(scenes)
+    messages += [('/cam/depth_filtered', when, msg) for topic, when, msg in messages
+                 if topic == DEPTH]
+    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
+    code, target, text = replay(source, depth='')
+    assert (code, target.exists()) == (1, False)
+    assert '/cam/depth, /cam/depth_filtered may all be meant: say which by --depth' in text
+    assert replay(source, depth=DEPTH)[0] == 0
+
+
+def test_a_skipped_frame_has_diagnostics_too(tmp_path, scenes, replay):
+    messages = camera_messages(scenes)
+    messages[3][2].encoding = 'rainbow'
+    _, target, _ = replay(write_bag(tmp_path / 'walk', messages))
+    states = [msg.status[0] for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
+    assert [status.level for status in states] == [b'\0', b'\1', b'\0', b'\0']
+    assert states[1].message.startswith("frame skipped: image encoding 'rainbow'")
+    assert len(planes_of(target)) == 3
+
+
+def test_an_integer_is_taken_where_a_float_is_meant(bag, replay):
+    config, _ = load_settings(None, ['scale.camera_height:=1', 'scale.gravity:=[0, 1, 0]'])
+    assert config.scale.camera_height == 1.0
+    assert config.scale.gravity == (0.0, 1.0, 0.0)
+    code, _, text = replay(bag, '-p', 'scale.camera_height:=1')
+    assert code == 0, text
+
+
+def test_of_every_other_frame_the_inputs_are_copied(bag, scenes, replay):
+    from bags import read_bag
+    _, target, _ = replay(bag, '--every', 2, '--copy')
+    source, copied = read_bag(bag), read_bag(target)
+    assert {topic: copied[topic] for topic in source} == {
+        topic: messages[::2] for topic, messages in source.items()}
+
+
+def test_other_topics_are_copied_whole_with_every_other_frame(tmp_path, scenes, replay):
+    from bags import read_bag
+    messages = camera_messages(scenes) + [
+        ('/bumper', when + 1, 'bang') for topic, when, _ in camera_messages(scenes)
+        if topic == IMAGE]
+    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
+    _, target, _ = replay(source, '--every', 2, '--copy', '/bumper', IMAGE)
+    copied = read_bag(target)
+    assert copied['/bumper'] == read_bag(source)['/bumper']
+    assert copied[IMAGE] == read_bag(source)[IMAGE][::2]
+
+
+def test_a_calibration_that_came_once_is_copied_once(tmp_path, scenes, replay):
+    from bags import read_bag
+    messages = camera_messages(scenes)
+    messages = [entry for index, entry in enumerate(messages)
+                if entry[0] != '/cam/camera_info' or index == 1]
+    source = write_bag(tmp_path / 'walk', messages)
+    _, target, _ = replay(source, '--every', 2, '--copy')
+    assert read_bag(target)['/cam/camera_info'] == read_bag(source)['/cam/camera_info']
