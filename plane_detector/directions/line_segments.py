@@ -59,7 +59,8 @@ class LineSegments:
         return np.stack([-y, x, y * self.midpoints[:, 0] - x * self.midpoints[:, 1]], axis=1)
 
 
-def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> LineSegments:
+def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
+                         covered: np.ndarray | None = None) -> LineSegments:
     """
     Find the longest straight segments.
 
@@ -69,6 +70,8 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> LineS
         Rectified.
     intrinsics : CameraIntrinsics
         Of that image.
+    covered : (H, W) bool, optional
+        Where the image shows something; lines along the border of that are none of the scene.
 
     Returns
     -------
@@ -89,6 +92,8 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> LineS
     ends_px = (ends_px + 0.5) * [width / grey.shape[1], height / grey.shape[0]] - 0.5
     lengths_px = np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1)
     kept = (lengths_px >= MIN_LENGTH_SHARE * width) & ~_along_border(ends_px, width, height)
+    if covered is not None:
+        kept &= _inside(ends_px, covered)
     order = np.flatnonzero(kept)[np.argsort(-lengths_px[kept], kind='stable')][:MAX_SEGMENTS]
     return segments_from_pixels(ends_px[order], intrinsics)
 
@@ -107,3 +112,12 @@ def _along_border(ends_px: np.ndarray, width: int, height: int) -> np.ndarray:
     near = np.concatenate([ends_px < margin, ends_px > [width - 1 - margin, height - 1 - margin]],
                           axis=2)
     return near.all(1).any(1)
+
+
+def _inside(ends_px: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """Return which segments have covered pixels all around their ends and middle."""
+    margin = 2 * round(BORDER_SHARE * covered.shape[1]) + 1
+    inner = cv2.erode(covered.astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0
+    points = np.concatenate([ends_px, ends_px.mean(1, keepdims=True)], axis=1)
+    column, row = np.rint(points).astype(int).transpose(2, 0, 1)
+    return inner[row.clip(0, covered.shape[0] - 1), column.clip(0, covered.shape[1] - 1)].any(1)

@@ -103,7 +103,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
 def _measure(grid: CellGrid, parts: _Parts, planes: np.ndarray, relative_rms: np.ndarray,
              noise: Noise, intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
     """Measure planes (K, 3) from the number of their pixels in each cell."""
-    jacobian = _ray_plane_jacobian(intrinsics)
+    jacobian = ray_plane_jacobian(intrinsics)
     ray_planes = planes @ jacobian.T
     length = np.linalg.norm(ray_planes, axis=1)
     normals, offsets_m = -ray_planes / length[:, None], 1 / length
@@ -151,7 +151,7 @@ def confidence_features(share: np.ndarray, covariance: np.ndarray) -> np.ndarray
                      np.log(np.maximum(deviation_rad, LEAST_TILT_RAD))], axis=1)
 
 
-def _ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
+def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
     """Return the matrix (3, 3) that takes (a, b, c) to (A, B, C)."""
     width, height = intrinsics.width, intrinsics.height
     return np.array([

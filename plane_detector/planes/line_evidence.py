@@ -1,0 +1,86 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Lines of the image inside regions: a line along an axis lies in no plane across that axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.directions.frames import misalignment
+from plane_detector.directions.line_segments import LineSegments
+
+# A segment belongs to the regions at this distance on its two sides.
+SIDE_PX = 4.0
+SAMPLES = 9
+# tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 2 to 3.
+AXIS_TOLERANCE_DEG = 2.5
+# Lines of together this length, at unit focal length, speak half as loud as many.
+HALF_LENGTH = 0.15
+# Sines of the angle between line and plane: below the first the line may lie in it, from the
+# second on it cannot. derived: normals of networks are off by 10 to 20 degrees.
+MAY_LIE, CANNOT_LIE = 0.2, 0.5
+
+
+@dataclass(frozen=True)
+class LineEvidence:
+    """
+    Lines along known axes in each region.
+
+    Attributes
+    ----------
+    axes : (A, 3) float64
+        Unit directions.
+    shares : (K, A) float64
+        Of the line length in each region, what runs along each axis; less where there is little.
+
+    """
+
+    axes: np.ndarray
+    shares: np.ndarray
+
+    def contradiction(self, normals: np.ndarray) -> np.ndarray:
+        """Return the share (K, C) of the lines that cannot lie in planes of normals (K, C, 3)."""
+        sine = np.abs(normals @ self.axes.T)
+        cannot = np.clip((sine - MAY_LIE) / (CANNOT_LIE - MAY_LIE), 0.0, 1.0)
+        return (cannot * self.shares[:, None]).sum(-1)
+
+
+def collect_evidence(segments: LineSegments, axes: np.ndarray, labels: np.ndarray,
+                     count: int) -> LineEvidence:
+    """
+    Find out which lines are in which region.
+
+    Parameters
+    ----------
+    segments : LineSegments
+    axes : (A, 3) float64
+        Unit directions.
+    labels : (H, W) int
+        -1 for no region.
+    count : int
+        Of regions.
+
+    """
+    length = _region_shares(segments, labels, count).T * segments.lengths
+    sine = np.abs(misalignment(segments, axes))
+    along = np.arange(len(axes)) == sine.argmin(1)[:, None]
+    along &= sine < np.sin(np.radians(AXIS_TOLERANCE_DEG))
+    total = length.sum(1, keepdims=True) + HALF_LENGTH
+    return LineEvidence(axes, length @ along / total)
+
+
+def _region_shares(segments: LineSegments, labels: np.ndarray, count: int) -> np.ndarray:
+    """Return the share (N, K) of the two sides of each segment that is in each region."""
+    start, end = segments.ends_px[:, 0], segments.ends_px[:, 1]
+    along = end - start
+    across = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]
+    steps = np.linspace(0.1, 0.9, SAMPLES)[:, None]
+    middle = start[:, None] + steps * along[:, None]
+    points = np.concatenate([middle + side * across[:, None] for side in (-SIDE_PX, SIDE_PX)], 1)
+    column, row = np.rint(points).astype(int).transpose(2, 0, 1)
+    found = labels[row.clip(0, labels.shape[0] - 1), column.clip(0, labels.shape[1] - 1)]
+    index = found + 1 + (count + 1) * np.arange(len(segments))[:, None]
+    counts = np.bincount(index.ravel(), minlength=len(segments) * (count + 1))
+    return counts.reshape(len(segments), count + 1)[:, 1:] / (2 * SAMPLES)

@@ -1,0 +1,42 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of which direction of gravity counts."""
+
+import numpy as np
+import pytest
+from plane_detector.directions.gravity_choice import choose_gravity
+from plane_detector.directions.vanishing import SceneDirections
+
+NONE = (0.0, 0.0, 0.0)
+GIVEN = (0.0, 2.0, 0.0)
+IMU = np.array([0.0, 0.8, 0.6])
+
+
+def of_image(angle_deg=0.0, refusal=''):
+    angle = np.radians(angle_deg)
+    down = None if refusal else np.array([0.0, np.cos(angle), np.sin(angle)])
+    return SceneDirections(down, np.radians(1.0) ** 2 * np.diag([1.0, 0, 1]), 0.3, (), refusal, '')
+
+
+def test_a_sensor_comes_before_the_parameter_and_that_before_the_image():
+    assert choose_gravity(IMU, GIVEN, 2.0, of_image()).source == 'measured'
+    given = choose_gravity(None, GIVEN, 2.0, of_image(30))
+    assert given.source == 'parameter'
+    assert given.down_camera == pytest.approx([0, 1, 0])
+    assert choose_gravity(None, NONE, 2.0, of_image()).source == 'image'
+
+
+def test_the_tolerance_of_the_image_is_by_its_covariance():
+    assert choose_gravity(None, NONE, 10.0, of_image()).tolerance_deg == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(('angle_deg', 'source'), [(12, 'image'), (25, 'parameter')])
+def test_a_coarse_direction_gives_way_to_an_image_that_agrees(angle_deg, source):
+    assert choose_gravity(None, GIVEN, 15.0, of_image(angle_deg)).source == source
+
+
+def test_why_there_is_none_is_told():
+    found = choose_gravity(None, NONE, 2.0, of_image(refusal='only 3 straight lines'))
+    assert (found.down_camera, found.source, found.note) == (None, 'none',
+                                                             'only 3 straight lines')
+    assert choose_gravity(None, NONE, 2.0, None).note == ''

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of the orientation of planes by depth, lines and axes."""
+
+import numpy as np
+import pytest
+
+from plane_detector.directions.line_segments import segments_from_pixels
+from plane_detector.directions.vanishing import AxisPair, SceneDirections
+from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
+from plane_detector.planes.orientation import orient_planes
+from plane_detector.types import CameraIntrinsics, Plane
+
+AXES = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, 0.6], [-0.6, 0.0, 0.8]])
+NOTHING = LineEvidence(AXES, np.zeros((1, 3)))
+
+
+def directions(pairs=True):
+    pair = AxisPair(AXES[1:], 0.01, 0.3)
+    covariance = np.radians(1.0) ** 2 * (np.eye(3) - np.outer(AXES[0], AXES[0]))
+    return SceneDirections(AXES[0], covariance, 0.3, (pair,) if pairs else (), '', '')
+
+
+def plane(normal, sigma_deg=1.0):
+    normal = np.asarray(normal, float) / np.linalg.norm(normal)
+    covariance = np.zeros((4, 4))
+    covariance[:3, :3] = np.radians(sigma_deg) ** 2 * (np.eye(3) - np.outer(normal, normal))
+    return Plane(normal, 2.0, -2 * normal, 1000, 0.01, 1.0, covariance, 0.9)
+
+
+def turned(normal, angle_deg, about):
+    c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    return c * normal + s * np.cross(about, normal) + (1 - c) * (about @ normal) * about
+
+
+def angle_deg(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b, -1, 1)))
+
+
+def no_lines(count):
+    return LineEvidence(AXES, np.zeros((count, 3)))
+
+
+def test_planes_near_an_axis_are_turned_to_it():
+    planes = (plane(turned(-AXES[0], 12, AXES[1])), plane(turned(-AXES[2], 12, AXES[0])))
+    found = orient_planes(planes, directions(), no_lines(2))
+    assert found.is_changed.all()
+    assert angle_deg(found.normals[0], -AXES[0]) < 0.5
+    assert angle_deg(found.normals[1], -AXES[2]) < 0.5
+
+
+def test_the_side_of_the_normal_stays():
+    found = orient_planes((plane(turned(AXES[0], 10, AXES[1])),), directions(), NOTHING)
+    assert found.normals[0] @ AXES[0] > 0.99
+
+
+def test_a_good_network_keeps_a_roof_and_an_open_door():
+    roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
+    exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)
+                  for normal in (-AXES[0], -AXES[2], AXES[1], -AXES[0], -AXES[2]))
+    found = orient_planes((*exact, plane(roof, 0.3), plane(door, 0.3)), directions(),
+                          no_lines(7))
+    assert found.sigma_rad == pytest.approx(np.radians(3.0))
+    assert angle_deg(found.normals[5], roof) < 1
+    assert angle_deg(found.normals[6], door) < 1
+
+
+def test_a_bad_network_is_trusted_less():
+    off = tuple(plane(turned(normal, 18, about)) for normal, about in (
+        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
+    assert orient_planes(off, directions(), no_lines(4)).sigma_rad > np.radians(8.0)
+
+
+def test_an_upright_plane_without_axes_stands_upright():
+    leaning = turned(-AXES[2], 10, AXES[1])
+    found = orient_planes((plane(leaning),), directions(pairs=False),
+                          LineEvidence(AXES[:1], np.zeros((1, 1))))
+    assert abs(found.normals[0] @ AXES[0]) < 0.01
+    assert angle_deg(found.normals[0], -AXES[2]) < 0.5
+
+
+@pytest.mark.parametrize(('line', 'expected'), [(1, 2), (2, 1)])
+def test_lines_along_an_axis_are_in_no_plane_across_it(line, expected):
+    between = turned(-AXES[2], 45, -AXES[0])
+    if between @ AXES[1] < 0:
+        between = turned(-AXES[2], 45, AXES[0])
+    shares = np.zeros((1, 3))
+    shares[0, line] = 0.8
+    found = orient_planes((plane(between, 8.0),), directions(), LineEvidence(AXES, shares))
+    assert abs(found.normals[0] @ AXES[expected]) > 0.999
+
+
+def test_covariance_of_the_axes_leaves_room_for_a_sure_network():
+    near = plane(turned(-AXES[0], 2, AXES[1]), 0.1)
+    loose = directions()
+    loose = SceneDirections(loose.down_camera, 25 * loose.covariance, 0.3, loose.pairs, '', '')
+    turn = angle_deg(orient_planes((near,), loose, NOTHING).normals[0], near.normal)
+    assert turn < angle_deg(orient_planes((near,), directions(), NOTHING).normals[0],
+                            near.normal) - 0.3
+
+
+def test_lines_belong_to_the_regions_on_their_sides():
+    camera = CameraIntrinsics(100.0, 100.0, 49.5, 49.5, 100, 100)
+    labels = np.zeros((100, 100), np.int32)
+    labels[:, 50:] = 1
+    segments = segments_from_pixels(np.array([[[20.0, 10.0], [20.0, 90.0]],
+                                              [[60.0, 30.0], [90.0, 30.0]]]), camera)
+    evidence = collect_evidence(segments, np.eye(3)[:2], labels, 2)
+    # The upright line runs along y and is in region 0, the level one along x and in region 1.
+    assert evidence.shares[0] == pytest.approx([0, 0.8 / (0.8 + 0.15)])
+    assert evidence.shares[1] == pytest.approx([0.3 / (0.3 + 0.15), 0])
+    normals = np.array([[[0, 1, 0], [1, 0, 0]], [[0, 1, 0], [1, 0, 0]]], float)
+    contradiction = evidence.contradiction(normals)
+    assert contradiction[0] == pytest.approx([0.8 / 0.95, 0])
+    assert contradiction[1] == pytest.approx([0, 0.3 / 0.45])

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of regions turned to their most likely orientation, on rendered rooms."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plane_detector.config import Config
+from plane_detector.directions.line_segments import detect_line_segments
+from plane_detector.directions.vanishing import find_directions
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import hexagon_room, random_room
+from plane_detector.evaluation.scenes.textures import textured
+from plane_detector.planes.measurement import measure_planes
+from plane_detector.planes.reorientation import reorient
+from plane_detector.segmentation.segment import metric_noise_floor, segment
+
+CONFIG = Config()
+
+
+def mean_error_deg(scene, planes, labels):
+    """Return the angle of planes that are mostly on one true one, weighted by their pixels."""
+    errors, pixels = [], []
+    for k, plane in enumerate(planes):
+        true = np.bincount(scene.labels[(labels == k) & (scene.labels >= 0)],
+                           minlength=len(scene.planes))
+        if true.max() > 0.8 * (labels == k).sum():
+            cosine = scene.planes[true.argmax(), :3] @ plane.normal
+            errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
+            pixels.append(true.max())
+    return np.average(errors, weights=pixels)
+
+
+def before_and_after(make, seed, sigma):
+    """Return scene, planes and labels of smoothly wrong depth, before and after."""
+    scene = textured(make, seed)
+    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), 0.998, 90.0)
+    regions = segment(1 / depth_m, metric_noise_floor(CONFIG, 0.004), CONFIG,
+                      np.random.default_rng(0))
+    planes, labels = measure_planes(regions, scene.intrinsics, 1000)
+    segments = detect_line_segments(scene.rgb, scene.intrinsics)
+    found = find_directions(segments, np.random.default_rng(0))
+    turned = reorient(replace(regions, labels=labels), planes, segments, found, scene.intrinsics)
+    return scene, (planes, labels), measure_planes(turned, scene.intrinsics, 1000)
+
+
+@pytest.mark.parametrize('make', [random_room, hexagon_room])
+def test_planes_of_smoothly_wrong_depth_come_nearer_to_the_truth(make):
+    scene, before, after = before_and_after(make, 300, 0.02)
+    assert mean_error_deg(scene, *after) < 0.5 * mean_error_deg(scene, *before)
+
+
+def test_planes_of_nearly_right_depth_stay_right():
+    scene, before, after = before_and_after(hexagon_room, 305, 0.003)
+    assert mean_error_deg(scene, *after) <= mean_error_deg(scene, *before) + 0.1
+
+
+def test_labels_are_only_joined():
+    scene, (_, before), (_, after) = before_and_after(random_room, 300, 0.02)
+    assert np.array_equal(before >= 0, after >= 0)
+    joined = {(int(b), int(a)) for b, a in zip(before.ravel(), after.ravel(), strict=True)}
+    assert len(joined) == len({b for b, _ in joined})
+    assert scene.labels.shape == after.shape
+
+
+def test_offsets_fit_the_depth():
+    scene, _, (planes, _) = before_and_after(random_room, 300, 0.005)
+    level = [plane for plane in planes if plane.normal @ scene.down_camera < -0.999]
+    floor = max(level, key=lambda plane: plane.offset_m)
+    assert floor.offset_m == pytest.approx(scene.height_m, rel=0.03)
