@@ -115,7 +115,7 @@ def _along_border(ends_px: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def _inside(ends_px: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return which segments have covered pixels all around their ends and middle."""
+    """Return which segments have covered pixels all around one of their ends or their middle."""
     margin = 2 * round(BORDER_SHARE * covered.shape[1]) + 1
     inner = cv2.erode(covered.astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0
     points = np.concatenate([ends_px, ends_px.mean(1, keepdims=True)], axis=1)

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+
 from plane_detector.directions.gravity_choice import choose_gravity
 from plane_detector.directions.vanishing import SceneDirections
 

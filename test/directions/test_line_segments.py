@@ -56,3 +56,14 @@ def test_the_longest_come_first_and_short_ones_are_left_out():
     assert (np.diff(lengths_px) < 0.01).all()
     assert lengths_px[0] == pytest.approx(400, abs=10)
     assert lengths_px[-1] >= 0.05 * 640
+
+
+def test_lines_along_the_border_of_what_is_covered_are_left_out():
+    image = np.zeros((480, 640, 3), np.uint8)
+    covered = np.zeros((480, 640), bool)
+    covered[100:400, 120:520] = True
+    image[covered] = 150
+    assert len(detect_line_segments(image, CAMERA)) > 0
+    assert len(detect_line_segments(image, CAMERA, covered)) == 0
+    cv2.rectangle(image, (250, 200), (400, 300), (40, 40, 40), -1)
+    assert len(detect_line_segments(image, CAMERA, covered)) >= 4
