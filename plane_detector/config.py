@@ -187,6 +187,37 @@ class TrackingConfig(Settings, section='tracking'):
         'noise, 0: none', '', 0.0, 0.999)
 
 
+SHAPE_TYPES = ('sphere', 'cylinder', 'cone')
+
+
+@dataclass(frozen=True)
+class ShapesConfig(Settings, section='shapes'):
+    """Spheres, cylinders and cones in what the planes leave over."""
+
+    types: str = setting(
+        'none', 'none, all, or some of sphere, cylinder, cone, separated by commas: the shapes '
+        'that are searched for in metric depth where there is no plane')
+    min_radius: float = setting(0.02, 'radius of the smallest sphere or cylinder', 'm', 1e-3, 10.0)
+    max_radius: float = setting(
+        1.5, 'radius of the largest sphere, cylinder or seen part of a cone', 'm', 1e-3, 100.0)
+    min_share: float = setting(
+        0.001, 'size of the smallest shape, as a share of the pixels', '', 0.0, 1.0)
+    max_shapes: int = setting(16, 'at most this many shapes are found', '', 1, 255)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        unknown = set(self.types.replace(' ', '').split(',')) - {*SHAPE_TYPES, 'all', 'none'}
+        if unknown:
+            raise ValueError('shapes.types must be none, all or some of '
+                             f'{", ".join(SHAPE_TYPES)}, separated by commas, not {self.types!r}')
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """The names of the shapes to look for."""
+        named = self.types.replace(' ', '').split(',')
+        return tuple(name for name in SHAPE_TYPES if name in named or 'all' in named)
+
+
 @dataclass(frozen=True)
 class PaperConfig(Settings, section='paper'):
     """The metric thresholds of the paper's own method, the baseline."""
@@ -209,6 +240,7 @@ class Config(Settings):
     ransac: RansacConfig = field(default_factory=RansacConfig)
     dbscan: DbscanConfig = field(default_factory=DbscanConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    shapes: ShapesConfig = field(default_factory=ShapesConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 
 

@@ -27,6 +27,7 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
 from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
 from plane_detector.segmentation.threads import one_blas_thread
+from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneSegmentation
@@ -45,11 +46,10 @@ class PlaneDetector:
     ----------
     config : Config, optional
     estimate_depth : callable, optional
-        Takes rgb (H, W, 3) uint8 and returns depth or disparity (H, W) float32, NaN invalid. What
-        it returns says its attribute ``output``, if it has one, else ``config.depth.output``,
-        where ``auto`` means metres. An attribute ``input_size``, a function of width and height
-        that returns those of the network's input, says how blurred its depth is. Default: the
-        network that ``config.depth`` names.
+        Takes rgb (H, W, 3) uint8 and returns depth or disparity (H, W) float32, NaN invalid, as
+        its attribute ``output`` or ``config.depth.output`` states. An attribute ``input_size``, a
+        function of width and height, states how blurred it is. Default: the network that
+        ``config.depth`` names.
 
     """
 
@@ -62,11 +62,13 @@ class PlaneDetector:
         self._damped: DampedDisparity | None = None
         self._scale: ScaleState | None = None
         self._tracker = PlaneTracker()
+        self._shapes = ShapeDetector()
 
     def reset(self) -> None:
         """Forget the pictures before: averages, scale and labels start anew."""
         self._damped = self._scale = None
         self._tracker.reset()
+        self._shapes.reset()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
@@ -113,13 +115,18 @@ class PlaneDetector:
                                        down_camera)
         with stages('measurement'):
             scaled_m = self._in_metres(prediction, output, scale.estimate)
-            planes = self._measure(regions, scaled_m, scale.estimate, intrinsics)
+            regions = regions.rescaled(scale.estimate.scale, scale.estimate.shift)
+            planes = _measured(regions.restricted_to(scaled_m > 0), intrinsics, self.config)
+        with stages('shapes'):
+            planes, shapes, names = self._shapes.detect(
+                scaled_m, planes, regions, intrinsics, self.config, scale.estimate.is_metric)
             classes = self._classify(planes.planes, scale.estimate, down_camera)
         with stages('tracking'):
             planes, track_labels = self._track(planes)
-        return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=scaled_m,
-                         scale_method=scale.estimate.unit_method, scale_note=str(scale.estimate),
+        return Detection(planes.planes, planes.labels, planes.disparity_noise, scaled_m,
+                         scale.estimate.unit_method, scale_note=str(scale.estimate),
                          scale_event=scale.event, classes=classes, track_labels=track_labels,
+                         shapes=shapes, shape_labels=names,
                          stage_seconds=stages.seconds)
 
     def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics,
@@ -142,8 +149,7 @@ class PlaneDetector:
         input_size = getattr(self.estimate_depth, 'input_size', None)
         if not self.config.segmentation.snap_to_picture or input_size is None:
             return None
-        height, width = rgb.shape[:2]
-        return GuideImage(rgb, BLUR_INPUT_PX * width / input_size(width, height)[0])
+        return GuideImage(rgb, BLUR_INPUT_PX * rgb.shape[1] / input_size(*rgb.shape[1::-1])[0])
 
     def _is_measured(self) -> bool:
         return self.config.depth.source == 'topic' and self.estimate_depth is None
@@ -167,13 +173,6 @@ class PlaneDetector:
         if output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
             return prediction
         return apply_scale(_as_disparity(prediction, output), scale, self.config.depth.max_depth)
-
-    @one_blas_thread
-    def _measure(self, regions: PixelRegions, scaled_m: np.ndarray, scale: ScaleEstimate,
-                 intrinsics: CameraIntrinsics) -> PlaneSegmentation:
-        """Return the planes in the unit of the scale."""
-        regions = regions.rescaled(scale.scale, scale.shift).restricted_to(scaled_m > 0)
-        return _measured(regions, intrinsics, self.config)
 
     def _classify(self, planes: tuple[Plane, ...], scale: ScaleEstimate,
                   down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:
@@ -288,6 +287,7 @@ def _segment_as_configured(disparity: np.ndarray, intrinsics: CameraIntrinsics,
     return segment(disparity, noise_floor, config, rng, guide)
 
 
+@one_blas_thread
 def _measured(regions: PixelRegions, intrinsics: CameraIntrinsics,
               config: Config) -> PlaneSegmentation:
     """Measure the planes that are large enough."""

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 
@@ -93,6 +94,57 @@ class Plane:
     confidence: float
 
 
+class ShapeType(IntEnum):
+    """The values of the field ``type`` of ``~/shapes``."""
+
+    SPHERE = 1
+    CYLINDER = 2
+    CONE = 3
+
+
+@dataclass(frozen=True)
+class Shape:
+    """
+    A sphere, cylinder or cone in the optical frame, seen from outside.
+
+    Attributes
+    ----------
+    type : ShapeType
+    position_m : (3,) float64
+        Centre of a sphere, middle of the seen part of a cylinder's axis, apex of a cone.
+    axis : (3,) float64
+        Unit vector, of a cone from the apex into it; zeros for a sphere.
+    radius_m : float
+        0 for a cone.
+    half_angle_rad : float
+        Between axis and surface of a cone, else 0.
+    length_m : float
+        Extent of the seen part along the axis, of a cone from the apex; 0 for a sphere.
+    inlier_count : int
+        Pixels with this shape's label.
+    rms_m : float
+        Root mean square distance of those pixels' points from the surface.
+    covariance : (D, D) float64
+        Of the fitted parameters: centre and radius (sphere, 4); the position across the axis (2),
+        the axis across itself (2, radians) and the radius (cylinder, 5); apex, axis across itself
+        and half angle (cone, 6).
+    confidence : float
+        Share, 0 to 1, of the surface around that the shape explains.
+
+    """
+
+    type: ShapeType
+    position_m: np.ndarray
+    axis: np.ndarray
+    radius_m: float
+    half_angle_rad: float
+    length_m: float
+    inlier_count: int
+    rms_m: float
+    covariance: np.ndarray
+    confidence: float
+
+
 @dataclass(frozen=True)
 class PlaneSegmentation:
     """
@@ -138,6 +190,11 @@ class Detection(PlaneSegmentation):
         What the method found and how sure it is, or why there is none.
     scale_event : str
         What changed about the scale at this picture; empty when nothing did.
+    shapes : tuple of Shape
+        Spheres, cylinders and cones, largest first; with N planes, ``labels`` are N + i where
+        shape i is.
+    shape_labels : tuple of int
+        Label of each shape, above 0 and the same from image to image; empty when not tracked.
 
     """
 
@@ -148,3 +205,5 @@ class Detection(PlaneSegmentation):
     classes: tuple[int, ...] = ()
     scale_note: str = ''
     scale_event: str = ''
+    shapes: tuple[Shape, ...] = ()
+    shape_labels: tuple[int, ...] = ()

@@ -17,7 +17,7 @@ PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
 LAYERS = (('settings', 'stage_timer', 'stopping'), ('config', 'types'), ('geometry',),
-          ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
+          ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('threads',), ('cells',), ('search',), ('regions',), ('pixels',),
@@ -76,7 +76,7 @@ def may_import(importer: str, imported: str) -> bool:
     if importer.count('.') == 0:
         return False
     (_, a, *deeper_a), (_, b, *deeper_b) = importer.split('.'), imported.split('.')
-    if a == 'planes' and b == 'segmentation':
+    if a in ('planes', 'shapes') and b == 'segmentation':
         return imported.startswith(PLANES_MAY_IMPORT)
     if a == b == 'segmentation' and deeper_a and deeper_b:
         a, b = deeper_a[0], deeper_b[0]

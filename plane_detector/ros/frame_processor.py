@@ -100,4 +100,5 @@ class FrameProcessor:
 
     def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
         if 'markers' in made:
-            self._shown = frozenset(messages.plane_labels(detection).tolist())
+            self._shown = frozenset([*messages.plane_labels(detection).tolist(),
+                                     *messages.shape_labels(detection).tolist()])

@@ -15,11 +15,12 @@ from visualization_msgs.msg import Marker, MarkerArray
 from plane_detector.drawing import label_colours
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import plane_outline
-from plane_detector.ros.outputs.messages import plane_labels
+from plane_detector.ros.outputs.messages import plane_labels, shape_labels
+from plane_detector.ros.outputs.shapes import NAMESPACE, shape_markers
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
-_NAMESPACES = ('outline', 'normal', 'caption')
+_NAMESPACES = ('outline', 'normal', 'caption', NAMESPACE)
 # Sizes as a share of the distance from the camera: they look alike near and far, and need no
 # unit where the scale is not known.
 _LINE_WIDTH, _ARROW_LENGTH, _TEXT_HEIGHT = 0.006, 0.15, 0.05
@@ -45,8 +46,8 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
 
     """
     labels = plane_labels(detection)
-    markers = [_delete(header, name, label) for label in sorted(set(shown) - set(labels.tolist()))
-               for name in _NAMESPACES]
+    gone = set(shown) - {*labels.tolist(), *shape_labels(detection).tolist()}
+    markers = [_delete(header, name, label) for label in sorted(gone) for name in _NAMESPACES]
     lifetime = Duration(seconds=lifetime_s).to_msg()
     shares = (label_colours(labels) / 255.0).tolist()
     for index, (plane, label, share) in enumerate(zip(detection.planes, labels, shares,
@@ -57,6 +58,9 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
         for marker in _plane_markers(header, plane, corners_m, caption):
             marker.id, marker.color, marker.lifetime = int(label), colour, lifetime
             markers.append(marker)
+    for marker in shape_markers(header, detection):
+        marker.lifetime = lifetime
+        markers.append(marker)
     return MarkerArray(markers=markers)
 
 

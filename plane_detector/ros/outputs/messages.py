@@ -20,6 +20,8 @@ from std_msgs.msg import Header
 
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
+FIRST_SHAPE_LABEL = 32768
+"""Labels of shapes are above this, those of planes below."""
 POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4'),
                         ('label', '<u4')])
 XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
@@ -86,9 +88,16 @@ def plane_labels(detection: Detection) -> np.ndarray:
     return np.array(numbers, np.uint32)
 
 
+def shape_labels(detection: Detection) -> np.ndarray:
+    """Return the label of each shape in the messages, (S,) uint32."""
+    numbers = detection.shape_labels or range(1, len(detection.shapes) + 1)
+    return np.array([FIRST_SHAPE_LABEL + number for number in numbers], np.uint32)
+
+
 def pixel_labels(detection: Detection) -> np.ndarray:
-    """Return the label of each pixel, (H, W) uint32, 0 for no plane."""
-    lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(detection)])
+    """Return the label of each pixel, (H, W) uint32, 0 for no plane and no shape."""
+    lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(detection),
+                             shape_labels(detection)])
     return np.take(lookup, detection.labels + 1)
 
 
@@ -114,14 +123,14 @@ def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
     channels = np.frombuffer(data, '<f4').reshape(height, width, -1)  # every field takes 4 bytes
     cv2.merge([np.ascontiguousarray(points_m), _packed_colour(rgb),
                np.ascontiguousarray(labels).view('<f4')], channels)
-    return _cloud_msg(header, POINT_DTYPE, data, height, width)
+    return cloud_msg(header, POINT_DTYPE, data, height, width)
 
 
 def obstacles_to_msg(header: Header, points_m: np.ndarray) -> PointCloud2:
     """Return points (N, 3), all valid, as an unorganised cloud with the fields x y z."""
     data = array.array('B')
     data.frombytes(np.ascontiguousarray(points_m, '<f4').data.cast('B'))
-    return _cloud_msg(header, XYZ_DTYPE, data, 1, len(points_m))
+    return cloud_msg(header, XYZ_DTYPE, data, 1, len(points_m))
 
 
 def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray,
@@ -150,7 +159,7 @@ def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray,
         row['rms'], row['area'] = plane.rms_m, plane.area_m2
         row['confidence'] = plane.confidence
     data = array.array('B', table.tobytes())
-    return _cloud_msg(header, PLANE_DTYPE, data, 1, len(planes))
+    return cloud_msg(header, PLANE_DTYPE, data, 1, len(planes))
 
 
 def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
@@ -198,8 +207,9 @@ def _packed_colour(rgb: np.ndarray) -> np.ndarray:
     return np.bitwise_and(packed, 0x00FFFFFF, out=packed).view('<f4')
 
 
-def _cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
-               width: int) -> PointCloud2:
+def cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
+              width: int) -> PointCloud2:
+    """Return a cloud whose points are rows of a structured type; the data is not copied."""
     fields = [PointField(name=name, offset=offset, count=1, datatype=_FIELD_TYPES[kind.str[1:]])
               for name, (kind, offset) in dtype.fields.items()]
     msg = PointCloud2(header=header, height=height, width=width, fields=fields,

@@ -25,6 +25,7 @@ from plane_detector.geometry.projection import depth_to_points
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.ros.outputs.shapes import shapes_to_msg
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection
 
@@ -94,7 +95,9 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
     detection = result.detection
     if not any(detection.classes) or detection.scale_method == RELATIVE:
         return None
-    is_floor = np.append([kind == PlaneClass.FLOOR for kind in detection.classes], False)
+    # The last entry serves the label -1; shapes stand on the floor.
+    is_floor = np.append([kind == PlaneClass.FLOOR for kind in detection.classes],
+                         np.zeros(len(detection.shapes) + 1, bool))
     points_m, labels = result.points_m[result.thinned], detection.labels[result.thinned]
     return messages.obstacles_to_msg(
         result.header, points_m[~is_floor[labels] & np.isfinite(points_m[..., 2])])
@@ -127,6 +130,10 @@ def _overlay(result: Result) -> Image:
     return messages.rgb_to_msg(result.header, overlay(result.rgb, result.labels))
 
 
+def _shapes(result: Result) -> PointCloud2:
+    return shapes_to_msg(result.header, result.detection)
+
+
 OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, _points),
     'points_without_floor': Output(PointCloud2, _points_without_floor),
@@ -136,4 +143,5 @@ OUTPUTS: dict[str, Output] = {
     'labels': Output(Image, _labels),
     'depth': Output(Image, _depth),
     'overlay': Output(Image, _overlay),
+    'shapes': Output(PointCloud2, _shapes),
 }

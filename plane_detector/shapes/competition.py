@@ -1,0 +1,60 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Is it one curved surface or a few small planes? Both are judged on the same pixels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from plane_detector.shapes.refinement import (
+    Pixels,
+    criterion,
+    explained_share,
+    plane_residuals,
+    shape_residuals,
+)
+from plane_detector.shapes.views import DepthView, FoundShape
+
+# A plane is a facet of a shape that explains this share of its pixels, or it stays a plane.
+_MIN_FACET_SHARE = 0.7
+_FACET_PIXELS = 300
+
+
+def instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
+    """
+    Return the shape with the planes that it takes the place of, or None if the planes win.
+
+    A plane is taken whole or not at all. The shape must explain the pixels better than the planes
+    do, by the Bayesian information criterion; pixels that nothing explains cost the same on both
+    sides.
+    """
+    window, mask = view.pixels_of_cells(found.members)
+    touched = np.unique(view.labels[window][mask & view.is_free(window, view.is_open)])
+    absorbed = found.absorbed.copy()
+    for k in touched[touched >= 0]:
+        facet = view.plane_pixels(int(k), _FACET_PIXELS)
+        absorbed[k] = explained_share(found.fit, facet) >= _MIN_FACET_SHARE
+    mask &= view.is_free(window, absorbed)
+    pixels = view.pixels(window, mask)
+    if not absorbed.any():
+        return found if len(pixels.points_m) else None
+    labels = view.labels[window][mask]
+    better = _shape_cost(found, pixels) < _plane_cost(view, pixels, labels)
+    return replace(found, absorbed=absorbed) if better else None
+
+
+def _shape_cost(found: FoundShape, pixels: Pixels) -> float:
+    return criterion(shape_residuals(found.fit, pixels), found.fit.model.freedoms,
+                     pixels.independent)
+
+
+def _plane_cost(view: DepthView, pixels: Pixels, labels: np.ndarray) -> float:
+    """Return the criterion of the planes on the pixels; without a plane they are outliers."""
+    residual = np.full(len(labels), np.inf)
+    present = np.unique(labels[labels >= 0])
+    for k in present:
+        own = labels == k
+        residual[own] = plane_residuals(view.planes[k], pixels)[own]
+    return criterion(residual, 3 * len(present), pixels.independent)

@@ -1,0 +1,142 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recipe: spheres, cylinders and cones in the pixels that belong to no plane."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from plane_detector.config import ShapesConfig
+from plane_detector.segmentation.cells.grid import CellGrid, blocks
+from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.shapes.competition import instead_of_planes
+from plane_detector.shapes.extent import open_share, seen_through_cost
+from plane_detector.shapes.labelling import label_shapes
+from plane_detector.shapes.models import MODELS, ShapeModel
+from plane_detector.shapes.refinement import FittedShape, fits_of, is_determined, plane_cost
+from plane_detector.shapes.search import (
+    Candidate,
+    agreeing,
+    best_candidates,
+    components_of,
+    connected,
+)
+from plane_detector.shapes.surfels import smooth_links, surfels_of_grid
+from plane_detector.shapes.views import DepthView, FoundShape
+from plane_detector.types import CameraIntrinsics, PlaneSegmentation, Shape, ShapeType
+
+# A plane of more than this share of the image is no facet of a curved surface.
+_MAX_FACET_SHARE = 0.06
+# derived: with fewer cells the normals do not tell shapes apart.
+_MIN_CELLS = 6
+# A shape whose surface goes on smoothly over more than this share of its border is a part of
+# something else: an ellipsoid, a curtain.
+_MAX_OPEN_SHARE = 0.3
+# A component that gives so many parts of something else is left alone.
+_MAX_FAILURES = 2
+_MAX_RADIUS_ERROR_SHARE, _MAX_ANGLE_ERROR_RAD = 0.25, np.radians(12.0)
+
+
+def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, grid: CellGrid, noise: Noise,
+                intrinsics: CameraIntrinsics, config: ShapesConfig,
+                rng: np.random.Generator) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
+    """
+    Find spheres, cylinders and cones where there is no plane, or only facets of a curved surface.
+
+    1. Cells without a plane become oriented points; those that go on smoothly are components.
+    2. In each component the best hypothesis of each kind is searched (RANSAC), fitted to its
+       pixels, and the kind with the least Bayesian information criterion is kept, unless a plane
+       explains the pixels as well.
+    3. A shape is refused if its size is not determined, or if its surface goes on across much of
+       its border.
+    4. Pieces of one shape are joined, and pixels within the noise get its label.
+
+    Parameters
+    ----------
+    depth_m : (H, W) floating
+        NaN where invalid.
+    found : PlaneSegmentation
+        The planes of this depth.
+    grid : CellGrid
+        Of 1/depth_m.
+    noise : Noise
+        That the planes were found with, 1/m.
+    intrinsics : CameraIntrinsics
+    config : ShapesConfig
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    PlaneSegmentation
+        Without the planes that turned out to be facets of a shape. With K planes left, its
+        ``labels`` are K + i where shape i is.
+    shapes : tuple of Shape
+        Largest first.
+
+    """
+    surfels = surfels_of_grid(grid, intrinsics, noise)
+    size = np.array([plane.inlier_count for plane in found.planes])
+    view = DepthView(depth_m, found.labels, found.planes, size < _MAX_FACET_SHARE * depth_m.size,
+                     noise, intrinsics, grid.shape, grid.size_px, surfels, smooth_links(surfels))
+    free = surfels.usable & (_free_share(view, grid) > 0.5)
+    models = [MODELS[ShapeType[name.upper()]] for name in config.wanted]
+    return label_shapes(view, found, list(_search(view, free, models, config, rng)), config)
+
+
+def _free_share(view: DepthView, grid: CellGrid) -> np.ndarray:
+    """Return the share (R * C,) of each cell's pixels that a shape may take."""
+    free = view.is_free(np.s_[:, :], view.is_open)
+    return blocks(free, grid.size_px, fill=0).mean(axis=(1, 3)).ravel()
+
+
+def _search(view: DepthView, free: np.ndarray, models: Sequence[ShapeModel],
+            config: ShapesConfig, rng: np.random.Generator) -> Iterator[FoundShape]:
+    """Yield shapes, component by component, until none is left in it."""
+    min_pixels = config.min_share * view.labels.size
+    component = components_of(free, view.links)
+    names, cells = np.unique(component[component >= 0], return_counts=True)
+    for name in names[cells >= _MIN_CELLS]:
+        left, failures = component == name, 0
+        while (failures < _MAX_FAILURES and left.sum() >= _MIN_CELLS
+               and view.surfels.count[left].sum() >= min_pixels):
+            found = _next_shape(view, left, models, config, rng)
+            if found is None:
+                break
+            left = left & ~found.members
+            if found.open_share <= _MAX_OPEN_SHARE:
+                yield found
+            else:
+                failures += 1
+
+
+def _next_shape(view: DepthView, left: np.ndarray, models: Sequence[ShapeModel],
+                config: ShapesConfig, rng: np.random.Generator) -> FoundShape | None:
+    """Return the shape that explains most of the cells that are left, or None."""
+    surfels, among = view.surfels, np.flatnonzero(left)
+    candidates = best_candidates(surfels, among, models, config, rng)
+    union = np.any([candidate.members for candidate in candidates] or [left & False], axis=0)
+    if union.sum() < _MIN_CELLS:
+        return None
+    fit = _best_fit(view, candidates, union)
+    if fit is None or not is_determined(fit, _MAX_RADIUS_ERROR_SHARE, _MAX_ANGLE_ERROR_RAD):
+        return None
+    agree = among[agreeing(surfels, fit.model.surface(fit.shape, surfels.points_m[among]), among)]
+    if len(agree) < _MIN_CELLS:
+        return None
+    members = connected(surfels.shape, agree, agree[np.argmax(union[agree])])
+    found = instead_of_planes(view, FoundShape(fit, members, 0.0, view.is_open & False))
+    return found and replace(found, open_share=open_share(view, found))
+
+
+def _best_fit(view: DepthView, candidates: Sequence[Candidate],
+              cells: np.ndarray) -> FittedShape | None:
+    """Return the candidate that explains the pixels of some cells best; None if a plane does."""
+    pixels = view.free_pixels(cells)
+    fits = fits_of([(one.model, one.shape) for one in candidates], pixels)
+    costs = [fit.cost + seen_through_cost(view, fit, cells) for fit in fits]
+    if min(costs, default=np.inf) >= plane_cost(pixels):
+        return None
+    return fits[int(np.argmin(costs))]

@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""From cells to pixels: pieces of one shape are joined, labelled and measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from plane_detector.config import ShapesConfig
+from plane_detector.shapes.extent import pixels_on_shape
+from plane_detector.shapes.models import AXIS, HALF_ANGLE, POSITION, RADIUS
+from plane_detector.shapes.refinement import explained_share, fit_shape
+from plane_detector.shapes.views import DepthView, FoundShape
+from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
+
+_LENGTH_QUANTILES = (0.01, 0.99)
+# Of the pixels of both pieces, what one shape must explain for them to be one.
+_MIN_JOINT_SHARE = 0.9
+
+
+def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
+                 config: ShapesConfig) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
+    """
+    Return the planes that are left, with labels (H, W) that hold the shapes above them.
+
+    Parameters
+    ----------
+    view : DepthView
+    planes : PlaneSegmentation
+    found : sequence of FoundShape
+    config : ShapesConfig
+        Bounds their size and number.
+
+    """
+    free, gone = planes.labels < 0, np.zeros(len(planes.planes), bool)
+    owner, kept = np.full(planes.labels.shape, -1, np.int32), []
+    joined = sorted(_joined(view, list(found)), key=lambda one: -one.members.sum())
+    for one in joined[:config.max_shapes]:
+        window, mask = pixels_on_shape(view, one)
+        mask &= owner[window] < 0
+        if mask.sum() >= max(config.min_share * free.size, 1):
+            owner[window][mask] = len(kept)
+            gone |= one.absorbed
+            kept.append(_measured(view, one, window, mask))
+    labels, left = remove_planes(planes.labels, planes.planes, gone)
+    labels = np.where(owner >= 0, owner + len(left), labels).astype(np.int32)
+    return replace(planes, planes=left, labels=labels), tuple(kept)
+
+
+def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
+                  gone: np.ndarray) -> tuple[np.ndarray, tuple[Plane, ...]]:
+    """Return labels (H, W) and planes without those that are gone (K,) bool."""
+    if not gone.any():
+        return labels, planes
+    number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1)
+    return number[labels], tuple(p for p, g in zip(planes, gone, strict=True) if not g)
+
+
+def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
+    """Join pieces of one shape, which a plane or something nearer cuts apart."""
+    for k, one in enumerate(found):
+        for other in found[k + 1:]:
+            if one.fit.model is other.fit.model and (both := _as_one(view, one, other)):
+                rest = [piece for piece in found if piece is not one and piece is not other]
+                return _joined(view, [*rest, both])
+    return found
+
+
+def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape | None:
+    """Return the shape that explains both, if there is one."""
+    large, small = sorted((one, other), key=lambda piece: -piece.members.sum())
+    if explained_share(large.fit, view.free_pixels(small.members)) < _MIN_JOINT_SHARE / 2:
+        return None
+    members = one.members | other.members
+    pixels = view.free_pixels(members)
+    fit = fit_shape(large.fit.model, large.fit.shape, pixels)
+    if fit is None or explained_share(fit, pixels) < _MIN_JOINT_SHARE:
+        return None
+    return FoundShape(fit, members, max(one.open_share, other.open_share),
+                      one.absorbed | other.absorbed)
+
+
+def _measured(view: DepthView, found: FoundShape, window: tuple[slice, slice],
+              mask: np.ndarray) -> Shape:
+    """Return the result for a shape with its pixels (h, w) of a window."""
+    fit, pixels = found.fit, view.pixels(window, mask)
+    surface = fit.model.surface(fit.shape, pixels.points_m)
+    low_m, high_m = (float(end) for end in np.quantile(surface.along_m, _LENGTH_QUANTILES))
+    share = explained_share(fit, view.free_pixels(found.members))
+    shape = Shape(
+        fit.model.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),
+        float(fit.shape[HALF_ANGLE]), 0.0, len(pixels.points_m),
+        float(np.sqrt(np.mean(surface.distance_m**2))), fit.covariance,
+        (1 - found.open_share) * share)
+    if fit.model.type == ShapeType.CYLINDER:
+        middle_m = shape.position_m + (low_m + high_m) / 2 * shape.axis
+        return replace(shape, position_m=middle_m, length_m=high_m - low_m)
+    return replace(shape, length_m=high_m) if fit.model.type == ShapeType.CONE else shape

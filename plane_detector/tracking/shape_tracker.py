@@ -1,0 +1,113 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The same sphere, cylinder or cone keeps its label from image to image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from plane_detector.tracking.matching import measure_overlap
+from plane_detector.types import Shape
+
+# Shapes are small and move far for their size: sharing little of the image is enough, but a shape
+# that has moved by less than its own size since is as good.
+_MIN_SCORE = 0.2
+_ROWS = 240
+# A size that differs by this share is another shape.
+_MAX_SIZE_CHANGE = 0.5
+
+
+@dataclass(frozen=True)
+class ShapeTrack:
+    """
+    A shape that has been seen.
+
+    Attributes
+    ----------
+    label : int
+        Above 0.
+    shape : Shape
+        As it was seen last.
+    pixels : (M,) int
+        Indices into the thinned image where it was seen last.
+    missed : int
+        Images since.
+
+    """
+
+    label: int
+    shape: Shape
+    pixels: np.ndarray
+    missed: int = 0
+
+
+def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], labels: np.ndarray,
+                        first_label: int, keep_frames: int
+                        ) -> tuple[tuple[ShapeTrack, ...], tuple[int, ...]]:
+    """
+    Match the shapes of an image with the known ones.
+
+    Parameters
+    ----------
+    tracks : sequence of ShapeTrack
+        Known shapes.
+    shapes : sequence of Shape
+        Of the next image.
+    labels : (H, W) int32
+        ``first_label`` + i where shape i is.
+    first_label : int
+    keep_frames : int
+        A shape that is not found keeps its label for so many images.
+
+    Returns
+    -------
+    known : tuple of ShapeTrack
+        What is known now.
+    labels : tuple of int
+        Label of each shape, above 0, no label twice.
+
+    """
+    step = max(1, min(labels.shape) // _ROWS)
+    thinned = labels[::step, ::step].ravel()
+    pixels = [np.flatnonzero(thinned == first_label + k) for k in range(len(shapes))]
+    match = _match(tracks, shapes, pixels)
+    kept = {index for _, index in match.items()}
+    gone = [ShapeTrack(track.label, track.shape, track.pixels, track.missed + 1)
+            for index, track in enumerate(tracks)
+            if index not in kept and track.missed < keep_frames]
+    taken = {track.label for track in gone} | {tracks[index].label for index in kept}
+    free = (label for label in count(1) if label not in taken)
+    seen = [ShapeTrack(tracks[match[k]].label if k in match else next(free), shape, pixels[k])
+            for k, shape in enumerate(shapes)]
+    return (*seen, *gone), tuple(track.label for track in seen)
+
+
+def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
+           pixels: Sequence[np.ndarray]) -> dict[int, int]:
+    """Return the track of each shape; shapes without one are left out."""
+    if not tracks or not shapes:
+        return {}
+    overlap = measure_overlap([track.pixels for track in tracks], pixels).of_union
+    score = np.array([[max(overlap[t, k], _nearness(track.shape, shape))
+                       if _are_alike(track.shape, shape) else 0.0
+                       for k, shape in enumerate(shapes)] for t, track in enumerate(tracks)])
+    rows, columns = linear_sum_assignment(score, maximize=True)
+    return {int(k): int(t) for t, k in zip(rows, columns, strict=True) if score[t, k] > _MIN_SCORE}
+
+
+def _are_alike(before: Shape, after: Shape) -> bool:
+    """Say whether two shapes are of one type and about one size."""
+    sizes = [(before.radius_m, after.radius_m), (before.half_angle_rad, after.half_angle_rad)]
+    return before.type == after.type and all(
+        abs(a - b) <= _MAX_SIZE_CHANGE * max(a, b) for a, b in sizes)
+
+
+def _nearness(before: Shape, after: Shape) -> float:
+    """Return 1 at the same place, less the farther apart for their size."""
+    size_m = max(before.radius_m, before.length_m / 2, 1e-6)
+    return float(np.exp(-np.sum((before.position_m - after.position_m) ** 2) / size_m**2))

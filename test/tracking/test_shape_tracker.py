@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Labels of shapes from image to image."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.tracking.shape_tracker import update_shape_tracks
+from plane_detector.types import Shape, ShapeType
+
+SHAPE = (60, 80)
+
+
+def ball(x_m, radius_m=0.2, kind=ShapeType.SPHERE):
+    return Shape(kind, np.array([x_m, 0.0, 2.0]), np.zeros(3), radius_m, 0.0, 0.0, 100, 0.001,
+                 np.eye(4), 0.9)
+
+
+def labels_at(*columns):
+    labels = np.full(SHAPE, -1, np.int32)
+    for k, column in enumerate(columns):
+        labels[20:30, column:column + 10] = 3 + k
+    return labels
+
+
+def run(*images, keep_frames=5):
+    tracks, names = (), []
+    for shapes, labels in images:
+        tracks, found = update_shape_tracks(tracks, shapes, labels, 3, keep_frames)
+        names.append(found)
+    return names
+
+
+def test_labels_follow_the_shapes_when_their_order_changes():
+    names = run(((ball(0.0), ball(1.0)), labels_at(10, 50)),
+                ((ball(1.02), ball(0.02)), labels_at(51, 11)))
+    assert names == [(1, 2), (2, 1)]
+
+
+def test_a_missed_shape_gets_its_label_back_and_others_do_not_take_it():
+    names = run(((ball(0.0),), labels_at(10)), ((), labels_at()),
+                ((ball(1.5),), labels_at(60)), ((ball(0.0), ball(1.5)), labels_at(10, 60)))
+    assert names == [(1,), (), (2,), (1, 2)]
+
+
+def test_a_label_is_free_again_after_it_was_kept():
+    names = run(((ball(0.0),), labels_at(10)), ((), labels_at()), ((), labels_at()),
+                ((ball(1.5),), labels_at(60)), keep_frames=1)
+    assert names[-1] == (1,)
+
+
+def test_another_type_or_size_at_the_same_place_is_another_shape():
+    for other in (ball(0.0, kind=ShapeType.CYLINDER), ball(0.0, radius_m=0.5)):
+        assert run(((ball(0.0),), labels_at(10)), ((other,), labels_at(10))) == [(1,), (2,)]
