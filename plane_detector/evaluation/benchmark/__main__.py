@@ -30,6 +30,8 @@ COMMANDS = {
     'depth': ('benchmark.depth_network', 'time of the depth network'),
     'flicker': ('benchmark.flicker', 'the temporal filter of the depth'),
     'node': ('benchmark.node', 'the node as a process, over DDS'),
+    'nyu': ('benchmark.nyu', 'NYU Depth V2, ours and the methods of the paper'),
+    'labels': ('benchmark.labels', 'label images of any method, scored like ours'),
     'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
     'export': ('export_depth_anything', 'write a depth network with random weights'),
 }
@@ -69,6 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         module.run(options)
     except (ValueError, OSError, ImportError, RuntimeError) as error:
         sys.exit(f'{PROGRAM} {name}: {error}')
+    except KeyboardInterrupt:
+        print(f'{PROGRAM} {name}: interrupted', file=sys.stderr)
+        sys.exit(130)  # 128 + SIGINT, as shells have it
 
 
 if __name__ == '__main__':

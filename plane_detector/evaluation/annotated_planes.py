@@ -1,0 +1,68 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+True planes of a real frame: people drew the instances, the sensor says which parts are flat.
+
+In each annotated instance the plane that most of the sensor's points are near is taken, then the
+next, until what is left is small. Nothing here uses the detector. An instance seen in several
+pieces, like a wall behind furniture, stays one plane; two instances are never joined.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.geometry.projection import depth_to_points
+from plane_detector.tools.demo.sensor_comparison import TOLERANCE_M, TOLERANCE_SHARE, best_plane
+from plane_detector.types import CameraIntrinsics
+
+MIN_PIXELS = 1500
+# assumed, not tuned, as no annotated frame was at hand: a smaller share of an instance is rather
+# a strip of something curved, within the tolerance by chance.
+MIN_INSTANCE_SHARE = 0.2
+MAX_PLANES = 6
+
+
+def annotated_planes(segments: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                     rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Find the planes of each annotated instance.
+
+    Parameters
+    ----------
+    segments : (H, W) int
+        Instance of each pixel, 0 none.
+    depth_m : (H, W) floating
+        Of the sensor, NaN where it measured nothing.
+    intrinsics : CameraIntrinsics
+    rng : numpy.random.Generator
+        Draws the hypotheses.
+
+    Returns
+    -------
+    labels : (H, W) int32
+        Index into the planes, -1 none.
+    planes : (K, 4) float64
+        Unit normal towards the camera and offset in metres.
+
+    """
+    points_m = depth_to_points(depth_m, intrinsics)
+    seen = np.isfinite(points_m[..., 2])
+    labels = np.full(segments.shape, -1, np.int32)
+    planes: list[np.ndarray] = []
+    for instance in range(1, int(segments.max(initial=0)) + 1):
+        rows, columns = np.nonzero(seen & (segments == instance))
+        least = max(MIN_PIXELS, MIN_INSTANCE_SHARE * len(rows))
+        for _ in range(MAX_PLANES):
+            if len(rows) < least:
+                break
+            there_m = points_m[rows, columns].astype(np.float64)
+            plane = best_plane(there_m, rng)
+            near = np.abs(there_m @ plane[:3] + plane[3]) <= np.maximum(
+                TOLERANCE_M, TOLERANCE_SHARE * there_m[:, 2])
+            if np.count_nonzero(near) < least:
+                break
+            labels[rows[near], columns[near]] = len(planes)
+            planes.append(plane)
+            rows, columns = rows[~near], columns[~near]
+    return labels, np.array(planes).reshape(-1, 4)

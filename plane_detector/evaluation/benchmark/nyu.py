@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Planes of NYU Depth V2: ours, the paper's method, RANSAC alone and findPlanes.
+
+Each is given the depth of the sensor and of the network. OUTPUT/frames.jsonl keeps a line for each
+finished frame, so that an interrupted run continues where it stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import os
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.label_scores import Numbers, summary
+from plane_detector.evaluation.benchmark.nyu_figure import write_figures
+from plane_detector.evaluation.benchmark.nyu_frames import (
+    ANNOTATIONS,
+    METHODS,
+    FrameResult,
+    Task,
+    evaluate,
+    opened,
+)
+from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.provenance import commit
+from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.nyu_depth import DEPTHS, read_split
+
+NO_MODEL = 'none'
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_nyu(parser)
+    parser.add_argument('file', type=Path, help='nyu_depth_v2_labeled.mat')
+    parser.add_argument('--methods', type=_methods, default=tuple(METHODS), metavar='NAME,...',
+                        help=f'some of {", ".join(METHODS)}; default all')
+    parser.add_argument('--model', default='auto',
+                        help=f'depth network, as depth.model; {NO_MODEL}: sensor only')
+    parser.add_argument('--outside', type=named_folder, action='append', default=[],
+                        metavar='NAME=FOLDER', help='label images of another method')
+    parser.add_argument('--figure', type=_frame_numbers, default=(), metavar='1,5,9',
+                        help='frames to draw as in Figure 2 of the paper')
+    parser.add_argument('--write-labels', action='store_true',
+                        help='write the labels and planes of every method to OUTPUT/labels')
+    parser.add_argument('--restart', action='store_true', help='forget an earlier run')
+    parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
+    parser.add_argument('--output', type=Path, default=Path('benchmark_output/nyu'))
+
+
+def add_nyu(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say which frames count and what is true there."""
+    parser.add_argument('--split', type=Path, help='splits.mat, or a text file of frame numbers')
+    parser.add_argument('--part', choices=('test', 'train'), default='test',
+                        help='of splits.mat')
+    parser.add_argument('--depth', choices=DEPTHS, default='raw')
+    parser.add_argument('--truth', default=ANNOTATIONS,
+                        help='annotations: flat parts of annotated instances; sensor: our planes '
+                             'in the sensor\'s depth; or a folder of label images')
+    parser.add_argument('--worst', type=shared.at_least_one, default=5,
+                        help='frames to name for each method')
+
+
+def _methods(text: str) -> tuple[str, ...]:
+    wanted = tuple(text.split(','))
+    if not set(wanted) <= set(METHODS):
+        raise argparse.ArgumentTypeError(f'{text}: there are {", ".join(METHODS)}')
+    return wanted
+
+
+def _frame_numbers(text: str) -> tuple[int, ...]:
+    return tuple(int(number) for number in text.split(','))
+
+
+def named_folder(text: str) -> tuple[str, Path]:
+    """Split NAME=FOLDER."""
+    name, _, folder = text.partition('=')
+    if not (name and folder):
+        raise argparse.ArgumentTypeError(f'{text} must be NAME=FOLDER')
+    return name, Path(folder).resolve()
+
+
+def run(options: argparse.Namespace) -> None:
+    """Evaluate the frames that are not finished, print the tables, draw the figure."""
+    output = options.output
+    write_to = (output / 'labels').resolve() if options.write_labels else None
+    task = Task(options.file.resolve(), options.depth, resolved(options.truth), options.methods,
+                '' if options.model == NO_MODEL else options.model, tuple(options.outside),
+                write_to)
+    numbers = chosen_frames(task.path, options.split, options.part)
+    results = evaluate_all(task, numbers, output / 'frames.jsonl', options.processes,
+                           options.restart)
+    for name in task.methods:
+        if METHODS[name]().absent:
+            emit(f'{name}: absent, {METHODS[name]().absent}.')
+    report(f'NYU Depth V2, {len(results)} frames, {task.depth} depth, truth: {options.truth}',
+           results, options.worst)
+    for path in write_figures(task, options.figure, output):
+        emit(f'Figure: `{path}`')
+
+
+def resolved(truth: str) -> str:
+    """Return a truth that is a folder as an absolute path, so that all processes find it."""
+    return str(Path(truth).resolve()) if Path(truth).is_dir() else truth
+
+
+def chosen_frames(path: Path, split: Path | None, part: str) -> Sequence[int]:
+    """Return the numbers of a split, all frames without one."""
+    count = len(opened(path))
+    numbers = read_split(split, part) if split else range(1, count + 1)
+    if not 1 <= min(numbers) <= max(numbers) <= count:
+        raise ValueError(f'{split} names frames that {path} does not have; it has {count}')
+    return numbers
+
+
+def evaluate_all(task: Task, numbers: Iterable[int], journal: Path, processes: int,
+                 restart: bool) -> list[FrameResult]:
+    """
+    Evaluate frames; those that the journal holds are taken from it.
+
+    Raises
+    ------
+    ValueError
+        The journal is of a run with other settings.
+
+    """
+    numbers = list(numbers)
+    finished = {} if restart else read_journal(journal, task)
+    journal.parent.mkdir(parents=True, exist_ok=True)
+    waiting = [number for number in numbers if number not in finished]
+    # Written anew, so that half a line of an interrupted run goes.
+    with journal.open('w', encoding='utf-8') as file, mapping(processes) as apply:
+        _write(file, settings_of(task))
+        for result in finished.values():
+            _write(file, asdict(result))
+        results = apply(functools.partial(evaluate, task), waiting)
+        for result in tqdm(results, 'frames', total=len(numbers),
+                           initial=len(numbers) - len(waiting)):
+            finished[result.number] = result
+            _write(file, asdict(result))
+    return [finished[number] for number in numbers]
+
+
+def settings_of(task: Task) -> dict[str, object]:
+    """Return what two runs must have in common for one to go on with the other's frames."""
+    return {'file': task.path.name, 'bytes': task.path.stat().st_size, 'depth': task.depth,
+            'truth': task.truth, 'methods': list(task.methods), 'model': task.model,
+            'outside': [[name, str(folder)] for name, folder in task.outside],
+            'written': str(task.write_to), 'commit': commit()}
+
+
+def read_journal(path: Path, task: Task) -> dict[int, FrameResult]:
+    """Return the finished frames of an earlier run with the same settings."""
+    if not path.is_file():
+        return {}
+    first, *lines = path.read_text(encoding='utf-8').split('\n')
+    wanted, settings = settings_of(task), _parsed(first)
+    if settings is None:
+        return {}
+    changed = [name for name in wanted if settings.get(name) != wanted[name]]
+    if changed:
+        raise ValueError(f'{path} is of a run with another {", ".join(changed)}: choose another '
+                         '--output, or --restart')
+    # The last line ends where the run was interrupted.
+    results = [FrameResult(**parsed) for parsed in map(_parsed, lines) if parsed]
+    return {result.number: result for result in results}
+
+
+def _parsed(line: str) -> dict | None:
+    try:
+        return json.loads(line)
+    except json.JSONDecodeError:
+        return None
+
+
+def _write(file, content: dict) -> None:
+    file.write(json.dumps(content) + '\n')
+    file.flush()
+
+
+def report(title: str, results: Sequence[FrameResult], worst: int) -> None:
+    """Print all tables."""
+    rows = by_row(results)
+    emit(f'### {title}', *summary(rows, worst))
+    cpu_ms = {name: [result.cpu_ms[name] for result in results
+                     if np.isfinite(result.cpu_ms.get(name, np.nan))] for name in rows}
+    times = [[name, f'{np.median(taken):.1f}', f'{np.max(taken):.1f}']
+             for name, taken in cpu_ms.items() if taken]
+    if times:
+        emit(table(('method', 'CPU ms, median', 'worst'), times))
+
+
+def by_row(results: Sequence[FrameResult]) -> dict[str, dict[int, Numbers]]:
+    """Return the metrics by name of the row, then by frame."""
+    rows: dict[str, dict[int, Numbers]] = {}
+    for result in results:
+        for name, numbers in result.rows.items():
+            rows.setdefault(name, {})[result.number] = numbers
+    return rows

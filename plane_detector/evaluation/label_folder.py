@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Planes of any method as files: a label image for each frame, with or without the planes.
+
+A label image is a PNG of 8 or 16 bits: 0 no plane, any other value a plane. The last number in
+its name is the frame's. Tables of planes are CSV files in the same folder with the columns of
+COLUMNS: a plane is normal . p + d = 0 in metres, p in the optical frame (x right, y down, z
+forward), and ``label`` is the value in the image.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+COLUMNS = ('frame', 'label', 'normal_x', 'normal_y', 'normal_z', 'd')
+
+PlaneTable = Mapping[tuple[int, int], np.ndarray]
+"""Unit normal and offset (4,) by frame and label."""
+
+
+def label_files(folder: Path) -> dict[int, Path]:
+    """
+    Return the label images of a folder by frame number.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such folder, or no PNG file in it.
+    ValueError
+        A name has no number, or two have the same.
+
+    """
+    paths = sorted(folder.glob('*.png')) if folder.is_dir() else []
+    if not paths:
+        raise FileNotFoundError(f'there is no folder {folder} with label images (PNG)')
+    found: dict[int, Path] = {}
+    for path in paths:
+        numbers = re.findall(r'\d+', path.stem)
+        if not numbers:
+            raise ValueError(f'the name of {path} has no frame number')
+        if int(numbers[-1]) in found:
+            raise ValueError(f'{path} and {found[int(numbers[-1])]} have the same frame number')
+        found[int(numbers[-1])] = path
+    return found
+
+
+def read_labels(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """
+    Read a label image.
+
+    Parameters
+    ----------
+    path : Path
+    shape : (int, int)
+        Height and width that are wanted. An image of another size but the same shape is resized
+        to it, each pixel taking the nearest label.
+
+    Returns
+    -------
+    (H, W) int32
+        Values as in the file.
+
+    Raises
+    ------
+    ValueError
+        It cannot be read, has colours, or is of another shape.
+
+    """
+    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if values is None or values.ndim != 2 or values.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f'{path} must be a PNG of one channel with 8 or 16 bits')
+    height, width = shape
+    # Half a pixel of the smaller image is not another shape.
+    if abs(values.shape[1] * height - values.shape[0] * width) > max(height, width) / 2:
+        raise ValueError(f'{path} is {values.shape[1]} x {values.shape[0]}; it must have the '
+                         f'shape of {width} x {height}')
+    return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
+
+
+def read_plane_table(folder: Path) -> dict[tuple[int, int], np.ndarray]:
+    """
+    Read all tables of planes in a folder; without any the result is empty.
+
+    Raises
+    ------
+    ValueError
+        A column is missing, a value is not a number, or a normal has no length.
+
+    """
+    planes: dict[tuple[int, int], np.ndarray] = {}
+    for path in sorted(folder.glob('*.csv')):
+        with path.open(newline='', encoding='utf-8') as file:
+            for row in csv.DictReader(file):
+                try:
+                    plane = np.array([float(row[name]) for name in COLUMNS[2:]])
+                    key = int(row['frame']), int(row['label'])
+                except (KeyError, TypeError, ValueError) as error:
+                    raise ValueError(f'{path}: every line must have numbers in the columns '
+                                     f'{", ".join(COLUMNS)} ({error})') from error
+                length = np.linalg.norm(plane[:3])
+                if not (np.isfinite(plane).all() and length > 0):
+                    raise ValueError(f'{path}: the plane of frame {key[0]}, label {key[1]} is '
+                                     'none')
+                planes[key] = plane / length * (-1 if plane[3] < 0 else 1)
+    return planes
+
+
+def planes_of_frame(table: PlaneTable, frame: int, values: np.ndarray) -> np.ndarray:
+    """
+    Return the planes of the labels ``values`` (K,) of a frame, (K, 4).
+
+    Raises
+    ------
+    ValueError
+        The table lacks one.
+
+    """
+    missing = [int(value) for value in values if (frame, int(value)) not in table]
+    if missing:
+        raise ValueError(f'frame {frame}: the CSV has no plane for the labels {missing}')
+    return np.array([table[frame, int(value)] for value in values]).reshape(-1, 4)
+
+
+def write_labels(folder: Path, frame: int, labels: np.ndarray, planes: np.ndarray) -> None:
+    """
+    Write a label image and its planes.
+
+    Parameters
+    ----------
+    folder : Path
+        Made where it is missing.
+    frame : int
+    labels : (H, W) int
+        Index into ``planes``, -1 none.
+    planes : (K, 4) float
+        Unit normal and offset in metres.
+
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f'{frame:05}.png'
+    if not cv2.imwrite(str(path), (labels + 1).astype(np.uint16)):
+        raise OSError(f'{path} cannot be written')
+    with path.with_suffix('.csv').open('w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for k, plane in enumerate(planes.tolist()):
+            writer.writerow([frame, k + 1, *map(repr, plane)])

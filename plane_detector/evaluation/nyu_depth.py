@@ -1,0 +1,191 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+NYU Depth V2, the labelled part: ``nyu_depth_v2_labeled.mat``, read frame by frame.
+
+The file is MATLAB 7.3, which is HDF5; MATLAB's H x W x 3 x N is N x 3 x W x H there. Frames are
+counted from 1, as in the split file. Needs h5py.
+
+References
+----------
+N. Silberman, D. Hoiem, P. Kohli, R. Fergus: Indoor Segmentation and Support Inference from RGBD
+Images, ECCV 2012; calibration and border from the toolbox that comes with the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from plane_detector.types import CameraIntrinsics
+
+# The toolbox counts pixels from 1, CameraIntrinsics from 0.
+INTRINSICS = CameraIntrinsics(518.85790117450188, 519.46961112127485, 325.58244941119034 - 1,
+                              253.73616633400465 - 1, 640, 480)
+# Where both cameras see, rows and columns; outside the images are white.
+ROWS, COLUMNS = slice(44, 471), slice(40, 601)
+# The toolbox clamps what is farther.
+MAX_DEPTH_M = 10.0
+DEPTHS = {'raw': 'rawDepths', 'filled': 'depths'}
+_SPLITS = {'test': 'testNdxs', 'train': 'trainNdxs'}
+_MISSING = ('reading MATLAB 7.3 files needs h5py: pip install h5py, or the extra '
+            'plane_detector[benchmark]')
+
+
+@dataclass(frozen=True)
+class NyuFrame:
+    """
+    A frame without its border.
+
+    Attributes
+    ----------
+    number : int
+        From 1.
+    rgb : (H, W, 3) uint8
+    depth_m : (H, W) float32
+        NaN where there is none.
+    segments : (H, W) int32
+        A number for each annotated instance, 0 for pixels without annotation.
+    intrinsics : CameraIntrinsics
+
+    """
+
+    number: int
+    rgb: np.ndarray
+    depth_m: np.ndarray
+    segments: np.ndarray
+    intrinsics: CameraIntrinsics
+
+
+class NyuDepth:
+    """
+    The opened file.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    ImportError
+        h5py is not installed.
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        It is not HDF5, or data sets are missing in it.
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        h5py = _h5py()
+        if not path.is_file():
+            raise FileNotFoundError(f'there is no file {path}; nyu_depth_v2_labeled.mat is on the '
+                                    'page of NYU Depth V2')
+        try:
+            self._file = h5py.File(path, 'r')
+        except OSError as error:
+            raise ValueError(f'{path} is not a MATLAB 7.3 (HDF5) file: {error}') from error
+        missing = [name for name in ('images', *DEPTHS.values()) if name not in self._file]
+        if missing:
+            raise ValueError(f'{path} has no data set {", ".join(missing)}')
+        self.has_annotations = all(name in self._file for name in ('labels', 'instances'))
+
+    def __len__(self) -> int:
+        return self._file['images'].shape[0]
+
+    def frame(self, number: int, depth: str = 'raw') -> NyuFrame:
+        """
+        Read a frame.
+
+        Parameters
+        ----------
+        number : int
+            From 1.
+        depth : str
+            ``raw``, as the sensor gave it, or ``filled``.
+
+        Raises
+        ------
+        ValueError
+            There is no such frame or depth.
+
+        """
+        if not 1 <= number <= len(self):
+            raise ValueError(f'there is no frame {number}; there are 1 to {len(self)}')
+        if depth not in DEPTHS:
+            raise ValueError(f'depth must be one of {", ".join(DEPTHS)}, not {depth}')
+        depth_m = self._read(DEPTHS[depth], number).astype(np.float32)
+        depth_m[~((depth_m > 0) & (depth_m < MAX_DEPTH_M))] = np.nan
+        segments = np.zeros(depth_m.shape, np.int32)
+        if self.has_annotations:
+            category, instance = (self._read(name, number).astype(np.int64)
+                                  for name in ('labels', 'instances'))
+            known = category > 0
+            segments[known] = 1 + np.unique((category * 1000 + instance)[known],
+                                            return_inverse=True)[1]
+        return NyuFrame(number, self._read('images', number), depth_m, segments,
+                        without_border(INTRINSICS))
+
+    def _read(self, name: str, number: int) -> np.ndarray:
+        """Return an image without its border: (H, W) or (H, W, 3)."""
+        return np.ascontiguousarray(self._file[name][number - 1].T[ROWS, COLUMNS])
+
+
+def without_border(intrinsics: CameraIntrinsics) -> CameraIntrinsics:
+    """Return the intrinsics of the image without its white border."""
+    return CameraIntrinsics(intrinsics.fx, intrinsics.fy, intrinsics.cx - COLUMNS.start,
+                            intrinsics.cy - ROWS.start, COLUMNS.stop - COLUMNS.start,
+                            ROWS.stop - ROWS.start)
+
+
+def read_split(path: Path, part: str = 'test') -> tuple[int, ...]:
+    """
+    Return the numbers of the frames of a split.
+
+    Parameters
+    ----------
+    path : Path
+        The split's own .mat (testNdxs, trainNdxs), or a text file of numbers from 1.
+    part : str
+        ``test`` or ``train``; a text file has one part only.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    ValueError
+        It holds no numbers.
+
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f'there is no file {path}')
+    try:
+        if path.suffix == '.mat':
+            numbers = np.ravel(_split_of_matlab(path, _SPLITS[part])).astype(int)
+        else:
+            numbers = np.array(path.read_text().replace(',', ' ').split(), int)
+    except (KeyError, ValueError) as error:
+        raise ValueError(f'{path} is not a list of frame numbers: {error}') from error
+    if not numbers.size:
+        raise ValueError(f'{path} is empty')
+    return tuple(numbers.tolist())
+
+
+def _split_of_matlab(path: Path, name: str) -> np.ndarray:
+    from scipy.io import loadmat
+    try:
+        return loadmat(path, variable_names=[name])[name]
+    except NotImplementedError:  # MATLAB 7.3
+        with _h5py().File(path, 'r') as file:
+            return file[name][()]
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError as error:
+        raise ImportError(_MISSING) from error
+    return h5py

@@ -1,0 +1,196 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The program on NYU Depth V2 and on label folders, on a file made of rendered rooms."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from nyu_files import nyu_room, write_nyu
+
+from plane_detector.evaluation.benchmark import nyu, nyu_frames
+from plane_detector.evaluation.benchmark.__main__ import main
+from plane_detector.evaluation.benchmark.label_scores import mean, numbers_of, pooled
+from plane_detector.evaluation.benchmark.nyu_frames import Task, evaluate, opened, true_planes
+from plane_detector.evaluation.nyu_depth import COLUMNS, ROWS
+
+pytest.importorskip('h5py', reason='the extra plane_detector[benchmark] is missing')
+SEEDS = (9000, 9001, 9002)
+OURS = 'plane_detector, sensor'
+
+
+@pytest.fixture(scope='module')
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp('nyu') / 'nyu_depth_v2_labeled.mat'
+    write_nyu(path, SEEDS)
+    return path
+
+
+@pytest.fixture
+def run(capsys):
+    def run(*arguments):
+        main([str(argument) for argument in arguments])
+        return capsys.readouterr().out
+    return run
+
+
+def rows(printed, name):
+    return [[cell.strip() for cell in line.strip('| ').split(' | ')[1:]]
+            for line in printed.splitlines() if line.startswith(f'| {name} |')]
+
+
+def test_all_tables_are_printed_for_every_method(file, run, tmp_path):
+    text = run('nyu', file, '--model', 'none', '--methods', 'ours,opencv', '--processes', 1,
+               '--output', tmp_path / 'out')
+    assert '### NYU Depth V2, 3 frames, raw depth, truth: annotations' in text
+    (frames, covering, *_), recalls, worst, times = rows(text, OURS)
+    assert frames == '3'
+    assert float(covering) > 0.95
+    assert len(recalls) == 8
+    assert float(recalls[0].split(' / ')[1]) > 90
+    assert len(worst[0].split(', ')) == 3
+    assert float(times[0]) > 0
+    assert len(rows(text, 'OpenCV findPlanes, 3 cm, sensor')) == 4
+
+
+def test_the_split_chooses_the_frames(file, run, tmp_path):
+    (tmp_path / 'frames.txt').write_text('3 1')
+    arguments = ('nyu', file, '--model', 'none', '--methods', 'ours', '--processes', 1,
+                 '--output', tmp_path / 'out', '--split')
+    text = run(*arguments, tmp_path / 'frames.txt')
+    assert '2 frames' in text
+    assert '(2)' not in rows(text, OURS)[0][2]
+    (tmp_path / 'frames.txt').write_text('4')
+    with pytest.raises(SystemExit, match='it has 3'):
+        run(*arguments, tmp_path / 'frames.txt')
+
+
+def test_an_interrupted_run_goes_on_where_it_was(file, tmp_path, monkeypatch):
+    task, journal = Task(file, methods=('ours',)), tmp_path / 'frames.jsonl'
+    whole = nyu.evaluate_all(task, (1, 2, 3), tmp_path / 'whole.jsonl', 1, False)
+
+    def interrupted(task, number):
+        if number == 3:
+            raise KeyboardInterrupt
+        return evaluate(task, number)
+    monkeypatch.setattr(nyu, 'evaluate', interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        nyu.evaluate_all(task, (1, 2, 3), journal, 1, False)
+    with journal.open('a') as file_:
+        file_.write('{"number": 3, "rows": {"plane')
+    asked = []
+    monkeypatch.setattr(nyu, 'evaluate', lambda task, number: (
+        asked.append(number), evaluate(task, number))[1])
+    resumed = nyu.evaluate_all(task, (1, 2, 3), journal, 1, False)
+    assert asked == [3]
+    assert [one.number for one in resumed] == [1, 2, 3]
+    assert [one.rows for one in resumed] == [one.rows for one in whole]
+    assert [json.loads(line).get('number') for line in journal.read_text().splitlines()] == [
+        None, 1, 2, 3]
+
+
+def test_a_journal_of_other_settings_is_refused_or_forgotten(file, tmp_path, monkeypatch):
+    monkeypatch.setattr(nyu, 'evaluate', lambda task, number: nyu.FrameResult(number, {}, {}))
+    journal = tmp_path / 'frames.jsonl'
+    nyu.evaluate_all(Task(file), (1,), journal, 1, False)
+    other = Task(file, depth='filled', methods=('ours',))
+    with pytest.raises(ValueError, match='another depth, methods'):
+        nyu.evaluate_all(other, (2,), journal, 1, False)
+    assert [one.number for one in nyu.evaluate_all(other, (2,), journal, 1, True)] == [2]
+
+
+def test_a_label_folder_is_scored_like_the_method_that_wrote_it(file, run, tmp_path):
+    written = run('nyu', file, '--model', 'none', '--methods', 'ours,opencv', '--processes', 1,
+                  '--output', tmp_path, '--write-labels')
+    text = run('labels', f'a={tmp_path}/labels/plane_detector_sensor',
+               f'b={tmp_path}/labels/OpenCV_findPlanes_3_cm_sensor', '--nyu', file,
+               '--processes', 1)
+    assert rows(text, 'a') == rows(written, OURS)[:3]
+    assert rows(text, 'b') == rows(written, 'OpenCV findPlanes, 3 cm, sensor')[:3]
+    folder = tmp_path / 'labels' / 'plane_detector_sensor'
+    inside, outside = (evaluate(task, 2).rows[name] for task, name in (
+        (Task(file, methods=('ours',)), OURS), (Task(file, methods=(), outside=(('a', folder),)),
+                                                'a')))
+    assert inside == outside, 'to the last bit'
+
+
+def test_without_planes_a_folder_is_fitted_to_the_sensor_and_that_is_said(file, run, tmp_path):
+    scene = nyu_room(SEEDS[0])
+    cv2.imwrite(str(tmp_path / 'frame1.png'), (scene.labels + 1).astype(np.uint16))
+    text = run('labels', tmp_path, '--nyu', file, '--depth', 'filled', '--processes', 1)
+    (frames, covering, *_, normal_deg, offset_cm), *_ = rows(text, tmp_path.name)
+    assert frames == '1'
+    assert float(covering) > 0.99
+    assert float(normal_deg) < 0.01 and float(offset_cm) < 0.1
+    assert 'flatter' in text
+
+
+@pytest.mark.parametrize('cut', [False, True])
+def test_labels_with_and_without_border_are_the_same(file, tmp_path, cut):
+    labels = (nyu_room(SEEDS[0]).labels + 1).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / '1.png'), labels[ROWS, COLUMNS] if cut else labels)
+    task = Task(file, methods=(), outside=(('x', tmp_path),))
+    assert evaluate(task, 1).rows['x']['SC'] > 0.99
+
+
+def test_a_folder_may_be_the_truth(file, run, tmp_path):
+    scene = nyu_room(SEEDS[1])
+    cv2.imwrite(str(tmp_path / '2.png'), (scene.labels + 1).astype(np.uint16))
+    task = Task(file, truth=str(tmp_path))
+    truth = true_planes(task, opened(file).frame(2))
+    assert numbers_of(truth, truth.labels, truth.planes)['SC'] == 1
+    with pytest.raises(ValueError, match='no label image of frame 1'):
+        true_planes(task, opened(file).frame(1))
+    with pytest.raises(SystemExit, match='no label image has the number'):
+        (tmp_path / '2.png').rename(tmp_path / '9.png')
+        run('labels', tmp_path, '--nyu', file)
+
+
+def test_without_annotations_the_truth_must_be_another(tmp_path):
+    path = tmp_path / 'plain.mat'
+    write_nyu(path, SEEDS[:1], annotated=False)
+    with pytest.raises(ValueError, match='--truth sensor'):
+        evaluate(Task(path, methods=()), 1)
+    result = evaluate(Task(path, truth='sensor', methods=('ours',)), 1)
+    assert result.rows[OURS]['SC'] == 1, 'ours is judged by itself then'
+
+
+def test_the_network_has_rows_and_a_figure_of_its_own(file, run, tmp_path, monkeypatch):
+    class Estimator:
+        """A network that knows the depth of frame 1 up to scale and shift."""
+
+        output, disparity_noise, focal_per_height = 'relative_disparity', 0.001, 0.0
+        depth_m = nyu_room(SEEDS[0]).depth_m[ROWS, COLUMNS]
+
+        def __init__(self, config):
+            pass
+
+        def input_size(self, width, height):
+            return width, height
+
+        def __call__(self, rgb):
+            return (3 / self.depth_m + 0.5).astype(np.float32)
+    monkeypatch.setattr(nyu_frames, 'DepthEstimator', Estimator)
+    nyu_frames._detector.cache_clear()
+    (tmp_path / 'frames.txt').write_text('1')
+    (tmp_path / 'net').mkdir()
+    cv2.imwrite(str(tmp_path / 'net' / '1.png'), np.ones((480, 640), np.uint16))
+    text = run('nyu', file, '--split', tmp_path / 'frames.txt', '--model', 'made_up',
+               '--methods', 'ours,opencv', '--outside', f'net={tmp_path / "net"}', '--figure', 1,
+               '--processes', 1, '--output', tmp_path)
+    nyu_frames._detector.cache_clear()
+    assert float(rows(text, 'plane_detector, network')[0][1]) > 0.9
+    assert float(rows(text, 'OpenCV findPlanes, 3 cm, network')[0][1]) > 0.5
+    assert float(rows(text, 'net')[0][1]) < 0.5
+    for source in ('sensor', 'network'):
+        sheet = cv2.imread(str(tmp_path / f'figure2_{source}.png'))
+        assert 5 * 400 <= sheet.shape[1] < 6 * 400, 'image, three methods, an outside one'
+
+
+def test_means_leave_out_what_is_undefined():
+    frames = {1: {'recall': 0.5, 'true planes': 1.0}, 2: {'recall': 1.0, 'true planes': 3.0},
+              3: {'recall': np.nan, 'true planes': 0.0}}
+    assert mean(frames, 'recall') == 0.75
+    assert pooled(frames, 'recall', 'true planes') == 0.875
+    assert np.isnan(pooled({3: frames[3]}, 'recall', 'true planes'))

@@ -1,0 +1,82 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Label images and tables of planes as files."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector.evaluation.label_folder import (
+    label_files,
+    planes_of_frame,
+    read_labels,
+    read_plane_table,
+    write_labels,
+)
+
+LABELS = np.array([[-1, 0, 0, 1], [-1, 0, 1, 1]])
+PLANES = np.array([[0, 0, -1, 1 / 3], [0.6, 0.0, -0.8, np.pi]])
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    write_labels(tmp_path / 'out', 7, LABELS, PLANES)
+    (number, path), = label_files(tmp_path / 'out').items()
+    assert (number, path.name) == (7, '00007.png')
+    assert cv2.imread(str(path), cv2.IMREAD_UNCHANGED).dtype == np.uint16
+    values = read_labels(path, (2, 4))
+    np.testing.assert_array_equal(values, LABELS + 1)
+    table = read_plane_table(tmp_path / 'out')
+    np.testing.assert_array_equal(planes_of_frame(table, 7, np.array([1, 2])), PLANES)
+
+
+def test_the_number_of_a_frame_is_the_last_in_its_name(tmp_path):
+    for name in ('v2_frame_003.png', '0012.png', 'plane9-5.png'):
+        cv2.imwrite(str(tmp_path / name), np.zeros((2, 2), np.uint8))
+    assert sorted(label_files(tmp_path)) == [3, 5, 12]
+
+
+def test_names_without_number_or_with_the_same_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        label_files(tmp_path / 'nothing')
+    with pytest.raises(FileNotFoundError):
+        label_files(tmp_path)
+    for name in ('a1.png', 'b01.png'):
+        cv2.imwrite(str(tmp_path / name), np.zeros((2, 2), np.uint8))
+    with pytest.raises(ValueError, match='same frame number'):
+        label_files(tmp_path)
+    (tmp_path / 'b01.png').rename(tmp_path / 'none.png')
+    with pytest.raises(ValueError, match='no frame number'):
+        label_files(tmp_path)
+
+
+def test_labels_of_another_resolution_are_resized_and_of_another_shape_refused(tmp_path):
+    path = tmp_path / '1.png'
+    cv2.imwrite(str(path), np.array([[0, 300], [5, 65535]], np.uint16))
+    np.testing.assert_array_equal(read_labels(path, (4, 4)), np.kron(
+        [[0, 300], [5, 65535]], np.ones((2, 2))))
+    with pytest.raises(ValueError, match='shape of 8 x 4'):
+        read_labels(path, (4, 8))
+    cv2.imwrite(str(path), np.zeros((2, 2, 3), np.uint8))
+    with pytest.raises(ValueError, match='one channel'):
+        read_labels(path, (2, 2))
+
+
+def test_planes_are_normalised_and_look_at_the_camera(tmp_path):
+    (tmp_path / 'all.csv').write_text(
+        'label,frame,normal_x,normal_y,normal_z,d,note\n2,1,0,0,2,-3,far\n')
+    np.testing.assert_array_equal(read_plane_table(tmp_path)[1, 2], [0, 0, -1, 1.5])
+
+
+@pytest.mark.parametrize(('line', 'message'), [
+    ('1,1,0,0,one,1', 'must have numbers'), ('1,1,0,0', 'must have numbers'),
+    ('1,1,0,0,0,1', 'frame 1, label 1'), ('1,1,0,0,nan,1', 'frame 1, label 1')])
+def test_tables_that_are_wrong_are_refused(tmp_path, line, message):
+    (tmp_path / 'planes.csv').write_text(
+        f'frame,label,normal_x,normal_y,normal_z,d\n{line}\n')
+    with pytest.raises(ValueError, match=message):
+        read_plane_table(tmp_path)
+
+
+def test_a_label_without_plane_is_named():
+    with pytest.raises(ValueError, match=r'frame 3.*\[2\]'):
+        planes_of_frame({(3, 1): PLANES[0]}, 3, np.array([1, 2]))

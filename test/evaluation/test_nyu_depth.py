@@ -1,0 +1,131 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Frames out of a file built like nyu_depth_v2_labeled.mat, and its split."""
+
+import builtins
+
+import numpy as np
+import pytest
+from nyu_files import nyu_room, write_nyu
+
+from plane_detector.evaluation.nyu_depth import (
+    COLUMNS,
+    INTRINSICS,
+    MAX_DEPTH_M,
+    ROWS,
+    NyuDepth,
+    read_split,
+    without_border,
+)
+from plane_detector.geometry.projection import depth_to_points
+
+h5py = pytest.importorskip('h5py', reason='the extra plane_detector[benchmark] is missing')
+SEEDS = (9000, 9001)
+
+
+@pytest.fixture(scope='module')
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp('nyu') / 'nyu_depth_v2_labeled.mat'
+    write_nyu(path, SEEDS)
+    return path
+
+
+def test_a_frame_is_turned_and_cut(path):
+    file = NyuDepth(path)
+    assert len(file) == 2
+    frame, scene = file.frame(2, 'filled'), nyu_room(SEEDS[1])
+    np.testing.assert_array_equal(frame.rgb, scene.rgb[ROWS, COLUMNS])
+    np.testing.assert_array_equal(frame.depth_m, scene.depth_m[ROWS, COLUMNS])
+    assert frame.rgb.shape == (427, 561, 3), 'the size that the toolbox gives'
+    assert (frame.rgb.dtype, frame.depth_m.dtype) == (np.uint8, np.float32)
+    assert (frame.intrinsics.width, frame.intrinsics.height) == (561, 427)
+
+
+def test_points_are_where_they_were_before_the_cut(path):
+    frame, scene = NyuDepth(path).frame(1, 'filled'), nyu_room(SEEDS[0])
+    np.testing.assert_allclose(depth_to_points(frame.depth_m, frame.intrinsics),
+                               depth_to_points(scene.depth_m, INTRINSICS)[ROWS, COLUMNS],
+                               rtol=1e-5)
+    assert without_border(INTRINSICS) == frame.intrinsics
+
+
+def test_the_calibration_counts_pixels_from_0():
+    """The toolbox: x = (u - cx) / fx with u from 1."""
+    assert INTRINSICS.cx == pytest.approx(324.58244941)
+    assert INTRINSICS.cy == pytest.approx(252.73616633)
+
+
+def test_raw_depth_has_holes(path):
+    raw_m = NyuDepth(path).frame(1, 'raw').depth_m
+    assert np.isnan(raw_m[100 - ROWS.start:140 - ROWS.start,
+                          100 - COLUMNS.start:140 - COLUMNS.start]).all()
+    assert np.isfinite(raw_m).mean() > 0.9
+    assert np.nanmax(raw_m) < MAX_DEPTH_M
+
+
+def test_clamped_depth_is_unknown(tmp_path):
+    path = tmp_path / 'far.mat'
+    write_nyu(path, SEEDS[:1])
+    with h5py.File(path, 'r+') as file:
+        file['depths'][0, 100:200, 100:200] = MAX_DEPTH_M
+    assert np.isnan(NyuDepth(path).frame(1, 'filled').depth_m[100 - ROWS.start,
+                                                              100 - COLUMNS.start])
+
+
+def test_instances_of_all_categories_are_told_apart(path):
+    segments, true = (NyuDepth(path).frame(1).segments, nyu_room(SEEDS[0]).labels[ROWS, COLUMNS])
+    pairs = np.unique(np.stack([segments.ravel(), true.ravel()]), axis=1)
+    assert len(np.unique(pairs[0])) == len(np.unique(pairs[1])) == pairs.shape[1]
+    assert segments.min() == (0 if true.min() < 0 else 1)
+
+
+def test_what_is_wrong_with_a_file_is_said(path, tmp_path):
+    with pytest.raises(FileNotFoundError, match='nyu_depth_v2_labeled'):
+        NyuDepth(tmp_path / 'nothing.mat')
+    (tmp_path / 'text.mat').write_text('no HDF5')
+    with pytest.raises(ValueError, match='not a MATLAB 7.3'):
+        NyuDepth(tmp_path / 'text.mat')
+    with h5py.File(tmp_path / 'other.mat', 'w') as file:
+        file['images'] = np.zeros((1, 3, 2, 2), np.uint8)
+    with pytest.raises(ValueError, match='rawDepths, depths'):
+        NyuDepth(tmp_path / 'other.mat')
+    file = NyuDepth(path)
+    for number in (0, 3):
+        with pytest.raises(ValueError, match=f'no frame {number}; there are 1 to 2'):
+            file.frame(number)
+    with pytest.raises(ValueError, match='raw, filled'):
+        file.frame(1, 'other')
+
+
+def test_without_h5py_the_extra_is_named(path, monkeypatch):
+    original = builtins.__import__
+
+    def missing(name, *arguments, **keywords):
+        if name == 'h5py':
+            raise ImportError(name)
+        return original(name, *arguments, **keywords)
+    monkeypatch.setattr(builtins, '__import__', missing)
+    with pytest.raises(ImportError, match=r'plane_detector\[benchmark\]'):
+        NyuDepth(path)
+
+
+def test_splits_of_matlab_of_both_formats_and_of_text(tmp_path):
+    from scipy.io import savemat
+    old, new, text = (tmp_path / name for name in ('splits.mat', 'splits73.mat', 'frames.txt'))
+    savemat(old, {'testNdxs': np.array([[1], [2], [9]], np.uint16), 'trainNdxs': [[3], [4]]})
+    with h5py.File(new, 'w', userblock_size=512) as file:
+        file['testNdxs'] = np.array([[1.0, 2.0, 9.0]])
+    with new.open('r+b') as file:
+        file.write(b'MATLAB 7.3 MAT-file'.ljust(124) + b'\x00\x02IM')
+    text.write_text('1, 2\n9\n')
+    assert read_split(old) == read_split(new) == read_split(text) == (1, 2, 9)
+    assert read_split(old, 'train') == (3, 4)
+
+
+def test_a_split_that_is_none_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_split(tmp_path / 'nothing.txt')
+    for content in ('', 'one two'):
+        (tmp_path / 'frames.txt').write_text(content)
+        with pytest.raises(ValueError, match=r'frames\.txt'):
+            read_split(tmp_path / 'frames.txt')
