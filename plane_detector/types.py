@@ -56,6 +56,31 @@ class CameraIntrinsics:
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """
+    What a depth network says about one image.
+
+    Attributes
+    ----------
+    output : str
+        What ``values`` are: ``metric_depth``, ``disparity`` (1/metres) or ``relative_disparity``
+        (unknown scale and shift).
+    values : (H, W) float32
+        NaN where invalid, also by the network's own mask.
+    normals_camera : (H, W, 3) float32, optional
+        Unit normals of the surfaces in the optical frame, looking at the camera; NaN invalid.
+    normal_confidence : (H, W) float32, optional
+        How sure the network is of them, in a unit of its own; more is surer.
+
+    """
+
+    output: str
+    values: np.ndarray
+    normals_camera: np.ndarray | None = None
+    normal_confidence: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class Plane:
     """
     One plane, normal . p + offset = 0 in the optical frame.

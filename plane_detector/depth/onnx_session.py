@@ -4,17 +4,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 
-from plane_detector.config import DepthConfig
 from plane_detector.depth.preprocessing import (
     lower_bound_size,
 )
 from plane_detector.stopping import current_stop, raise_if_stopped
 
+_NUMBERS = {f'tensor({name})' for name in (
+    'float16', 'float', 'double', 'bool', 'int8', 'uint8', 'int16', 'uint16', 'int32', 'uint32',
+    'int64', 'uint64')}
 _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
 # Where the tensors of an accelerator live. A provider that is not named here takes them from the
 # memory of the host and leaves them there.
@@ -31,67 +35,94 @@ class ProviderError(ValueError):
     """An execution provider is not there or cannot run the network."""
 
 
+@dataclass(frozen=True)
+class Interface:
+    """
+    What a network takes and gives beside its file.
+
+    Attributes
+    ----------
+    outputs : tuple of str
+        Names of the outputs that are wanted, in order; empty: the one that is the depth.
+    scalars : mapping of str to int
+        Inputs beside the image, each one whole number, and what they are set to.
+    input_size : (int, int)
+        Width and height of the input where it must be this one; (0, 0): as the file says.
+    short_side, side_multiple : int
+        Of an input of free size.
+
+    """
+
+    outputs: tuple[str, ...] = ()
+    scalars: Mapping[str, int] = field(default_factory=dict)
+    input_size: tuple[int, int] = (0, 0)
+    short_side: int = 0
+    side_multiple: int = 1
+
+
 class OnnxSession:
     """
-    One ONNX Runtime session that takes (3, H, W) float32 and gives (h, w).
+    One ONNX Runtime session that takes (3, H, W) float32 and gives arrays.
 
     Raises
     ------
     ValueError
-        The network does not take one picture and give one image, or not of the size asked for.
+        The network does not take one image and give what is wanted, or not of the size asked for.
     ProviderError
         The execution provider cannot run it.
 
     """
 
-    def __init__(self, path: Path, provider: str, config: DepthConfig, short_side: int,
-                 multiple: int) -> None:
-        self._session = _load(path, provider, config.threads)
+    def __init__(self, path: Path, provider: str, threads: int, interface: Interface) -> None:
+        self._session = _load(path, provider, threads)
         self._path = path
+        self._interface = interface
         self._device = _DEVICES.get(provider)
         self._input_on_device: ort.OrtValue | None = None
-        self._input, self._output = self._ends()
+        self._input = self._image_input()
+        self._scalars = self._scalar_inputs()
+        self._outputs = self._wanted_outputs()
         self._channels_last, self._fixed_size = self._layout()
-        self._wanted_size = (config.input_width, config.input_height)
-        self._short_side, self._multiple = short_side, multiple
         self._check_wanted_size()
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the width and height of the input for a picture of this size."""
-        if all(self._wanted_size):
-            return self._wanted_size
+        if all(self._interface.input_size):
+            return self._interface.input_size
         if all(self._fixed_size):
             return self._fixed_size
-        free = lower_bound_size(width, height, self._short_side, self._multiple)
+        free = lower_bound_size(width, height, self._interface.short_side,
+                                self._interface.side_multiple)
         return self._fixed_size[0] or free[0], self._fixed_size[1] or free[1]
 
-    def run(self, planes: np.ndarray) -> np.ndarray:
-        """Run on (3, H, W) float32; return the output (h, w) as the network's own type."""
+    def run(self, planes: np.ndarray) -> list[np.ndarray]:
+        """Run on (3, H, W) float32; return the wanted outputs as the network gives them."""
         tensor = planes[None].astype(_INPUT_TYPES[self._input.type], copy=False)
         if self._channels_last:
             tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
         try:
-            raw = self._run_stoppably(tensor)
+            arrays = self._run_stoppably(tensor)
         except Exception as error:  # those of onnxruntime have no base class of their own
             raise_if_stopped()
             raise ProviderError(f'an input of shape {tensor.shape} fails, {_short(error)}. '
                                  f'The network has {self._ends_text()}') from error
-        image = raw.squeeze()
-        if image.ndim != 2:
-            raise self._misfit(f'its output is {raw.shape}, which is not one image')
-        return image
+        for name, array in zip(self._outputs, arrays, strict=True):
+            if array.size == 0:
+                raise self.misfit(f'its output {name} is {array.shape}, which holds nothing')
+        return arrays
 
-    def _run_stoppably(self, tensor: np.ndarray) -> np.ndarray:
+    def _run_stoppably(self, tensor: np.ndarray) -> list[np.ndarray]:
         """Run until the end or the stop that applies; ONNX Runtime heeds it between operators."""
         options = ort.RunOptions()
         options.log_severity_level = 4  # what fails is told by the exception
         with current_stop().calling(lambda: setattr(options, 'terminate', True)):
             if self._device:
                 return self._run_bound(tensor, options)
-            return self._session.run([self._output.name], {self._input.name: tensor}, options)[0]
+            return self._session.run(
+                self._outputs, {self._input.name: tensor, **self._scalars}, options)
 
-    def _run_bound(self, tensor: np.ndarray, options: ort.RunOptions) -> np.ndarray:
-        """Run with input and output in the accelerator's memory, the input's kept for the next."""
+    def _run_bound(self, tensor: np.ndarray, options: ort.RunOptions) -> list[np.ndarray]:
+        """Run with image and outputs in the accelerator's memory; the image's is used again."""
         kept = self._input_on_device
         if kept is not None and tuple(kept.shape()) == tensor.shape:
             kept.update_inplace(tensor)
@@ -100,20 +131,50 @@ class OnnxSession:
             self._input_on_device = kept
         binding = self._session.io_binding()
         binding.bind_ortvalue_input(self._input.name, kept)
-        binding.bind_output(self._output.name, self._device, 0)
+        for name, value in self._scalars.items():
+            binding.bind_cpu_input(name, value)
+        for name in self._outputs:
+            binding.bind_output(name, self._device, 0)
         self._session.run_with_iobinding(binding, options)
-        return binding.copy_outputs_to_cpu()[0]
+        return binding.copy_outputs_to_cpu()
 
-    def _ends(self) -> tuple[ort.NodeArg, ort.NodeArg]:
-        """Return the input that takes the picture and the output that is the depth."""
-        inputs, outputs = self._session.get_inputs(), self._session.get_outputs()
-        if len(inputs) != 1 or inputs[0].type not in _INPUT_TYPES:
-            raise self._misfit('it must have one input, of float32 or float16')
-        if len(outputs) > 1:
-            outputs = [o for o in outputs if any(k in o.name.lower() for k in ('depth', 'disp'))]
-        if len(outputs) != 1:
-            raise self._misfit('it must have one output, or one with depth or disp in its name')
-        return inputs[0], outputs[0]
+    def _image_input(self) -> ort.NodeArg:
+        """Return the input that takes the image."""
+        images = [end for end in self._session.get_inputs()
+                  if end.name not in self._interface.scalars]
+        if len(images) != 1 or images[0].type not in _INPUT_TYPES:
+            beside = ' and '.join(['', *self._interface.scalars])
+            raise self.misfit(f'it must have one input{beside}, of float32 or float16')
+        return images[0]
+
+    def _scalar_inputs(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the inputs beside the image."""
+        found = {end.name: end for end in self._session.get_inputs()}
+        arrays = {}
+        for name, value in self._interface.scalars.items():
+            if name not in found or found[name].type != 'tensor(int64)':
+                raise self.misfit(f'it must have an input {name} of int64')
+            arrays[name] = np.full([1] * len(found[name].shape), value, np.int64)
+        return arrays
+
+    def _wanted_outputs(self) -> list[str]:
+        """Return the names of the outputs that are wanted, or of the one that is the depth."""
+        outputs = {end.name: end for end in self._session.get_outputs()}
+        names = list(self._interface.outputs)
+        if missing := [name for name in names if name not in outputs]:
+            raise self.misfit(f'it must have an output {" and ".join(missing)}')
+        if not names:
+            names = list(outputs)
+        if not self._interface.outputs and len(names) > 1:
+            names = [n for n in names if any(key in n.lower() for key in ('depth', 'disp'))]
+        if not self._interface.outputs and len(names) != 1:
+            raise self.misfit('it must have one output, or one with depth or disp in its name')
+        for name in names:
+            if outputs[name].type not in _NUMBERS:
+                raise self.misfit(f'its output {name} must be a tensor of numbers')
+            if 0 in outputs[name].shape:
+                raise self.misfit(f'its output {name} holds nothing')
+        return names
 
     def _layout(self) -> tuple[bool, tuple[int, int]]:
         """Return whether channels come last, and the fixed width and height, 0 where free."""
@@ -123,23 +184,25 @@ class OnnxSession:
                 return True, (shape[2], shape[1])
             if shape[1] in (0, 3):
                 return False, (shape[3], shape[2])
-        raise self._misfit('its input must be one RGB picture, [1, 3, H, W] or [1, H, W, 3]')
+        raise self.misfit('its input must be one RGB picture, [1, 3, H, W] or [1, H, W, 3]')
 
     def _check_wanted_size(self) -> None:
-        if any(self._wanted_size):
-            if any(fixed not in (0, wanted) for fixed, wanted in
-                   zip(self._fixed_size, self._wanted_size, strict=True)):
-                raise self._misfit('its input has another fixed size than depth.input_width x '
-                                   f'depth.input_height, {self._wanted_size}')
-            if any(wanted % self._multiple for fixed, wanted in
-                   zip(self._fixed_size, self._wanted_size, strict=True) if not fixed):
-                raise ValueError(f'depth.input_width and depth.input_height, {self._wanted_size},'
-                                 f' must be multiples of depth.side_multiple, {self._multiple}')
-        elif not all(self._fixed_size) and not self._short_side:
-            raise self._misfit('the size of its input is free: set depth.short_side, or '
-                               'depth.input_width and depth.input_height')
+        wanted, multiple = self._interface.input_size, self._interface.side_multiple
+        if any(wanted):
+            if any(fixed not in (0, side) for fixed, side in
+                   zip(self._fixed_size, wanted, strict=True)):
+                raise self.misfit('its input has another fixed size than depth.input_width x '
+                                  f'depth.input_height, {wanted}')
+            if any(side % multiple for fixed, side in
+                   zip(self._fixed_size, wanted, strict=True) if not fixed):
+                raise ValueError(f'depth.input_width and depth.input_height, {wanted},'
+                                 f' must be multiples of depth.side_multiple, {multiple}')
+        elif not all(self._fixed_size) and not self._interface.short_side:
+            raise self.misfit('the size of its input is free: set depth.short_side, or '
+                              'depth.input_width and depth.input_height')
 
-    def _misfit(self, what: str) -> ValueError:
+    def misfit(self, what: str) -> ValueError:
+        """Return an error that names the file, what does not fit, and what the file has."""
         return ValueError(f'{self._path} does not fit: {what}. It has {self._ends_text()}')
 
     def _ends_text(self) -> str:

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-_SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA}
+from plane_detector.depth.framing import Framing
+
+_SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA, 'linear': cv2.INTER_LINEAR}
+_GROWING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_CUBIC, 'linear': cv2.INTER_LINEAR}
 _LONGEST_ASPECT = 10
 
 
@@ -24,15 +27,25 @@ class InputRecipe:
         Pixel values are multiplied with this first.
     mean, std : (3,) floats
         Of the scaled RGB.
-    shrink : str
-        Interpolation when the picture gets smaller, ``cubic`` or ``area``; growing is cubic.
+    resize : str
+        Interpolation: ``cubic``; ``area``, which has no aliasing where the image gets smaller,
+        and is cubic where it grows; or ``linear``.
+    border_rgb : (3,) floats, optional
+        The image keeps its aspect within an input of this colour, of 0 to 255; empty: it is
+        stretched to the whole input.
 
     """
 
     scale: float
     mean: tuple[float, ...]
     std: tuple[float, ...]
-    shrink: str = 'cubic'
+    resize: str = 'cubic'
+    border_rgb: tuple[float, ...] = ()
+
+    def framing(self, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
+        """Return where an image of (width, height) lies in an input of (width, height)."""
+        kind = Framing.letterboxed if self.border_rgb else Framing.stretched
+        return kind(image_size, input_size)
 
 
 def lower_bound_size(width: int, height: int, short_side: int, multiple: int) -> tuple[int, int]:
@@ -79,16 +92,29 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
         Planes of normalised R, G and B.
 
     """
+    framing = recipe.framing((rgb.shape[1], rgb.shape[0]), size)
     picture = rgb.astype(np.float32, order='C')  # OpenCV takes no reversed or transposed views
-    if size != (rgb.shape[1], rgb.shape[0]):
-        shrinks = size[0] * size[1] < rgb.shape[0] * rgb.shape[1]
-        kind = _SHRINKING[recipe.shrink] if shrinks else cv2.INTER_CUBIC
-        picture = cv2.resize(picture, size, interpolation=kind)
+    inner = (framing.width, framing.height)
+    if inner != framing.image_size:
+        shrinks = inner[0] * inner[1] < rgb.shape[0] * rgb.shape[1]
+        kind = (_SHRINKING if shrinks else _GROWING)[recipe.resize]
+        picture = cv2.resize(picture, inner, interpolation=kind)
+    if not framing.is_whole:
+        picture = _bordered(picture, framing, recipe.border_rgb)
     planes = np.empty((3, size[1], size[0]), np.float32)
     for channel, (mean, std) in enumerate(zip(recipe.mean, recipe.std, strict=True)):
         np.multiply(picture[..., channel], np.float32(recipe.scale / std), out=planes[channel])
         planes[channel] -= np.float32(mean / std)
     return planes
+
+
+def _bordered(picture: np.ndarray, framing: Framing, border_rgb: tuple[float, ...]) -> np.ndarray:
+    """Return an image within its border, (height, width, 3) float32 of the input's size."""
+    width, height = framing.input_size
+    whole = np.empty((height, width, 3), np.float32)
+    whole[:] = border_rgb
+    framing.crop(whole)[:] = picture
+    return whole
 
 
 def finish_output(raw: np.ndarray, size: tuple[int, int], output: str,

@@ -11,7 +11,8 @@ import pytest
 from zoo_helpers import CONTENT, SHA256, files_in, put, serving
 
 from plane_detector.depth import download
-from plane_detector.depth.model_zoo import NetworkUnavailableError, UrlSource, fetch
+from plane_detector.depth.model_zoo import NetworkUnavailableError, fetch
+from plane_detector.depth.sources import UrlSource
 
 
 @pytest.fixture(name='server')

@@ -12,7 +12,8 @@ from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_ne
 from plane_detector.config import DepthConfig
 from plane_detector.depth import onnx_session
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.model_zoo import NETWORKS, default_cache_dir
+from plane_detector.depth.model_zoo import default_cache_dir
+from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.onnx_session import available_providers
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')

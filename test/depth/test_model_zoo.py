@@ -15,11 +15,11 @@ from plane_detector.depth.model_zoo import (
     AUTO_ORDER,
     NETWORKS,
     NetworkUnavailableError,
-    UrlSource,
     choose,
     default_cache_dir,
     fetch,
 )
+from plane_detector.depth.sources import UrlSource
 
 
 @pytest.fixture(name='server')
@@ -102,6 +102,16 @@ def test_offline_the_error_says_how_to_put_the_file_there(tmp_path, monkeypatch,
     for said in (str(tmp_path / network.file_name), silent_url + '/n.onnx', SHA256,
                  f'{len(CONTENT)} bytes', 'is out of reach (no answer within 0.2 s)'):
         assert said in str(caught.value)
+
+
+def test_the_next_source_is_asked_where_one_does_not_have_the_file(server, tmp_path, monkeypatch):
+    sources = [UrlSource(f'{server.url}/{name}.onnx') for name in ('missing', 'other', 'good')]
+    put(monkeypatch, 'fastdepth', *sources)
+    assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
+    assert server.asked == ['/missing.onnx', '/other.onnx', '/good.onnx']
+    put(monkeypatch, 'fastdepth', *sources[:2])
+    with pytest.raises(NetworkUnavailableError, match='404.*; what came has SHA-256'):
+        fetch('fastdepth', tmp_path / 'elsewhere')
 
 
 def test_a_name_that_does_not_exist_is_refused(tmp_path):
@@ -187,7 +197,8 @@ def test_the_zoo_is_consistent():
         assert len(bytes.fromhex(network.sha256)) == 32
         assert network.output in ('metric_depth', 'disparity', 'relative_disparity')
         assert network.short_side % network.side_multiple == 0
-        # Only weights that anybody may use for anything.
-        assert network.licence in ('Apache-2.0', 'MIT')
+        # Only weights that anybody may use for anything, or those that are asked for by name.
+        assert network.licence in ('Apache-2.0', 'MIT') or network.is_opt_in
+    assert not any(NETWORKS[name].is_opt_in for name in AUTO_ORDER)
     assert len({network.file_name for network in NETWORKS.values()}) == len(NETWORKS)
     assert model_zoo.NETWORKS[AUTO_ORDER[0]].output == 'metric_depth'

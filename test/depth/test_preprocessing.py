@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from plane_detector.depth.model_zoo import IMAGENET_MEAN, IMAGENET_STD
+from plane_detector.depth.networks import IMAGENET_MEAN, IMAGENET_STD
 from plane_detector.depth.preprocessing import (
     InputRecipe,
     finish_output,

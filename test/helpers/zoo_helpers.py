@@ -8,14 +8,14 @@ import hashlib
 import http.server
 import threading
 
-from plane_detector.depth.model_zoo import NETWORKS
+from plane_detector.depth.networks import NETWORKS
 
 CONTENT = bytes(range(256)) * 5000
 SHA256 = hashlib.sha256(CONTENT).hexdigest()
 
 
-def put(monkeypatch, name, source, sha256=SHA256):
-    network = dataclasses.replace(NETWORKS[name], source=source, sha256=sha256,
+def put(monkeypatch, name, *sources, sha256=SHA256):
+    network = dataclasses.replace(NETWORKS[name], sources=sources, sha256=sha256,
                                   size_bytes=len(CONTENT))
     monkeypatch.setitem(NETWORKS, name, network)
     return network

@@ -18,7 +18,8 @@ from pathlib import Path
 import rclpy
 from tqdm import tqdm
 
-from plane_detector.depth.model_zoo import NETWORKS, choose, fetch
+from plane_detector.depth.model_zoo import choose, fetch
+from plane_detector.depth.networks import NETWORKS
 from plane_detector.segmentation.baselines import ransac_alone
 from plane_detector.tools.demo.node_client import NodeClient
 from plane_detector.tools.demo.node_process import NodeProcess, use_private_domain

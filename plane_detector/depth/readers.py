@@ -1,0 +1,195 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What the outputs of a network mean: each kind of network has a reader that makes a Prediction.
+
+A reader names the outputs that it needs, gets their arrays in this order, and knows units, axes
+and what the network leaves open. The lens is handed in, since some need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from plane_detector.depth.framing import Framing, rays
+from plane_detector.depth.point_map import depth_from_point_map
+from plane_detector.depth.preprocessing import finish_output
+from plane_detector.types import CameraIntrinsics, Prediction
+
+LEAST_MASK = 0.5
+"""A validity mask, 0 to 1, calls a pixel valid from here on (the threshold of MoGe)."""
+
+
+class OutputError(ValueError):
+    """The arrays of a network are not what its reader expects."""
+
+
+class Reader(Protocol):
+    """
+    Makes a prediction of the arrays of a network.
+
+    Attributes
+    ----------
+    outputs : tuple of str
+        Names of the outputs, in order; empty: the one that is the depth.
+    kind : str
+        ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    needs_lens : bool
+        Whether it cannot do without the intrinsics of the image.
+
+    """
+
+    outputs: tuple[str, ...]
+    kind: str
+    needs_lens: bool
+
+    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return what tells depth, (h, w) as the network gives it; raise OutputError as `read`."""
+
+    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
+             intrinsics: CameraIntrinsics | None, max_depth_m: float) -> Prediction:
+        """Return the prediction at the size of the image; raise OutputError for other arrays."""
+
+
+@dataclass(frozen=True)
+class DepthImageReader:
+    """One image of depth or disparity, in the unit of its kind."""
+
+    kind: str
+    outputs: tuple[str, ...] = ()
+    needs_lens: bool = False
+
+    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return depth or disparity as it came; see `Reader`."""
+        return as_map(arrays[0])
+
+    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
+             intrinsics: CameraIntrinsics | None, max_depth_m: float) -> Prediction:
+        """Return the image; see `Reader`."""
+        raw = framing.crop(as_map(arrays[0]))
+        return Prediction(
+            self.kind, finish_output(raw, framing.image_size, self.kind, max_depth_m))
+
+
+@dataclass(frozen=True)
+class CanonicalDepthReader:
+    """
+    Depth of a canonical camera, with normals and their confidence (Metric3D v2).
+
+    The network takes every image for one of a camera of ``canonical_focal_px``; metres are its
+    depth times the focal length at the size of its input over that one (Yin et al. 2023).
+    """
+
+    canonical_focal_px: float
+    outputs: tuple[str, ...]
+    kind: str = 'metric_depth'
+    needs_lens: bool = True
+
+    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return depth or disparity as it came; see `Reader`."""
+        return as_map(arrays[0])
+
+    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
+             intrinsics: CameraIntrinsics, max_depth_m: float) -> Prediction:
+        """Return metres and normals; see `Reader`."""
+        raw = framing.crop(as_map(arrays[0])).astype(np.float32)
+        depth_m = raw * np.float32(framing.focal_px(intrinsics) / self.canonical_focal_px)
+        confidence = framing.crop(as_map(arrays[2])).astype(np.float32)
+        return Prediction(
+            self.kind, finish_output(depth_m, framing.image_size, self.kind, max_depth_m),
+            finish_normals(framing.crop(as_map(arrays[1], 3)), framing, intrinsics),
+            framing.resized(confidence))
+
+
+@dataclass(frozen=True)
+class PointMapReader:
+    """
+    Points of unknown shift along z, with normals, a mask and a scale (MoGe-2).
+
+    With the lens known, the shift is the one that brings the points onto the rays of their
+    pixels; the scale then makes them metres (Wang et al. 2025).
+    """
+
+    outputs: tuple[str, ...]
+    kind: str = 'metric_depth'
+    needs_lens: bool = True
+
+    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return how far each point is from the one nearest along z; see `Reader`."""
+        z = as_map(arrays[0], 3)[..., 2]
+        is_valid = (as_map(arrays[2]) >= LEAST_MASK) & np.isfinite(z)
+        z = np.where(is_valid, z, np.nan)
+        return z - (np.nanmin(z) if is_valid.any() else 0)
+
+    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
+             intrinsics: CameraIntrinsics, max_depth_m: float) -> Prediction:
+        """Return metres and normals, NaN where the mask says so; see `Reader`."""
+        points, normals = (framing.crop(as_map(array, 3)).astype(np.float32)
+                           for array in arrays[:2])
+        is_valid = framing.crop(as_map(arrays[2])) >= LEAST_MASK
+        if arrays[3].size != 1:
+            raise OutputError(f'its output {self.outputs[3]} is {arrays[3].shape}, not one number')
+        depth = depth_from_point_map(points, is_valid, rays(intrinsics, points.shape[:2]))
+        return Prediction(
+            self.kind,
+            finish_output(depth * np.float32(arrays[3].item()), framing.image_size, self.kind,
+                          max_depth_m),
+            finish_normals(np.where(is_valid[..., None], normals, np.float32(np.nan)), framing,
+                           intrinsics))
+
+
+def as_map(array: np.ndarray, channels: int = 1) -> np.ndarray:
+    """
+    Return an output as (h, w), or as (h, w, channels) with the channels first or last before.
+
+    Raises
+    ------
+    OutputError
+        It is not one image of so many channels.
+
+    """
+    image = array.squeeze()
+    if channels == 1 and image.ndim == 2:
+        return image
+    if channels > 1 and image.ndim == 3:
+        if image.shape[2] == channels:
+            return image
+        if image.shape[0] == channels:
+            return image.transpose(1, 2, 0)
+    many = f' of {channels} channels' if channels > 1 else ''
+    raise OutputError(f'its output is {array.shape}, which is not one image{many}')
+
+
+def finish_normals(raw: np.ndarray, framing: Framing, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """
+    Bring normals to the size of the image and to length 1, looking at the camera.
+
+    Networks differ in which side of a surface they call its front, but each keeps to one: all
+    normals are turned together, when most of them look away.
+
+    Parameters
+    ----------
+    raw : (h, w, 3) floating
+        In the optical frame, of any length; NaN where invalid.
+    framing : Framing
+    intrinsics : CameraIntrinsics
+        Of the image.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        NaN where invalid.
+
+    """
+    normals = np.ascontiguousarray(framing.resized(np.ascontiguousarray(raw, np.float32)))
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    with np.errstate(invalid='ignore', divide='ignore'):
+        normals = normals / length
+    normals[~np.isfinite(normals).all(axis=-1)] = np.nan
+    across = rays(intrinsics, normals.shape[:2])
+    away = (normals[..., :2] * across).sum(axis=-1) + normals[..., 2]
+    return -normals if np.nanmean(np.sign(away), dtype=float) > 0 else normals

