@@ -27,6 +27,8 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from plane_detector.stopping import current_stop, raise_if_stopped
+
 ANSWER_TIMEOUT_S = 5.0
 """A host that does not answer within this time counts as out of reach."""
 GRACE_S = 60.0
@@ -155,6 +157,7 @@ def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[by
     start_s = time.monotonic()
     received_bytes = 0
     while chunk := response.read1(_CHUNK_BYTES):  # `read` waits for all of them
+        raise_if_stopped()
         received_bytes += len(chunk)
         if received_bytes > most_bytes:
             raise OSError('it sends more than the file has')
@@ -176,9 +179,11 @@ def _answer(url: str) -> http.client.HTTPResponse:
 
     threading.Thread(target=ask, daemon=True).start()
     try:
-        answer = answers.get(timeout=ANSWER_TIMEOUT_S)
+        with current_stop().calling(lambda: answers.put(None)):
+            answer = answers.get(timeout=ANSWER_TIMEOUT_S)
     except queue.Empty:
         answer = TimeoutError()
+    raise_if_stopped()
     if isinstance(_cause(answer), TimeoutError):  # of the queue or of the socket
         raise TimeoutError(f'no answer within {ANSWER_TIMEOUT_S:g} s')
     if isinstance(answer, Exception):

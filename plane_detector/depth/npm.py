@@ -20,6 +20,7 @@ from pathlib import Path
 from tqdm import tqdm
 
 from plane_detector.depth.download import ANSWER_TIMEOUT_S, SHOW_PROGRESS_AFTER_S
+from plane_detector.stopping import raise_if_stopped
 
 PACK_TIMEOUT_S = 300.0
 """A package that is not here within this time will not come."""
@@ -111,6 +112,7 @@ def _wait(process: subprocess.Popen, folder: Path, timeout_s: float, bar: tqdm) 
     deadline = time.monotonic() + timeout_s
     is_running = True
     while is_running:
+        raise_if_stopped()
         is_running = process.poll() is None  # before its folder is looked at, for the last time
         if is_running and time.monotonic() > deadline:
             raise TimeoutError(f'gave no answer within {timeout_s:g} s')

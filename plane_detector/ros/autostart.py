@@ -10,6 +10,8 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from plane_detector.ros.transitions import Transitions
+
 # derived: a host that is out of reach is asked about as often as people look, then ever less.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 300.0
 _PAUSE_FACTOR = 2.0
@@ -22,7 +24,9 @@ class Autostart:
     Parameters
     ----------
     node : rclpy.lifecycle.LifecycleNode
-        With the attribute ``state``. Its executor's thread does the transitions.
+        With the attribute ``state``.
+    transitions : Transitions
+        Of this node.
     may_pass : callable
         Whether the failure of the last transition may be gone at another try: a host out of
         reach, but not a wrong setting.
@@ -33,18 +37,19 @@ class Autostart:
 
     """
 
-    def __init__(self, node: Any, may_pass: Callable[[], bool], failure: Callable[[], str],
-                 exits: bool):
-        self._node, self._may_pass, self._failure, self._exits = node, may_pass, failure, exits
+    def __init__(self, node: Any, transitions: Transitions, may_pass: Callable[[], bool],
+                 failure: Callable[[], str], exits: bool):
+        self._node, self._transitions = node, transitions
+        self._may_pass, self._failure, self._exits = may_pass, failure, exits
         self._pause_s = FIRST_PAUSE_S
         self._wait(0.0)
 
     def _wait(self, pause_s: float) -> None:
         """Try after a pause, in steady time: a simulation may stand still."""
         self._timer = self._node.create_timer(
-            pause_s, self._try, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            pause_s, self._try, self._transitions.group, Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _try(self) -> None:
+    async def _try(self) -> None:
         """
         Configure and activate, unless somebody else has configured the node in the meantime.
 
@@ -57,7 +62,7 @@ class Autostart:
         self._node.destroy_timer(self._timer)
         if self._node.state != 'unconfigured':
             return
-        if (self._node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        if (await self._transitions.configure() == TransitionCallbackReturn.SUCCESS
                 and self._node.trigger_activate() == TransitionCallbackReturn.SUCCESS):
             return
         if self._exits:

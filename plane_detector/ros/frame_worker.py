@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable
 
 from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.stopping import Background, Stop, Stopped
 
 
 class FrameWorker:
@@ -20,7 +21,8 @@ class FrameWorker:
     Parameters
     ----------
     work : callable
-        Called in the thread with each frame; must not raise.
+        Called in the thread with each frame, under a stop of that frame; must not raise, but for
+        Stopped.
 
     """
 
@@ -28,9 +30,9 @@ class FrameWorker:
         self._work = work
         self._changed = threading.Condition()
         self._waiting: Frame | None = None
-        self._stopped = False
-        self._thread = threading.Thread(target=self._run, name='frame_worker', daemon=True)
-        self._thread.start()
+        self._frame_stop = Stop()
+        self._ended = False
+        self._thread = Background(self._run, 'frame_worker')
 
     def put(self, frame: Frame) -> bool:
         """Leave a frame; return whether it replaced one that still waited."""
@@ -40,19 +42,43 @@ class FrameWorker:
             self._changed.notify()
             return replaced
 
-    def stop(self) -> None:
-        """Drop the frame that waits, and return when the one that is worked on is done."""
+    def drop(self) -> None:
+        """
+        Give up the frame that waits and the one that is worked on, and return at once.
+
+        The next frame is begun when the work on this one has come to its end or to where it looks
+        at its stop.
+        """
         with self._changed:
-            self._stopped = True
+            self._waiting, stop = None, self._frame_stop
+        stop.set()
+
+    def stop(self) -> None:
+        """Drop what there is, take no more frames, and return at once."""
+        with self._changed:
+            self._ended = True
             self._changed.notify()
-        self._thread.join()
+        self.drop()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait, after `stop`, for the work to end; return whether it has."""
+        return self._thread.wait(timeout_s)
 
     def _run(self) -> None:
-        while (frame := self._take()) is not None:
-            self._work(frame)
+        while (taken := self._take()) is not None:
+            frame, stop = taken
+            try:
+                with stop.applies():
+                    self._work(frame)
+            except Stopped:  # nobody waits for this frame any more
+                pass
+            del frame, taken  # nothing is kept while there is nothing to do
 
-    def _take(self) -> Frame | None:
+    def _take(self) -> tuple[Frame, Stop] | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._stopped or self._waiting is not None)
+            self._changed.wait_for(lambda: self._ended or self._waiting is not None)
+            if self._ended:
+                return None
             frame, self._waiting = self._waiting, None
-            return None if self._stopped else frame
+            self._frame_stop = Stop()
+            return frame, self._frame_stop

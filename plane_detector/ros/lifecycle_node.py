@@ -10,7 +10,6 @@ see frame_worker.py.
 from __future__ import annotations
 
 import time
-import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -31,6 +30,7 @@ from plane_detector.ros.diagnostics import (
     Statistics,
     model_facts,
 )
+from plane_detector.ros.fault_log import FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
@@ -38,9 +38,11 @@ from plane_detector.ros.inputs.subscriptions import Inputs
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.ros.spinning import answer_impossible_transitions, interruptible
+from plane_detector.ros.transitions import Transitions
+from plane_detector.stopping import current_stop, raise_if_stopped
 
-_WARN_PERIOD_S = 5.0
+# How long the end of the node waits for work to heed its stop.
+_HEEDING_S = 1.0
 
 
 class PlaneDetectorNode(LifecycleNode):
@@ -74,22 +76,28 @@ class PlaneDetectorNode(LifecycleNode):
         self._statistics = Statistics()
         self._processor: FrameProcessor | None = None
         self._worker: FrameWorker | None = None
+        self._retired: FrameWorker | None = None
         self._inputs: Inputs | None = None
         self._outputs: dict[str, Any] = {}
         self._frame_requested = self._reset_requested = False
-        self._warned_s: dict[str, float] = {}
+        self._faults = FaultLog(self.get_logger())
         self._health = Health(self.get_logger())
         self.create_service(Trigger, '~/detect', self._on_detect)
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
-        answer_impossible_transitions(self)
+        self._transitions = Transitions(self, self._load)
         if self._settings.autostart:
-            Autostart(self, lambda: self._health.may_pass, lambda: self._health.failure,
-                      exits=self._settings.exit_on_failure)
+            Autostart(self, self._transitions, lambda: self._health.may_pass,
+                      lambda: self._health.failure, exits=self._settings.exit_on_failure)
 
     def destroy_node(self) -> None:
-        """Wait for the frame that is worked on, then end the node."""
-        self._stop_work()
+        """Give up what runs and end the node; what heeds no stop is left behind in its thread."""
+        end_s = time.monotonic() + _HEEDING_S
+        self._transitions.stop()
+        self._release()
+        for work in (self._transitions, self._retired):
+            if work is not None:
+                work.wait(max(end_s - time.monotonic(), 0.0))
         super().destroy_node()
 
     @property
@@ -102,8 +110,7 @@ class PlaneDetectorNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Load the network and create the outputs; fail with the reason if one cannot."""
         try:
-            with interruptible():
-                detector = PlaneDetector(self._config, self._estimate_depth)
+            detector = self._transitions.prepared()
             self._create_outputs()
         except Exception as error:  # whatever a model file may provoke: the node stays
             self._release()
@@ -111,12 +118,13 @@ class PlaneDetectorNode(LifecycleNode):
         self._health.failure = ''
         image = input_topics(self, self._settings.image_transport)['image']
         self._processor = FrameProcessor(detector, self._settings, image)
+        self._worker = FrameWorker(self._work_on)
         for line in self._introduction():
             self.get_logger().info(line)
         return super().on_configure(state)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Subscribe and start the worker."""
+        """Subscribe."""
         try:
             processor = self._processor
             self._inputs = Inputs(self, processor.detector.config, processor.settings,
@@ -125,12 +133,12 @@ class PlaneDetectorNode(LifecycleNode):
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
         self._health.failure = ''
-        self._worker = FrameWorker(self._work_on)
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the subscriptions and the worker."""
-        self._stop_work()
+        """End the subscriptions and throw away what is worked on."""
+        self._unsubscribe()
+        self._worker.drop()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -156,31 +164,27 @@ class PlaneDetectorNode(LifecycleNode):
             self._statistics.add_dropped(1)
 
     def _work_on(self, frame: Frame) -> None:
-        """Convert, call, publish; called in the worker's thread."""
+        """Convert, call, publish, or log why not; called in the worker's thread."""
         try:
-            self._apply_changes()
-            wanted = [n for n, output in self._outputs.items() if output.get_subscription_count()]
-            processed = self._processor.process(frame, wanted)
-            start_s = time.perf_counter()
+            self._process(frame)
+        except Exception as error:  # one frame must not end the node
+            if not current_stop().is_set:  # what is broken off may fail in any way
+                self._statistics.add_skipped(self._faults.tell(error))
+        finally:
+            if current_stop().is_set:  # what is kept for the next frame may be half of this one
+                self._reset_requested = True
+
+    def _process(self, frame: Frame) -> None:
+        self._apply_changes()
+        wanted = [n for n, output in self._outputs.items() if output.get_subscription_count()]
+        processed = self._processor.process(frame, wanted)
+        start_s = time.perf_counter()
+        with current_stop().uncut():
             for name, msg in processed.messages.items():
                 self._outputs[name].publish(msg)
-            self._health.note(processed.result.detection, wanted)
-            self._statistics.add_processed({**processed.stage_seconds,
-                                            'publish': time.perf_counter() - start_s})
-        except ValueError as error:
-            self._skip(str(error))
-        except Exception:  # one frame must not end the node
-            if self.context.ok():
-                self._skip(traceback.format_exc())
-
-    def _skip(self, reason: str) -> None:
-        self._statistics.add_skipped(reason)
-        now_s = time.monotonic()
-        self._warned_s = {told: told_s for told, told_s in self._warned_s.items()
-                          if now_s - told_s < _WARN_PERIOD_S}
-        if reason not in self._warned_s:
-            self._warned_s[reason] = now_s
-            self.get_logger().warning(f'frame skipped: {reason}')
+        self._health.note(processed.result.detection, wanted)
+        self._statistics.add_processed({**processed.stage_seconds,
+                                        'publish': time.perf_counter() - start_s})
 
     def _apply_changes(self) -> None:
         """Take over, between two frames, what was asked for in the meantime."""
@@ -218,7 +222,7 @@ class PlaneDetectorNode(LifecycleNode):
             self._inputs.set_stamp_slop(self._settings.stamp_slop)
 
     def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
-        response.success = self._frame_requested = self._worker is not None
+        response.success = self._frame_requested = self._inputs is not None
         response.message = ('the next frame will be processed' if response.success
                             else 'the node is not active')
         return response
@@ -239,7 +243,7 @@ class PlaneDetectorNode(LifecycleNode):
             facts.update(model_facts(detector.config.depth.source, detector.estimate_depth))
         if self._health.failure:
             return DiagnosticStatus.ERROR, self._health.failure, facts
-        if self._worker is None:
+        if self._inputs is None:
             return DiagnosticStatus.OK, facts['state'], facts
         return *self._health.status(report, self._inputs.problem()), facts
 
@@ -256,6 +260,12 @@ class PlaneDetectorNode(LifecycleNode):
 
     # Parts of the transitions
 
+    def _load(self) -> PlaneDetector:
+        """Make the pipeline, whose network may have to be fetched; called in a thread."""
+        while self._retired is not None and not self._retired.wait(0.1):
+            raise_if_stopped()  # two networks at once could be more than the memory holds
+        return PlaneDetector(self._config, self._estimate_depth)
+
     def _create_outputs(self) -> None:
         for name, output in OUTPUTS.items():
             self._outputs[name] = self.create_lifecycle_publisher(
@@ -263,20 +273,22 @@ class PlaneDetectorNode(LifecycleNode):
                 qos_overriding_options=qos.overriding_options())
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
+        reason = plain(reason)
         self._health.failure, self._health.may_pass = reason, may_pass
         self._statistics.set_error(reason)
         self.get_logger().error(reason)
         return TransitionCallbackReturn.FAILURE
 
-    def _stop_work(self) -> None:
+    def _unsubscribe(self) -> None:
         if self._inputs is not None:
             self._inputs.destroy()
-        if self._worker is not None:
-            self._worker.stop()
-        self._inputs = self._worker = None
+        self._inputs = None
 
     def _release(self) -> TransitionCallbackReturn:
-        self._stop_work()
+        self._unsubscribe()
+        if self._worker is not None:
+            self._worker.stop()
+            self._retired, self._worker = self._worker, None
         for publisher in self._outputs.values():
             self.destroy_lifecycle_publisher(publisher)
         self._outputs = {}

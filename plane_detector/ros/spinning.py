@@ -1,58 +1,80 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node as a process: signals, spinning, exit code."""
+"""
+A node as a process: spinning, signals, the end within bounded time, exit code.
+
+SIGINT and SIGTERM are noted, and the main thread ends when it comes to it. An exception raised by
+a signal would be swallowed where it meets a destructor or an error handler, and give a traceback
+where it meets the shutdown. Should the main thread not come to it in time, or a second signal
+come, a thread that does nothing else ends the process.
+"""
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import threading
+import time
+from collections.abc import Callable
 from typing import Any
 
 import rclpy
-from lifecycle_msgs.srv import ChangeState
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plane_detector.ros.allocator import keep_freed_memory
+from plane_detector.stopping import leave
 
 _SPIN_TIMEOUT_S = 0.2
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+MOST_ENDING_S = 2.5
+"""Time from the first signal until the process ends whatever it does."""
 
 
-class _Interruption:
-    """
-    What SIGINT and SIGTERM do: they are noted, for the main thread to end when it comes to it.
-
-    An exception that a signal raises anywhere is swallowed where it meets a destructor or an
-    error handler, and gives a traceback where it meets the shutdown. So it is raised only where
-    the main thread may stay for long; see `interruptible`.
-    """
+class _Ending:
+    """What SIGINT and SIGTERM lead to; once in a process."""
 
     def __init__(self) -> None:
         self.is_asked = False
-        self.may_raise = False
+        self._watched, self._written = os.pipe()
+        os.set_blocking(self._written, False)
 
-    def ask(self, _number: int, _stack: Any) -> None:
-        """Handle a signal; a second one changes nothing."""
-        is_first, self.is_asked = not self.is_asked, True
-        if is_first and self.may_raise:
-            raise KeyboardInterrupt
+    def begin(self) -> None:
+        """Take the signals; the C level writes each into a pipe, whatever Python does then."""
+        signal.set_wakeup_fd(self._written, warn_on_full_buffer=False)
+        for number in _SIGNALS:
+            signal.signal(number, self._note)
+        threading.Thread(target=self._watch, name='ending', daemon=True).start()
 
+    def finish(self) -> None:
+        """Ignore further signals: the interpreter's end would put back that they kill."""
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
-_interruption = _Interruption()
+    def _note(self, _number: int, _stack: Any) -> None:
+        self.is_asked = True
+
+    def _watch(self) -> None:
+        """End the process some time after the first signal, or at the second one."""
+        (first,) = os.read(self._watched, 1)
+        threading.Thread(target=self._end_later, args=(first,), daemon=True).start()
+        (second,) = os.read(self._watched, 1)
+        os._exit(128 + second)
+
+    def _end_later(self, number: int) -> None:
+        time.sleep(MOST_ENDING_S)
+        os._exit(128 + number)
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
     Run a node until SIGINT or SIGTERM; once in a process.
 
-    Both are taken by Python rather than by rclpy, so that they also end what takes long outside
-    of the executor's wait; see `interruptible`.
+    Both are taken by Python rather than by rclpy. After the first one the node has `MOST_ENDING_S`
+    to end; a second one ends the process at once.
 
     Parameters
     ----------
@@ -64,64 +86,25 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     Returns
     -------
     int
-        The exit code: 1 when the node cannot be made with these arguments, else 0.
+        The exit code: 1 when the node cannot be made with these arguments, else 0. It does not
+        return where work goes on that cannot be stopped; then the process ends with this code.
 
     """
-    for number in _SIGNALS:
-        signal.signal(number, _interruption.ask)
+    ending, exit_code = _Ending(), 0
+    ending.begin()
     try:
         keep_freed_memory()
         _init(args)
-        _spin(make_node())
-    except (KeyboardInterrupt, ExternalShutdownException):
+        _spin(make_node(), ending)
+    except ExternalShutdownException:
         pass
     except (ValueError, ParameterException) as error:
         print(f'the node cannot start: {error}', file=sys.stderr)
-        return 1
+        exit_code = 1
     finally:
         rclpy.try_shutdown()
-        for number in _SIGNALS:  # the interpreter's end would put back that they kill
-            signal.signal(number, signal.SIG_IGN)
-    return 0
-
-
-@contextmanager
-def interruptible() -> Iterator[None]:
-    """
-    Let SIGINT and SIGTERM break off what takes long, the download of a network for example.
-
-    For the main thread of `run`; without it nothing changes.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        From anywhere within, or at once when the signal came before.
-
-    """
-    try:
-        _interruption.may_raise = True
-        if _interruption.is_asked:
-            raise KeyboardInterrupt
-        yield
-    finally:
-        _interruption.may_raise = False
-
-
-def answer_impossible_transitions(node: LifecycleNode) -> None:
-    """Let a transition that the state does not allow fail; in rclpy it would end the process."""
-    def guarded(callback: Callable[..., Any]) -> Callable[..., Any]:
-        def answer(request: ChangeState.Request, response: ChangeState.Response):
-            try:
-                return callback(request, response)
-            except RuntimeError as error:
-                node.get_logger().error(f'transition refused: {error}')
-                response.success = False
-                return response
-        return answer
-
-    for service in node.services:
-        if service.srv_type is ChangeState:
-            service.callback = guarded(service.callback)
+        ending.finish()
+    return leave(exit_code)
 
 
 def _init(args: list[str] | None) -> None:
@@ -132,12 +115,12 @@ def _init(args: list[str] | None) -> None:
         raise ValueError(f'rclpy refuses the arguments: {error}') from error
 
 
-def _spin(node: Node) -> None:
+def _spin(node: Node, ending: _Ending) -> None:
     """Spin until a signal, in short waits: Python handles signals only between them."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     try:
-        while rclpy.ok() and not _interruption.is_asked:
+        while rclpy.ok() and not ending.is_asked:
             executor.spin_once(timeout_sec=_SPIN_TIMEOUT_S)
     finally:
         node.destroy_node()

@@ -13,7 +13,7 @@ from node_helpers import CAMERA, assert_true_to, send, small_room, start
 from ros_helpers import camera_info_msg, header, image_array, image_msg
 from sensor_msgs.msg import CompressedImage
 
-from plane_detector.ros import lifecycle_node as node_module
+from plane_detector.ros import fault_log
 
 
 @pytest.fixture
@@ -68,22 +68,38 @@ def test_bad_frames_are_logged_and_skipped(robot, room):
     assert robot.wait_for('planes')[0].header == header(3.0)
 
 
-def test_a_reason_to_skip_is_logged_once_also_between_others(robot, room, monkeypatch):
-    monkeypatch.setattr(node_module, '_WARN_PERIOD_S', 3.0)
+def test_a_kind_of_fault_is_logged_once_whatever_its_text(robot, room, monkeypatch):
+    monkeypatch.setattr(fault_log, 'WARN_PERIOD_S', 3.0)
     node = start(robot, lambda rgb: room.depth_m)
     robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
 
-    def skip(*encodings):
-        for encoding in encodings:
+    def skip(*frames):
+        for msg in frames:
             count = node._statistics._skipped
-            robot.publish('image', image_msg(room.rgb, encoding, 2.0))
+            robot.publish('image', msg)
             assert robot.spin(lambda count=count: node._statistics._skipped > count)
 
-    skip('rgb32', 'rgb32', 'bgr32', 'rgb32', 'bgr32')
-    assert [robot.log().count(f"'{encoding}'") for encoding in ('rgb32', 'bgr32')] == [1, 1]
+    unknown = [image_msg(room.rgb, f'rgb{bits}', 2.0) for bits in range(32, 40)]
+    other = image_msg(room.rgb[:100], 'rgb8', 2.0)
+    skip(*unknown[:4], other, *unknown[4:], other)
+    assert robot.log().count('frame skipped') == 2
+    assert [robot.log().count(text) for text in ("'rgb32'", '320 x 100')] == [1, 1]
     robot.spin(timeout_s=3.0)
-    skip('rgb32')
-    assert robot.spin(lambda: robot.log().count("'rgb32'") == 2), 'what stays is told again'
+    skip(unknown[1])
+    assert robot.spin(lambda: robot.log().count("'rgb33'") == 1), 'what stays is told again'
+
+
+def test_what_a_message_says_is_cut_and_escaped_in_log_and_diagnostics(robot, room):
+    start(robot, lambda rgb: room.depth_m)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
+    encoding = '\x1b[31mred\n[INFO] all is well' + 10**6 * 'x'
+    robot.publish('image', image_msg(room.rgb, encoding, 2.0))
+    assert robot.is_logged('frame skipped')
+    lines = robot.log().splitlines()
+    assert '[INFO] all is well' not in {line[:18] for line in lines}
+    assert max(map(len, lines)) < 600
+    assert not any('\x1b[31mred' in line for line in lines)
+    assert len(robot.diagnosis()[1]['last_error']) < 500
 
 
 def test_a_picture_that_overtakes_the_calibration_of_its_size_is_processed(robot, room):

@@ -7,12 +7,12 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from node_process import STARTED_S, NodeProcess
 from onnx_models import millimetres_as_rgb, write_depth_network
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
@@ -22,34 +22,6 @@ from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
 
 ROOT = Path(__file__).resolve().parents[2]
-STARTED_S = 60.0
-
-
-class NodeProcess:
-    """The node with these arguments, and what it printed."""
-
-    def __init__(self, arguments, domain, log_path):
-        environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
-                       'PYTHONPATH': str(ROOT)}
-        self._log_path = log_path
-        with open(log_path, 'wb') as log:
-            self.process = subprocess.Popen(
-                [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args', *arguments],
-                env=environment, cwd=log_path.parent, stdout=log, stderr=subprocess.STDOUT)
-
-    def log(self):
-        return self._log_path.read_text(errors='replace')
-
-    def wait_until(self, condition):
-        end_s = time.monotonic() + STARTED_S
-        while not condition():
-            assert time.monotonic() < end_s, self.log()
-            time.sleep(0.01)
-
-    def end(self, number):
-        """Send a signal and return the exit code."""
-        self.process.send_signal(number)
-        return self.process.wait(STARTED_S)
 
 
 @pytest.fixture

@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Faults in the log: in one line, cut and escaped, each kind once in a while.
+
+What a fault says may quote a message from outside: of any length, with line breaks and escape
+sequences, and different in every frame.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from typing import Any
+
+MOST_CHARACTERS = 400
+WARN_PERIOD_S = 5.0
+"""A kind of fault is logged once in this time."""
+
+
+def plain(text: str, most: int = MOST_CHARACTERS) -> str:
+    r"""
+    Return a text in one line of characters that can be seen, cut where it is long.
+
+    Examples
+    --------
+    >>> plain('a\nb')
+    'a\\nb'
+    >>> plain(100 * 'a', 3)
+    'aaa... (100 characters)'
+
+    """
+    seen = ''.join(character if character.isprintable()
+                   else character.encode('unicode_escape').decode()
+                   for character in text[:most])
+    return seen if len(text) <= most else f'{seen}... ({len(text)} characters)'
+
+
+class FaultLog:
+    """
+    Logs why frames are skipped.
+
+    The kind of a fault is its type and the line of code that raised it, not its text.
+
+    Parameters
+    ----------
+    logger : rclpy's logger
+
+    """
+
+    def __init__(self, logger: Any):
+        self._logger = logger
+        self._told_s: dict[tuple[type, str, int], float] = {}
+
+    def tell(self, error: Exception) -> str:
+        """Log why a frame is skipped, if it is time to, and return it in one line."""
+        reason = plain(str(error) if isinstance(error, ValueError)
+                       else f'{type(error).__name__}: {error}')
+        raised_at = traceback.extract_tb(error.__traceback__)
+        last = raised_at[-1] if raised_at else traceback.FrameSummary('', 0, '')
+        if self._is_due((type(error), last.filename, last.lineno)):
+            self._logger.warning(f'frame skipped: {reason}')
+            if not isinstance(error, ValueError):  # a bug, or a part that is missing
+                self._logger.warning('raised at\n' + ''.join(traceback.format_list(raised_at)))
+        return reason
+
+    def _is_due(self, kind: tuple[type, str, int]) -> bool:
+        now_s = time.monotonic()
+        if now_s - self._told_s.get(kind, -WARN_PERIOD_S) < WARN_PERIOD_S:
+            return False
+        self._told_s[kind] = now_s
+        return True

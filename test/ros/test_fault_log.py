@@ -1,0 +1,72 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Faults in the log: cut, escaped, and told by their kind."""
+
+import pytest
+
+from plane_detector.ros import fault_log
+from plane_detector.ros.fault_log import FaultLog, plain
+
+
+class Logger:
+    def __init__(self):
+        self.lines = []
+
+    def warning(self, text):
+        self.lines.append(text)
+
+
+def caught(raising):
+    try:
+        raising()
+    except Exception as error:
+        return error
+    raise AssertionError('nothing was raised')
+
+
+def wrong_text(text):
+    raise ValueError(text)
+
+
+def wrong_type():
+    raise TypeError('5')
+
+
+@pytest.mark.parametrize('text', [
+    'a\nb', 'a\rb', '\x1b[2J', '\x00', '\u202egnp', '\udce9', '\x7f', '\u2028'])
+def test_nothing_is_left_that_moves_the_cursor(text):
+    assert plain(text).isprintable()
+    assert plain(plain(text)) == plain(text)
+
+
+def test_plain_text_stays():
+    assert plain('image is 640 x 480, not ünusual') == 'image is 640 x 480, not ünusual'
+
+
+def test_long_text_is_cut_with_its_length():
+    assert plain('x' * 1000, 10) == 'xxxxxxxxxx... (1000 characters)'
+    assert len(plain('\n' * 10**6)) < 3 * fault_log.MOST_CHARACTERS
+
+
+def test_the_kind_is_the_line_that_raised_and_not_the_text():
+    logger = Logger()
+    log = FaultLog(logger)
+    for k in range(100):
+        assert log.tell(caught(lambda k=k: wrong_text(f'fault {k}'))) == f'fault {k}'
+    assert logger.lines == ['frame skipped: fault 0']
+    log.tell(caught(wrong_type))
+    log.tell(caught(wrong_type))
+    assert logger.lines[1] == 'frame skipped: TypeError: 5'
+    assert 'in wrong_type' in logger.lines[2]
+    assert len(logger.lines) == 3
+
+
+def test_a_fault_that_stays_is_told_again(monkeypatch):
+    now_s = [100.0]
+    monkeypatch.setattr(fault_log.time, 'monotonic', lambda: now_s[0])
+    logger = Logger()
+    log = FaultLog(logger)
+    for step_s in (0, fault_log.WARN_PERIOD_S - 1, 2):
+        now_s[0] += step_s
+        log.tell(caught(lambda: wrong_text('again')))
+    assert len(logger.lines) == 2

@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nothing that the node works on keeps it from answering, from other states, or from its end."""
+
+import signal
+import threading
+
+import numpy as np
+import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
+from node_helpers import change_state, send, small_room, start
+from node_process import STARTED_S, NodeProcess
+from ros_helpers import Robot, camera_info_msg, header, image_msg, random_domain
+from slow_networks import HEIGHT, WIDTH, write_slow_network
+
+from plane_detector.types import CameraIntrinsics
+
+CAMERA = CameraIntrinsics(60.0, 60.0, 31.5, 23.5, WIDTH, HEIGHT)
+BRIGHT = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+STUCK_S = 20.0
+
+
+def parameters(model):
+    return {'depth.model': str(model), 'depth.output': 'metric_depth',
+            'depth.mean': [0.0, 0.0, 0.0], 'depth.std': [1.0, 1.0, 1.0]}
+
+
+@pytest.fixture
+def room():
+    return small_room()
+
+
+class Estimator:
+    """Gives a depth as soon as it is let, like C++ that hears nothing in between."""
+
+    def __init__(self, depth_m):
+        self.depth_m = depth_m
+        self.busy, self.free = threading.Event(), threading.Event()
+        self.calls = self.at_once = 0
+
+    def __call__(self, rgb):
+        self.calls += 1
+        self.at_once += 1
+        assert self.at_once == 1
+        self.busy.set()
+        assert self.free.wait(STUCK_S)
+        self.at_once -= 1
+        return self.depth_m
+
+
+def test_the_node_answers_while_it_is_configured(robot, tmp_path):
+    model = write_slow_network(tmp_path / 'slow.onnx', always=True)
+    node = start(robot, wait=False, **parameters(model))
+    assert robot.spin(lambda: node.state == 'configuring')
+    state = robot.call(GetState, 'plane_detector/get_state').current_state
+    assert state.label == 'configuring'
+    assert robot.diagnosis()[1]['state'] == 'configuring'
+    assert not change_state(robot, Transition.TRANSITION_CONFIGURE), 'it is at it'
+    assert not change_state(robot, Transition.TRANSITION_ACTIVATE)
+    assert robot.call(GetState, 'plane_detector/get_state').current_state.label == 'configuring'
+
+
+@pytest.mark.parametrize('label', ['', 'configure'])
+def test_configuring_is_asked_for_by_number_or_label(robot, room, label):
+    node = start(robot, lambda rgb: room.depth_m, wait=False, autostart=False)
+    number = 0 if label else Transition.TRANSITION_CONFIGURE
+    request = ChangeState.Request(transition=Transition(id=number, label=label))
+    assert robot.call(ChangeState, 'plane_detector/change_state', request).success
+    assert node.state == 'inactive'
+
+
+def test_deactivating_does_not_wait_and_the_frame_is_thrown_away(robot, room):
+    estimate = Estimator(room.depth_m)
+    node = start(robot, estimate)
+    send(robot, room, 1.0)
+    assert robot.spin(estimate.busy.is_set)
+    send(robot, room, 2.0)
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert (node.state, estimate.calls) == ('inactive', 1)
+    assert change_state(robot, Transition.TRANSITION_ACTIVATE)
+    send(robot, room, 3.0)
+    robot.spin(timeout_s=0.3)
+    assert estimate.calls == 1, 'the network is still at work'
+    estimate.free.set()
+    assert robot.wait_for('planes')[0].header == header(3.0)
+    assert robot.diagnosis()[1]['frames_skipped'] == '0'
+
+
+def test_the_next_network_waits_for_the_one_that_is_still_at_work(robot, room):
+    estimate = Estimator(room.depth_m)
+    node = start(robot, estimate)
+    send(robot, room, 1.0)
+    assert robot.spin(estimate.busy.is_set)
+    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
+        assert change_state(robot, transition)
+    assert node.state == 'unconfigured'
+    client = robot.node.create_client(ChangeState, 'plane_detector/change_state')
+    assert robot.spin(client.service_is_ready)
+    answer = client.call_async(ChangeState.Request(
+        transition=Transition(id=Transition.TRANSITION_CONFIGURE)))
+    robot.spin(timeout_s=0.5)
+    assert (node.state, answer.done()) == ('configuring', False)
+    estimate.free.set()
+    assert robot.spin(answer.done)
+    assert answer.result().success
+    assert node.state == 'inactive'
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Return a function: a node as a process with a network, and a robot that it hears."""
+    domain, begun = random_domain(), []
+    robot = Robot(outputs=(), domain=domain)
+
+    def begin(**kind):
+        values = parameters(write_slow_network(tmp_path / 'slow.onnx', **kind))
+        arguments = [part for name, value in values.items() for part in ('-p', f'{name}:={value}')]
+        begun.append(NodeProcess(arguments, domain, tmp_path / 'node.log'))
+        return begun[-1], robot
+
+    yield begin
+    for node in begun:
+        node.process.kill()
+        node.process.wait()
+    robot.shutdown()
+
+
+def is_in_state(robot, label):
+    return lambda: robot.received['diagnostics'] and robot.diagnosis()[1]['state'] == label
+
+
+@pytest.mark.parametrize('deaf', [False, True], ids=['endless', 'deaf'])
+def test_a_signal_ends_the_node_in_the_middle_of_a_warm_up(started, deaf):
+    node, robot = started(deaf=deaf, always=True)
+    assert robot.spin(is_in_state(robot, 'configuring'), STARTED_S), node.log()
+    assert node.end(signal.SIGTERM) == 0
+    assert 'Traceback' not in node.log()
+
+
+@pytest.mark.parametrize('deaf', [False, True], ids=['endless', 'deaf'])
+def test_a_signal_ends_the_node_in_the_middle_of_a_frame(started, deaf):
+    node, robot = started(deaf=deaf)
+    assert robot.spin(is_in_state(robot, 'active'), STARTED_S), node.log()
+    before = 0.0
+    for stamp_s in range(10):  # until both ends have found each other
+        robot.publish('camera_info', camera_info_msg(CAMERA, stamp_s))
+        robot.publish('image', image_msg(BRIGHT, 'rgb8', stamp_s))
+        robot.spin(timeout_s=0.2)
+        before = int(robot.diagnosis()[1]['frames_dropped'])
+        if before:
+            break
+    assert before, 'a frame is worked on, and those after it are dropped'
+    assert node.end(signal.SIGINT) == 0
+    assert 'Traceback' not in node.log()
