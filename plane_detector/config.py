@@ -269,6 +269,16 @@ class NodeConfig(Settings):
     use_imu: bool = setting(
         False, 'take the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
         'scale.imu_to_camera', read_only=True)
+    base_frame: str = setting(
+        '', 'frame of the robot whose origin is on the floor, as base_footprint: direction of '
+        'gravity and height of the camera come from TF; empty: off', read_only=True)
+    base_up: tuple[float, ...] = setting(
+        (0.0, 0.0, 1.0), 'direction up in base_frame', '', -1e6, 1e6)
+    target_frame: str = setting(
+        '', 'frame of the clouds, planes, poses and markers, as base_link, odom or map, by TF; '
+        'empty: that of the image', read_only=True)
+    tf_timeout: float = setting(
+        0.2, 'how long a transform is waited for; then the frame is skipped', 's', 0.0, 10.0)
     mode: str = setting(
         'continuous', 'continuous: the newest frame, again and again; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))
@@ -276,3 +286,8 @@ class NodeConfig(Settings):
         1, 'the clouds hold every n-th row and column; 1: all', '', 1, 64)
     marker_lifetime: float = setting(
         0.0, 'markers vanish after this time without new ones; 0: never', 's', 0.0, 1e6)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.base_up) != 3 or not any(self.base_up):
+            raise ValueError(f'base_up must be 3 numbers, not all zeros, not {self.base_up!r}')

@@ -32,7 +32,7 @@ ROSDEP_KEYS = {
     'cv2': 'python3-opencv', 'numpy': 'python3-numpy',
     'onnxruntime': 'python3-onnxruntime-pip', 'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy', 'skimage': 'python3-skimage', 'sklearn': 'python3-sklearn',
-    'threadpoolctl': 'python3-sklearn',  # which depends on it
+    'tf2_ros': 'tf2_ros_py', 'threadpoolctl': 'python3-sklearn',  # which depends on it
     'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
 EXTRAS = {'h5py', 'matplotlib', 'pyransac3d', 'onnx', 'torch', 'transformers', 'open3d'}
@@ -89,7 +89,7 @@ def packages_imported(path: Path) -> set[str]:
 
 
 def is_ros(package: str) -> bool:
-    return (package.startswith(('rcl', 'ament_', 'launch', 'rosidl', 'builtin_interfaces'))
+    return (package.startswith(('rcl', 'ament_', 'launch', 'rosidl', 'tf2', 'builtin_interfaces'))
             or package.endswith(('_msgs', '_srvs', '_interfaces')))
 
 

@@ -9,10 +9,14 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from plane_detector.config import NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.inputs.frame_conversion import PictureConverter
 from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.inputs.transform_buffer import TransformBuffer
+from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import OUTPUTS, Result
 from plane_detector.types import Detection
@@ -51,13 +55,17 @@ class FrameProcessor:
         Of the conversion and the outputs.
     image_topic : str
         Where the pictures come from; a name that ends in rectified says that they are.
+    transforms : FrameTransforms, optional
+        TF, for the frames that the settings name; default: there are no transforms.
 
     """
 
-    def __init__(self, detector: PlaneDetector, settings: NodeConfig, image_topic: str):
+    def __init__(self, detector: PlaneDetector, settings: NodeConfig, image_topic: str,
+                 transforms: FrameTransforms | None = None):
         self.detector = detector
         self.settings = settings
         self._converter = PictureConverter(image_topic)
+        self._transforms = transforms or FrameTransforms(TransformBuffer())
         self._shown: frozenset[int] = frozenset()
         self._epoch = 0
 
@@ -73,7 +81,8 @@ class FrameProcessor:
         Raises
         ------
         ValueError
-            The messages of the frame are not valid, or do not fit together.
+            The messages of the frame are not valid, or do not fit together, or a transform is
+            missing.
 
         """
         start_s = time.perf_counter()
@@ -82,11 +91,13 @@ class FrameProcessor:
             self._epoch = frame.epoch
         picture = self._converter.convert(frame, self.settings)
         converted_s = time.perf_counter()
+        pose = self._transforms.camera_pose(frame.image.header, self.settings)
         detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m,
-                                         frame.down_camera, picture.covered)
+                                         _down(frame, pose), picture.covered)
         detected_s = time.perf_counter()
         result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
-                        self.settings, self._shown)
+                        self.settings, self._shown,
+                        self._transforms.to_target(frame.image.header, self.settings))
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}
         self._remember_markers(detection, made)
@@ -102,3 +113,10 @@ class FrameProcessor:
         if 'markers' in made:
             self._shown = frozenset([*messages.plane_labels(detection).tolist(),
                                      *messages.shape_labels(detection).tolist()])
+
+
+def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:
+    """Return the direction of gravity: by the IMU, which feels a slope, or else by TF."""
+    if frame.down_camera is not None or pose is None:
+        return frame.down_camera
+    return pose.down_camera

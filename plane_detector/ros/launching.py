@@ -23,6 +23,8 @@ ARGUMENTS = {
     'model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
     'image_transport': ('', 'raw or compressed'),
     'use_imu': ('', 'true: gravity from the IMU'),
+    'base_frame': ('', 'frame of the robot on the floor, for gravity and camera height from TF'),
+    'target_frame': ('', 'frame of the outputs'),
     'mode': ('', 'continuous or on_demand'),
     'autostart': ('', 'false: a lifecycle manager configures and activates'),
     'respawn': ('false', 'true: start the node again when it ends; with exit_on_failure'),
@@ -33,7 +35,8 @@ ARGUMENTS = {
 _BOOLEANS = ('use_imu', 'autostart', 'use_sim_time', 'respawn', 'rviz')
 _PARAMETERS = {'depth_source': 'depth.source', 'model': 'depth.model',
                'image_transport': 'image_transport', 'use_imu': 'use_imu',
-               'mode': 'mode', 'autostart': 'autostart', 'use_sim_time': 'use_sim_time'}
+               'base_frame': 'base_frame', 'target_frame': 'target_frame', 'mode': 'mode',
+               'autostart': 'autostart', 'use_sim_time': 'use_sim_time'}
 
 
 class NodeArguments(NamedTuple):

@@ -37,6 +37,7 @@ from plane_detector.ros.health import Health
 from plane_detector.ros.inputs.subscriptions import Inputs
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
+from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.transitions import Transitions
 from plane_detector.stopping import current_stop, raise_if_stopped
@@ -53,6 +54,8 @@ class PlaneDetectorNode(LifecycleNode):
     ----------
     estimate_depth : callable, optional
         Takes the place of the network: rgb (H, W, 3) uint8 to depth (H, W) float32.
+    transforms : FrameTransforms, optional
+        Takes the place of TF.
     **node_options
         Of rclpy.node.Node.
 
@@ -64,8 +67,9 @@ class PlaneDetectorNode(LifecycleNode):
     """
 
     def __init__(self, estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None,
-                 **node_options: Any):
+                 transforms: FrameTransforms | None = None, **node_options: Any):
         super().__init__('plane_detector', **node_options)
+        self._transforms = transforms
         self._estimate_depth = estimate_depth
         self._config = parameters.declare(self, Config())
         self._settings = parameters.declare(self, NodeConfig())
@@ -112,12 +116,15 @@ class PlaneDetectorNode(LifecycleNode):
         try:
             detector = self._transitions.prepared()
             self._create_outputs()
+            if self._transforms is None and (self._settings.base_frame
+                                             or self._settings.target_frame):
+                self._transforms = listen_to_tf(self)
         except Exception as error:  # whatever a model file may provoke: the node stays
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
         image = input_topics(self, self._settings.image_transport)['image']
-        self._processor = FrameProcessor(detector, self._settings, image)
+        self._processor = FrameProcessor(detector, self._settings, image, self._transforms)
         self._worker = FrameWorker(self._work_on)
         for line in self._introduction():
             self.get_logger().info(line)

@@ -25,10 +25,11 @@ def small_room():
     return random_room(np.random.default_rng(3), CAMERA)
 
 
-def start(robot, estimate_depth=None, wait=True, **values):
+def start(robot, estimate_depth=None, wait=True, transforms=None, **values):
     """Add a node with these parameters, and spin until it is active."""
     overrides = [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
-    node = PlaneDetectorNode(estimate_depth, context=robot.context, parameter_overrides=overrides)
+    node = PlaneDetectorNode(estimate_depth, transforms, context=robot.context,
+                             parameter_overrides=overrides)
     robot.add(node)
     if wait:
         assert robot.spin(lambda: node.state == 'active'), robot.log()

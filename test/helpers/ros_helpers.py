@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import PoseArray, TransformStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -59,6 +59,17 @@ def camera_info_msg(intrinsics: CameraIntrinsics, stamp_s: float = 0.0) -> Camer
     msg.k = [intrinsics.fx, 0.0, intrinsics.cx, 0.0, intrinsics.fy, intrinsics.cy, 0.0, 0.0, 1.0]
     msg.r = np.eye(3).ravel().tolist()
     msg.p = np.pad(np.reshape(msg.k, (3, 3)), ((0, 0), (0, 1))).ravel().tolist()
+    return msg
+
+
+def transform_msg(parent, child, translation_m=(0.0, 0.0, 0.0), quaternion=(0.0, 0.0, 0.0, 1.0),
+                  stamp_s=0.0):
+    """Return the transform from a child into its parent, quaternion x y z w."""
+    msg = TransformStamped(header=header(stamp_s), child_frame_id=child)
+    msg.header.frame_id = parent
+    position, rotation = msg.transform.translation, msg.transform.rotation
+    position.x, position.y, position.z = translation_m
+    rotation.x, rotation.y, rotation.z, rotation.w = quaternion
     return msg
 
 

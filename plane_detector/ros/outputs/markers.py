@@ -7,12 +7,13 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 import numpy as np
-from geometry_msgs.msg import Point
+from geometry_msgs.msg import Point, Quaternion
 from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
 from plane_detector.drawing import label_colours
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import plane_outline
 from plane_detector.ros.outputs.messages import plane_labels, shape_labels
@@ -62,6 +63,20 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
         marker.lifetime = lifetime
         markers.append(marker)
     return MarkerArray(markers=markers)
+
+
+def moved(markers: MarkerArray, to_target: RigidTransform) -> MarkerArray:
+    """
+    Put markers of the camera's frame into the target frame; they are changed and returned.
+
+    The points of a marker are relative to its pose, so that only poses change.
+    """
+    rotation = Quaternion(**dict(zip('xyzw', to_target.quaternion.tolist(), strict=True)))
+    for marker in markers.markers:
+        at = marker.pose.position
+        marker.pose.position = _point(to_target.points(np.array([at.x, at.y, at.z])))
+        marker.pose.orientation = rotation
+    return markers
 
 
 def _plane_markers(header: Header, plane: Plane, corners_m: np.ndarray,

@@ -22,12 +22,13 @@ from visualization_msgs.msg import MarkerArray
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import overlay
 from plane_detector.geometry.projection import depth_to_points
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.ros.outputs.markers import markers_to_msg, moved
 from plane_detector.ros.outputs.shapes import shapes_to_msg
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import CameraIntrinsics, Detection
+from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Result:
         At the time.
     shown : frozenset of int
         Labels of the markers that were published last.
+    to_target : RigidTransform or None
+        From the frame of the image into the target frame; None: they are the same.
 
     """
 
@@ -58,6 +61,21 @@ class Result:
     detection: Detection
     settings: NodeConfig
     shown: frozenset[int] = frozenset()
+    to_target: RigidTransform | None = None
+
+    @cached_property
+    def target_header(self) -> Header:
+        """Of the outputs that are in the target frame; the stamp is that of the image."""
+        if self.to_target is None:
+            return self.header
+        return Header(stamp=self.header.stamp, frame_id=self.settings.target_frame)
+
+    @cached_property
+    def planes(self) -> tuple[Plane, ...]:
+        """The planes in the target frame."""
+        if self.to_target is None:
+            return self.detection.planes
+        return tuple(self.to_target.plane(plane) for plane in self.detection.planes)
 
     @cached_property
     def labels(self) -> np.ndarray:
@@ -67,8 +85,9 @@ class Result:
 
     @cached_property
     def points_m(self) -> np.ndarray:
-        """The point of each pixel, (H, W, 3) float32."""
-        return depth_to_points(self.detection.depth_m, self.intrinsics)
+        """The point of each pixel in the target frame, (H, W, 3) float32."""
+        points_m = depth_to_points(self.detection.depth_m, self.intrinsics)
+        return points_m if self.to_target is None else self.to_target.points(points_m)
 
     @property
     def thinned(self) -> tuple[slice, slice]:
@@ -85,7 +104,7 @@ class Output(NamedTuple):
 
 def _points(result: Result) -> PointCloud2:
     thinned = result.thinned
-    return messages.points_to_msg(result.header, result.points_m[thinned],
+    return messages.points_to_msg(result.target_header, result.points_m[thinned],
                                   np.ascontiguousarray(result.rgb[thinned]),
                                   result.labels[thinned])
 
@@ -100,22 +119,23 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
                          np.zeros(len(detection.shapes) + 1, bool))
     points_m, labels = result.points_m[result.thinned], detection.labels[result.thinned]
     return messages.obstacles_to_msg(
-        result.header, points_m[~is_floor[labels] & np.isfinite(points_m[..., 2])])
+        result.target_header, points_m[~is_floor[labels] & np.isfinite(points_m[..., 2])])
 
 
 def _planes(result: Result) -> PointCloud2:
-    return messages.planes_to_msg(result.header, result.detection.planes,
+    return messages.planes_to_msg(result.target_header, result.planes,
                                   messages.plane_labels(result.detection),
                                   result.detection.classes)
 
 
 def _poses(result: Result) -> PoseArray:
-    return messages.poses_to_msg(result.header, result.detection.planes)
+    return messages.poses_to_msg(result.target_header, result.planes)
 
 
 def _markers(result: Result) -> MarkerArray:
-    return markers_to_msg(result.header, result.detection, result.intrinsics, result.shown,
-                          result.settings.marker_lifetime)
+    markers = markers_to_msg(result.target_header, result.detection, result.intrinsics,
+                             result.shown, result.settings.marker_lifetime)
+    return markers if result.to_target is None else moved(markers, result.to_target)
 
 
 def _labels(result: Result) -> Image:

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Points and planes in another frame."""
+
+import numpy as np
+import pytest
+
+from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
+from plane_detector.types import Plane
+
+TURN = RigidTransform.from_quaternion((0.2, -0.4, 0.1, 0.9), (1.0, -2.0, 0.5))
+# z forward, x right, y down into x forward, y left, z up; 1.2 m above the floor.
+OPTICAL_TO_BASE = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+                                 np.array([0.1, 0.0, 1.2]))
+
+
+def test_by_hand_an_optical_frame_on_a_robot():
+    np.testing.assert_allclose(OPTICAL_TO_BASE.points(np.array([0.0, 1.2, 3.0])), [3.1, 0, 0])
+
+
+def test_points_keep_dtype_shape_and_nan():
+    points_m = np.full((2, 3, 3), np.nan, np.float32)
+    points_m[0, 0] = 1, 2, 3
+    moved_m = TURN.points(points_m)
+    assert moved_m.dtype == np.float32
+    assert moved_m.shape == points_m.shape
+    assert np.isnan(moved_m[1, 2]).all()
+    np.testing.assert_allclose(TURN.inverse().points(moved_m)[0, 0], [1, 2, 3], rtol=1e-5)
+
+
+def test_one_after_the_other():
+    point_m = np.array([0.3, 0.2, 2.0])
+    np.testing.assert_allclose(TURN.after(OPTICAL_TO_BASE).points(point_m),
+                               TURN.points(OPTICAL_TO_BASE.points(point_m)))
+    both = TURN.inverse().after(TURN)
+    np.testing.assert_allclose(both.rotation, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(both.translation_m, 0, atol=1e-12)
+
+
+def test_the_points_of_a_plane_stay_on_it():
+    floor = Plane(np.array([0.0, -1.0, 0.0]), 1.2, np.array([0.5, 1.2, 3.0]), 9, 0.0, 1.0,
+                  np.eye(4), 1.0)
+    moved = OPTICAL_TO_BASE.plane(floor)
+    np.testing.assert_allclose(moved.normal, [0, 0, 1])
+    assert moved.offset_m == pytest.approx(0.0), 'the origin of the base is on the floor'
+    assert moved.normal @ moved.centroid_m + moved.offset_m == pytest.approx(0.0)
+    turned = TURN.plane(floor)
+    on_it_m = TURN.points(np.array([-2.0, 1.2, 7.0]))
+    assert turned.normal @ on_it_m + turned.offset_m == pytest.approx(0.0)
+
+
+def test_in_between():
+    half = interpolate(RigidTransform.identity(),
+                       RigidTransform.from_quaternion((0, 0, 1, 1), (2.0, 0, 0)), 0.5)
+    np.testing.assert_allclose(half.translation_m, [1, 0, 0])
+    np.testing.assert_allclose(half.points(np.array([1.0, 0, 0])),
+                               [1 + np.sqrt(0.5), np.sqrt(0.5), 0])

@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Transforms by time, and what the node makes of them."""
+
+import sys
+
+import numpy as np
+import pytest
+from rclpy.time import Time
+from ros_helpers import header, transform_msg
+
+from plane_detector.config import NodeConfig
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.ros.inputs.transform_buffer import (
+    TransformBuffer,
+    TransformError,
+    transform_from_msg,
+)
+from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
+
+OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # x right, y down, z forward in a body frame of x forward, z up
+
+
+def robot_buffer(height_m=1.2, stamps_s=(1.0, 2.0)):
+    """Return a robot that drives a metre along x of odom, with a camera on it."""
+    buffer = TransformBuffer()
+    buffer.add(transform_msg('base_footprint', 'base_link', (0.0, 0.0, 0.2)), is_static=True)
+    buffer.add(transform_msg('base_link', 'camera_optical_frame', (0.1, 0.0, height_m - 0.2),
+                             OPTICAL), is_static=True)
+    for stamp_s in stamps_s:
+        buffer.add(transform_msg('odom', 'base_footprint', (stamp_s, 0.0, 0.0), stamp_s=stamp_s))
+    return buffer
+
+
+def looked_up(buffer, target, source, stamp_s=1.5):
+    return transform_from_msg(buffer.lookup_transform(target, source, Time(seconds=stamp_s)))
+
+
+def test_along_the_tree_and_back():
+    buffer = robot_buffer()
+    forth = looked_up(buffer, 'odom', 'camera_optical_frame')
+    np.testing.assert_allclose(forth.points(np.array([0.0, 1.2, 3.0])), [1.5 + 0.1 + 3.0, 0, 0],
+                               atol=1e-9)
+    back = looked_up(buffer, 'camera_optical_frame', 'odom').after(forth)
+    np.testing.assert_allclose(back.translation_m, 0, atol=1e-9)
+
+
+def test_messages_may_come_in_any_order():
+    buffer = robot_buffer(stamps_s=(2.0, 1.0, 3.0))
+    assert looked_up(buffer, 'odom', 'base_link', 2.5).translation_m[0] == pytest.approx(2.5)
+    assert looked_up(buffer, 'odom', 'base_link', 1.0).translation_m[0] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize('target, stamp_s', [('odom', 0.9), ('odom', 2.1), ('map', 1.5)])
+def test_what_is_not_known_is_an_error(target, stamp_s):
+    with pytest.raises(TransformError):
+        looked_up(robot_buffer(), target, 'camera_optical_frame', stamp_s)
+
+
+def test_a_circle_of_frames_is_an_error_too():
+    buffer = TransformBuffer()
+    buffer.add(transform_msg('a', 'b'), is_static=True)
+    buffer.add(transform_msg('b', 'a'), is_static=True)
+    with pytest.raises(TransformError):
+        looked_up(buffer, 'map', 'a')
+
+
+def test_gravity_and_height_of_the_camera():
+    transforms = FrameTransforms(robot_buffer(height_m=0.9))
+    pose = transforms.camera_pose(header(1.5), NodeConfig(base_frame='base_footprint'))
+    np.testing.assert_allclose(pose.down_camera, [0, 1, 0], atol=1e-9)
+    assert pose.height_m == pytest.approx(0.9)
+    sideways = NodeConfig(base_frame='base_footprint', base_up=(0.0, 2.0, 0.0))
+    np.testing.assert_allclose(transforms.camera_pose(header(1.5), sideways).down_camera,
+                               [1, 0, 0], atol=1e-9)
+
+
+def test_without_names_nothing_is_asked():
+    transforms = FrameTransforms(None)
+    assert transforms.camera_pose(header(1.5), NodeConfig()) is None
+    assert transforms.to_target(header(1.5), NodeConfig()) is None
+    same = NodeConfig(target_frame='camera_optical_frame')
+    assert transforms.to_target(header(1.5), same) is None
+
+
+def test_into_the_target_frame():
+    to_odom = FrameTransforms(robot_buffer()).to_target(header(1.25), NodeConfig(
+        target_frame='odom'))
+    assert isinstance(to_odom, RigidTransform)
+    np.testing.assert_allclose(to_odom.translation_m, [1.35, 0, 1.2], atol=1e-9)
+
+
+def test_a_missing_transform_is_told_with_its_frames():
+    with pytest.raises(ValueError, match=r'from camera_optical_frame to map .*0\.3 s.*Transform'):
+        FrameTransforms(robot_buffer()).to_target(
+            header(1.5), NodeConfig(target_frame='map', tf_timeout=0.3))
+
+
+def test_without_tf2_the_remedy_is_told(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'tf2_ros', None)
+    with pytest.raises(ValueError, match='ros-jazzy-tf2-ros-py'):
+        listen_to_tf(None)
+
+
+def test_up_must_be_a_direction():
+    with pytest.raises(ValueError, match='base_up must be 3 numbers'):
+        NodeConfig(base_up=(0.0, 0.0, 0.0))
