@@ -15,12 +15,9 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
-from rcl_interfaces.msg import SetParametersResult
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from plane_detector.config import Config, NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros import parameters, qos
 from plane_detector.ros.autostart import Autostart
@@ -38,6 +35,7 @@ from plane_detector.ros.inputs.subscriptions import Inputs
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
+from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.transitions import Transitions
 from plane_detector.stopping import current_stop, raise_if_stopped
@@ -71,12 +69,7 @@ class PlaneDetectorNode(LifecycleNode):
         super().__init__('plane_detector', **node_options)
         self._transforms = transforms
         self._estimate_depth = estimate_depth
-        self._config = parameters.declare(self, Config())
-        self._settings = parameters.declare(self, NodeConfig())
-        parameters.warn_of_unknown(self)
-        self.add_pre_set_parameters_callback(self._with_floats)
-        self.add_on_set_parameters_callback(self._check_parameters)
-        self.add_post_set_parameters_callback(self._take_parameters)
+        self._live = LiveSettings(self, lambda: self.state == 'active', self._on_change)
         self._statistics = Statistics()
         self._processor: FrameProcessor | None = None
         self._worker: FrameWorker | None = None
@@ -90,9 +83,9 @@ class PlaneDetectorNode(LifecycleNode):
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         self._transitions = Transitions(self, self._load)
-        if self._settings.autostart:
+        if self._live.settings.autostart:
             Autostart(self, self._transitions, lambda: self._health.may_pass,
-                      lambda: self._health.failure, exits=self._settings.exit_on_failure)
+                      lambda: self._health.failure, exits=self._live.settings.exit_on_failure)
 
     def destroy_node(self) -> None:
         """Give up what runs and end the node; what heeds no stop is left behind in its thread."""
@@ -116,15 +109,15 @@ class PlaneDetectorNode(LifecycleNode):
         try:
             detector = self._transitions.prepared()
             self._create_outputs()
-            if self._transforms is None and (self._settings.base_frame
-                                             or self._settings.target_frame):
+            if self._transforms is None and (self._live.settings.base_frame
+                                             or self._live.settings.target_frame):
                 self._transforms = listen_to_tf(self)
         except Exception as error:  # whatever a model file may provoke: the node stays
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
-        image = input_topics(self, self._settings.image_transport)['image']
-        self._processor = FrameProcessor(detector, self._settings, image, self._transforms)
+        image = input_topics(self, self._live.settings.image_transport)['image']
+        self._processor = FrameProcessor(detector, self._live.settings, image, self._transforms)
         self._worker = FrameWorker(self._work_on)
         for line in self._introduction():
             self.get_logger().info(line)
@@ -164,7 +157,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _accept(self, frame: Frame) -> None:
         """Leave a frame to the worker; called in the executor's thread."""
-        if self._settings.mode == 'on_demand' and not self._frame_requested:
+        if self._live.settings.mode == 'on_demand' and not self._frame_requested:
             return
         self._frame_requested = False
         if self._worker.put(frame):
@@ -196,8 +189,8 @@ class PlaneDetectorNode(LifecycleNode):
     def _apply_changes(self) -> None:
         """Take over, between two frames, what was asked for in the meantime."""
         processor = self._processor
-        processor.settings = parameters.with_live(processor.settings, self._settings)
-        config = parameters.with_live(processor.detector.config, self._config)
+        processor.settings = parameters.with_live(processor.settings, self._live.settings)
+        config = parameters.with_live(processor.detector.config, self._live.config)
         if processor.detector.config != config:
             processor.detector.config = config
         if self._reset_requested:
@@ -206,27 +199,10 @@ class PlaneDetectorNode(LifecycleNode):
 
     # Parameters and services
 
-    def _with_floats(self, changed: list[Parameter]) -> list[Parameter]:
-        return parameters.with_floats(self._settings,
-                                      parameters.with_floats(self._config, changed))
-
-    def _check_parameters(self, changed: list[Parameter]) -> SetParametersResult:
-        try:
-            fixed = [name for old in (self._config, self._settings)
-                     for name in parameters.fixed_changes(old, parameters.updated(old, changed))]
-        except ValueError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        if fixed and self.state == 'active':
-            return SetParametersResult(successful=False, reason=(
-                f'{", ".join(fixed)}: read when the node is configured; deactivate the node, set '
-                'it, then clean up and configure'))
-        return SetParametersResult(successful=True)
-
-    def _take_parameters(self, changed: list[Parameter]) -> None:
-        self._config = parameters.updated(self._config, changed)
-        self._settings = parameters.updated(self._settings, changed)
+    def _on_change(self) -> None:
+        """Pass on what the inputs use; the rest is taken over between two frames."""
         if self._inputs is not None:
-            self._inputs.set_stamp_slop(self._settings.stamp_slop)
+            self._inputs.set_stamp_slop(self._live.settings.stamp_slop)
 
     def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._frame_requested = self._inputs is not None
@@ -244,7 +220,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
-        facts = {'state': self.state, 'mode': self._settings.mode, **self._health.scale_facts}
+        facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.scale_facts}
         if self._processor is not None:
             detector = self._processor.detector
             facts.update(model_facts(detector.config.depth.source, detector.estimate_depth))
@@ -256,9 +232,9 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _introduction(self) -> list[str]:
         """Return what is logged at configure: where depth comes from, why, what is waited for."""
-        facts = model_facts(self._config.depth.source, self._processor.detector.estimate_depth)
+        facts = model_facts(self._live.config.depth.source, self._processor.detector.estimate_depth)
         runs_on = facts.get('execution_provider')
-        topics = input_topics(self, self._settings.image_transport)
+        topics = input_topics(self, self._live.settings.image_transport)
         lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
                  facts.get('depth_model_reason', ''),
                  f'{topics["image"]}, {topics["camera_info"]} -> '
@@ -271,7 +247,7 @@ class PlaneDetectorNode(LifecycleNode):
         """Make the pipeline, whose network may have to be fetched; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could be more than the memory holds
-        return PlaneDetector(self._config, self._estimate_depth)
+        return PlaneDetector(self._live.config, self._estimate_depth)
 
     def _create_outputs(self) -> None:
         for name, output in OUTPUTS.items():

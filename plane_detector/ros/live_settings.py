@@ -1,0 +1,70 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The settings of a running node: declared as parameters, checked, and changed between frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from plane_detector.config import Config, NodeConfig
+from plane_detector.ros import parameters
+
+
+class LiveSettings:
+    """
+    What the parameters of a node say now.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Its parameters are declared.
+    is_active : callable
+        Whether what is read at configure is fixed.
+    on_change : callable
+        Called after each change.
+
+    Attributes
+    ----------
+    config : Config
+    settings : NodeConfig
+
+    Raises
+    ------
+    ValueError, rclpy.exceptions.ParameterException
+        A parameter has a value that is not possible.
+
+    """
+
+    def __init__(self, node: Node, is_active: Callable[[], bool], on_change: Callable[[], None]):
+        self._is_active, self._on_change = is_active, on_change
+        self.config = parameters.declare(node, Config())
+        self.settings = parameters.declare(node, NodeConfig())
+        parameters.warn_of_unknown(node)
+        node.add_pre_set_parameters_callback(self._with_floats)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._take)
+
+    def _with_floats(self, changed: list[Parameter]) -> list[Parameter]:
+        return parameters.with_floats(self.settings,
+                                      parameters.with_floats(self.config, changed))
+
+    def _check(self, changed: list[Parameter]) -> SetParametersResult:
+        try:
+            fixed = [name for old in (self.config, self.settings)
+                     for name in parameters.fixed_changes(old, parameters.updated(old, changed))]
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        if fixed and self._is_active():
+            return SetParametersResult(successful=False, reason=(
+                f'{", ".join(fixed)}: read when the node is configured; deactivate the node, set '
+                'it, then clean up and configure'))
+        return SetParametersResult(successful=True)
+
+    def _take(self, changed: list[Parameter]) -> None:
+        self.config = parameters.updated(self.config, changed)
+        self.settings = parameters.updated(self.settings, changed)
+        self._on_change()
