@@ -232,7 +232,8 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _introduction(self) -> list[str]:
         """Return what is logged at configure: where depth comes from, why, what is waited for."""
-        facts = model_facts(self._live.config.depth.source, self._processor.detector.estimate_depth)
+        detector = self._processor.detector
+        facts = model_facts(detector.config.depth.source, detector.estimate_depth)
         runs_on = facts.get('execution_provider')
         topics = input_topics(self, self._live.settings.image_transport)
         lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),

@@ -16,12 +16,13 @@ from plane_detector.drawing import label_colours
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import plane_outline
-from plane_detector.ros.outputs.messages import plane_labels, shape_labels
-from plane_detector.ros.outputs.shapes import NAMESPACE, shape_markers
+from plane_detector.ros.outputs.messages import FIRST_SHAPE_LABEL, plane_labels, shape_labels
+from plane_detector.ros.outputs.shapes import NAMESPACE as SHAPE_NAMESPACE
+from plane_detector.ros.outputs.shapes import shape_markers
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
-_NAMESPACES = ('outline', 'normal', 'caption', NAMESPACE)
+_NAMESPACES = ('outline', 'normal', 'caption')
 # Sizes as a share of the distance from the camera: they look alike near and far, and need no
 # unit where the scale is not known.
 _LINE_WIDTH, _ARROW_LENGTH, _TEXT_HEIGHT = 0.006, 0.15, 0.05
@@ -48,7 +49,8 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
     """
     labels = plane_labels(detection)
     gone = set(shown) - {*labels.tolist(), *shape_labels(detection).tolist()}
-    markers = [_delete(header, name, label) for label in sorted(gone) for name in _NAMESPACES]
+    markers = [_delete(header, name, label) for label in sorted(gone)
+               for name in _namespaces_of(label)]
     lifetime = Duration(seconds=lifetime_s).to_msg()
     shares = (label_colours(labels) / 255.0).tolist()
     for index, (plane, label, share) in enumerate(zip(detection.planes, labels, shares,
@@ -71,11 +73,14 @@ def moved(markers: MarkerArray, to_target: RigidTransform) -> MarkerArray:
 
     The points of a marker are relative to its pose, so that only poses change.
     """
-    rotation = Quaternion(**dict(zip('xyzw', to_target.quaternion.tolist(), strict=True)))
     for marker in markers.markers:
-        at = marker.pose.position
-        marker.pose.position = _point(to_target.points(np.array([at.x, at.y, at.z])))
-        marker.pose.orientation = rotation
+        at, turn = marker.pose.position, marker.pose.orientation
+        here = RigidTransform.from_quaternion((turn.x, turn.y, turn.z, turn.w),
+                                              (at.x, at.y, at.z))
+        there = to_target.after(here)
+        marker.pose.position = _point(there.translation_m)
+        marker.pose.orientation = Quaternion(
+            **dict(zip('xyzw', there.quaternion.tolist(), strict=True)))
     return markers
 
 
@@ -108,8 +113,14 @@ def _marker(header: Header, name: str, kind: int, points_m: Iterable[np.ndarray]
     return marker
 
 
+def _namespaces_of(label: int) -> tuple[str, ...]:
+    return (SHAPE_NAMESPACE,) if label > FIRST_SHAPE_LABEL else _NAMESPACES
+
+
 def _delete(header: Header, name: str, label: int) -> Marker:
-    return Marker(header=header, ns=name, id=int(label), action=Marker.DELETE)
+    marker = Marker(header=header, ns=name, id=int(label), action=Marker.DELETE)
+    marker.pose.orientation.w = 1.0
+    return marker
 
 
 def _point(point_m: np.ndarray) -> Point:

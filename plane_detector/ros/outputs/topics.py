@@ -9,7 +9,7 @@ The node publishes them, the replay writes them into a bag; what is in them is d
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -28,7 +28,7 @@ from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.markers import markers_to_msg, moved
 from plane_detector.ros.outputs.shapes import shapes_to_msg
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import CameraIntrinsics, Detection, Plane
+from plane_detector.types import CameraIntrinsics, Detection
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,14 @@ class Result:
         return Header(stamp=self.header.stamp, frame_id=self.settings.target_frame)
 
     @cached_property
-    def planes(self) -> tuple[Plane, ...]:
-        """The planes in the target frame."""
-        if self.to_target is None:
-            return self.detection.planes
-        return tuple(self.to_target.plane(plane) for plane in self.detection.planes)
+    def target_detection(self) -> Detection:
+        """The same with planes and shapes in the target frame; depth stays as it is."""
+        turn, found = self.to_target, self.detection
+        if turn is None:
+            return found
+        shapes = tuple(replace(shape, position_m=turn.points(shape.position_m),
+                               axis=turn.rotation @ shape.axis) for shape in found.shapes)
+        return replace(found, planes=tuple(map(turn.plane, found.planes)), shapes=shapes)
 
     @cached_property
     def labels(self) -> np.ndarray:
@@ -123,13 +126,13 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
 
 
 def _planes(result: Result) -> PointCloud2:
-    return messages.planes_to_msg(result.target_header, result.planes,
+    return messages.planes_to_msg(result.target_header, result.target_detection.planes,
                                   messages.plane_labels(result.detection),
                                   result.detection.classes)
 
 
 def _poses(result: Result) -> PoseArray:
-    return messages.poses_to_msg(result.target_header, result.planes)
+    return messages.poses_to_msg(result.target_header, result.target_detection.planes)
 
 
 def _markers(result: Result) -> MarkerArray:
@@ -151,7 +154,7 @@ def _overlay(result: Result) -> Image:
 
 
 def _shapes(result: Result) -> PointCloud2:
-    return shapes_to_msg(result.header, result.detection)
+    return shapes_to_msg(result.target_header, result.target_detection)
 
 
 OUTPUTS: dict[str, Output] = {
