@@ -7,6 +7,10 @@ A label image is a PNG of 8 or 16 bits: 0 no plane, any other value a plane. The
 its name is the frame's. Tables of planes are CSV files in the same folder with the columns of
 COLUMNS: a plane is normal . p + d = 0 in metres, p in the optical frame (x right, y down, z
 forward), and ``label`` is the value in the image.
+
+The published plane annotation of NYU Depth V2 (NYUv2-Plane, by the authors of PlaneAE) is read
+too: ``plane_instance_<frame>.npz`` with ``plane_instance`` (192, 256), 0 no plane, which shows the
+frame without its border.
 """
 
 from __future__ import annotations
@@ -37,9 +41,11 @@ def label_files(folder: Path) -> dict[int, Path]:
         A name has no number, or two have the same.
 
     """
-    paths = sorted(folder.glob('*.png')) if folder.is_dir() else []
+    # Beside the published annotation lie PNG files that show it in colours.
+    paths = sorted(folder.glob('*.npz')) or sorted(folder.glob('*.png'))
     if not paths:
-        raise FileNotFoundError(f'there is no folder {folder} with label images (PNG)')
+        raise FileNotFoundError(f'there is no folder {folder} with label images (PNG, or NPZ of '
+                                'NYUv2-Plane)')
     found: dict[int, Path] = {}
     for path in paths:
         numbers = re.findall(r'\d+', path.stem)
@@ -82,6 +88,24 @@ def read_labels(path: Path, shape: tuple[int, int]) -> np.ndarray:
         raise ValueError(f'{path} is {values.shape[1]} x {values.shape[0]}; it must have the '
                          f'shape of {width} x {height}')
     return cv2.resize(values, (width, height), interpolation=cv2.INTER_NEAREST).astype(np.int32)
+
+
+def read_annotation(path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """
+    Read a file of NYUv2-Plane, stretched to the height and width that are wanted.
+
+    Raises
+    ------
+    ValueError
+        It is no such file.
+
+    """
+    try:
+        with np.load(path) as content:
+            values = content['plane_instance'].astype(np.int32)
+    except (OSError, KeyError, ValueError) as error:
+        raise ValueError(f'{path} is not a file of NYUv2-Plane: {error}') from error
+    return cv2.resize(np.squeeze(values), shape[::-1], interpolation=cv2.INTER_NEAREST)
 
 
 def read_plane_table(folder: Path) -> dict[tuple[int, int], np.ndarray]:

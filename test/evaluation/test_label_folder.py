@@ -9,6 +9,7 @@ import pytest
 from plane_detector.evaluation.label_folder import (
     label_files,
     planes_of_frame,
+    read_annotation,
     read_labels,
     read_plane_table,
     write_labels,
@@ -59,6 +60,19 @@ def test_labels_of_another_resolution_are_resized_and_of_another_shape_refused(t
     cv2.imwrite(str(path), np.zeros((2, 2, 3), np.uint8))
     with pytest.raises(ValueError, match='one channel'):
         read_labels(path, (2, 2))
+
+
+def test_the_published_annotation_is_read_and_stretched(tmp_path):
+    labels = np.array([[0, 1], [2, 1]], np.uint8)
+    np.savez(tmp_path / 'plane_instance_12.npz', plane_instance=labels,
+             plane_param=np.ones((2, 3)))
+    cv2.imwrite(str(tmp_path / 'plane_instance_12.png'), np.zeros((2, 2, 3), np.uint8))
+    (number, path), = label_files(tmp_path).items()
+    assert number == 12
+    np.testing.assert_array_equal(read_annotation(path, (2, 6)), np.repeat(labels, 3, axis=1))
+    np.savez(path, other=labels)
+    with pytest.raises(ValueError, match='NYUv2-Plane'):
+        read_annotation(path, (2, 6))
 
 
 def test_planes_are_normalised_and_look_at_the_camera(tmp_path):

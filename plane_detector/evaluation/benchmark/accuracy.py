@@ -25,7 +25,7 @@ from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.metrics import MIN_PIXELS
 from plane_detector.evaluation.peers import Ours, all_methods
 
-EXACT_TRUTH = ('rooms', 'lived-in rooms')
+EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -57,25 +57,46 @@ def run(options: argparse.Namespace) -> None:
 
 
 def report(samples: Sequence[Sample]) -> None:
-    """Print a table for scenes of exact truth, for curved ones and for real frames."""
+    """Print the comparison of all methods, then ours, curved scenes and real frames in detail."""
+    for kind in EXACT_TRUTH:
+        own = [one for one in samples if one.kind == kind]
+        if own:
+            emit(f'### {kind[0].upper()}{kind[1:]}: SC / recall / precision by noise (1/m)',
+                 comparison(own))
     groups = grouped(samples)
+    first = samples[0].method if samples else ''
     for title, header, cells, wanted in (
-            (f'Rendered rooms; recall is of planes over {MIN_PIXELS} pixels',
-             ('scenes', 'noise (1/m)', 'method', 'n', 'SC', 'worst SC (seed)', 'recall',
-              'precision', 'unlabelled'), _exact_cells, lambda kind: kind in EXACT_TRUTH),
-            ('Columns, pipes and balls: share of the curved pixels that got a label',
-             ('scenes', 'noise (1/m)', 'method', 'n', 'taken for planes', 'worst',
-              'least IoU of a plane'), _curved_cells, lambda kind: kind == 'curved'),
-            ('Real frames, depth of the sensor',
-             ('scenes', 'noise (1/m)', 'method', 'n', 'planes', 'labelled', 'purity'),
-             _frame_cells, lambda kind: kind not in (*EXACT_TRUTH, 'curved'))):
+            (f'{first} in detail', ('SC', 'worst SC (seed)', 'recall', 'precision', 'unlabelled'),
+             _exact_cells, lambda kind, method: kind in EXACT_TRUTH and method == first),
+            ('Columns, pipes and balls',
+             ('taken for planes', 'worst', 'least IoU of a plane'), _curved_cells,
+             lambda kind, _: kind == CURVED),
+            ('Real frames, depth of the sensor', ('planes', 'labelled', 'purity'), _frame_cells,
+             lambda kind, _: kind not in (*EXACT_TRUTH, CURVED))):
         rows = [[kind, f'{sigma:g}', method, str(len(group)), *cells(group), *_times(group)]
-                for (kind, sigma, method), group in groups.items() if wanted(kind)]
+                for (kind, sigma, method), group in groups.items() if wanted(kind, method)]
         if rows:
-            emit(f'### {title}', table((*header, 'CPU ms, median', 'worst'), rows))
-    emit('Unlabelled: share of the pixels on true planes without a label. Purity: share of the '
-         'pixels of a plane near the best plane through the sensor\'s points there. Times are of '
-         'one core, from depth to labels and planes.')
+            emit(f'### {title}', table(('scenes', 'noise (1/m)', 'method', 'n', *header,
+                                        'CPU ms, median', 'worst'), rows))
+    emit(f'Recall: true planes over {MIN_PIXELS} pixels that a predicted one matches with '
+         'IoU > 0.5; precision: predicted planes that match. Unlabelled: share of the pixels on '
+         'true planes without a label. Taken for planes: share of the curved pixels that got a '
+         'label. Purity: share of the pixels of a plane near the best plane through the sensor\'s '
+         'points there. Times are of one core, from depth to labels and planes.')
+
+
+def comparison(samples: Sequence[Sample]) -> str:
+    """Return a Markdown table with a line for each method and a column for each noise."""
+    groups = grouped(samples)
+    sigmas = sorted({one.sigma for one in samples})
+    lines = []
+    for method in dict.fromkeys(one.method for one in samples):
+        own = [group for (_, _, name), group in groups.items() if name == method]
+        lines.append([method, str(len(own[0])), *(
+            ' / '.join(f'{known_mean(column(group, name)):.3f}'
+                       for name in ('SC', 'recall', 'precision')) for group in own),
+            f'{np.median([one.cpu_ms for group in own for one in group]):.0f}'])
+    return table(('method', 'n', *(f'{sigma:g}' for sigma in sigmas), 'CPU ms'), lines)
 
 
 def grouped(samples: Sequence[Sample]) -> dict[tuple[str, float, str], list[Sample]]:

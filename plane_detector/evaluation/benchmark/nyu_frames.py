@@ -20,6 +20,7 @@ from plane_detector.evaluation.benchmark.samples import timed
 from plane_detector.evaluation.label_folder import (
     label_files,
     planes_of_frame,
+    read_annotation,
     read_labels,
     read_plane_table,
     write_labels,
@@ -167,6 +168,8 @@ def outside_segments(folder: Path, frame: NyuFrame) -> Segments | None:
 
 
 def _without_border(path: Path, cut: CameraIntrinsics) -> np.ndarray:
+    if path.suffix == '.npz':
+        return read_annotation(path, (cut.height, cut.width))
     try:
         return read_labels(path, (INTRINSICS.height, INTRINSICS.width))[ROWS, COLUMNS]
     except ValueError:

@@ -147,6 +147,14 @@ def test_a_folder_may_be_the_truth(file, run, tmp_path):
         run('labels', tmp_path, '--nyu', file)
 
 
+def test_the_published_annotation_may_be_the_truth(file, tmp_path):
+    labels = nyu_room(SEEDS[1]).labels[ROWS, COLUMNS].astype(np.int16) + 1
+    np.savez(tmp_path / 'plane_instance_2.npz', plane_param=np.zeros((labels.max(), 3)),
+             plane_instance=cv2.resize(labels, (256, 192), interpolation=cv2.INTER_NEAREST))
+    task = Task(file, depth='filled', truth=str(tmp_path), methods=('ours',))
+    assert evaluate(task, 2).rows[OURS]['SC'] > 0.95
+
+
 def test_without_annotations_the_truth_must_be_another(tmp_path):
     path = tmp_path / 'plain.mat'
     write_nyu(path, SEEDS[:1], annotated=False)
