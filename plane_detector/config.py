@@ -260,6 +260,9 @@ class NodeConfig(Settings):
     image_transport: str = setting(
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
         'image/compressed', choices=('raw', 'compressed'), read_only=True)
+    max_image_pixels: int = setting(
+        50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
+        2**30)
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: where there is any and the name of '
         'the topic does not say rectified', choices=('auto', 'true', 'false'))

@@ -74,7 +74,7 @@ class PictureConverter:
             A message is not what it says, or they do not fit together.
 
         """
-        rgb = _decode(frame)
+        rgb = _decode(frame, settings.max_image_pixels)
         info = _with_size(frame.camera_info, rgb)
         rectify = self._is_to_rectify(info, settings.rectify)
         intrinsics = messages.intrinsics_from_msg(info, rectify or self._named_rectified)
@@ -120,9 +120,10 @@ def _rectification_from_msg(info: CameraInfo) -> Rectification:
         np.reshape(info.r, (3, 3)), rectified_matrix, messages.picture_size(info))
 
 
-def _decode(frame: Frame) -> np.ndarray:
+def _decode(frame: Frame, most_pixels: int) -> np.ndarray:
     if isinstance(frame.image, CompressedImage):
-        return encodings.rgb_from_compressed_msg(frame.image)
+        return encodings.rgb_from_compressed_msg(
+            frame.image, messages.picture_size(frame.camera_info), most_pixels)
     return encodings.rgb_from_msg(frame.image)
 
 
@@ -137,11 +138,9 @@ def _with_size(info: CameraInfo, rgb: np.ndarray) -> CameraInfo:
 
 
 def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
-    height, width = rgb.shape[:2]
-    if (width, height) != (intrinsics.width, intrinsics.height):
-        raise ValueError(f'the image is {width} x {height}, its CameraInfo is for '
-                         f'{intrinsics.width} x {intrinsics.height} (after region of interest '
-                         'and binning)')
+    size, expected = rgb.shape[1::-1], (intrinsics.width, intrinsics.height)
+    if size != expected:
+        raise ValueError(encodings.wrong_size(size, expected))
 
 
 def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:

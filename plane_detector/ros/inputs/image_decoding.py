@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
+from plane_detector.ros.inputs.compressed_size import compressed_size
+
 _CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1,
              'uyvy': 2, 'yuv422': 2, 'yuyv': 2, 'yuv422_yuy2': 2,
              '8uc3': 3, 'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1}
@@ -73,23 +75,57 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     return cv2.cvtColor(np.ascontiguousarray(pixels), _TO_RGB[encoding])
 
 
-def rgb_from_compressed_msg(msg: CompressedImage) -> np.ndarray:
+def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
+                            most_pixels: int) -> np.ndarray:
     """
-    Decode a jpeg or png picture to (H, W, 3) uint8.
+    Decode a JPEG or PNG image, once its header shows that it is of the right size.
+
+    Parameters
+    ----------
+    msg : sensor_msgs.msg.CompressedImage
+        Its ``format`` is not looked at: the first bytes tell.
+    expected : (width, height)
+        Its size; (0, 0) where that is not known.
+    most_pixels : int
+        More are refused.
+
+    Returns
+    -------
+    (H, W, 3) uint8
 
     Raises
     ------
     ValueError
-        The data is no picture that OpenCV can read.
+        The data is no such image, damaged, or of another size.
 
     """
-    data = np.frombuffer(msg.data, np.uint8)
-    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
-    bgr = cv2.imdecode(data, flags) if data.size else None
-    if bgr is None:
-        raise ValueError(f'the compressed image ({msg.format!r}, {data.size} bytes) cannot be '
-                         'decoded: jpeg and png are')
+    data = bytes(msg.data)
+    try:
+        width, height = compressed_size(data)
+    except ValueError as error:
+        raise ValueError(f'the compressed image ({len(data)} bytes) cannot be decoded: '
+                         f'{error}') from error
+    if any(expected) and (width, height) != expected:
+        raise ValueError(wrong_size((width, height), expected))
+    if width * height > most_pixels:
+        raise ValueError(f'the compressed image is {width} x {height}, more than '
+                         f'max_image_pixels, {most_pixels}')
+    try:
+        bgr = cv2.imdecode(np.frombuffer(data, np.uint8),
+                           cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as error:
+        reason = ' '.join(error.err.split())
+        raise ValueError(f'the compressed image cannot be decoded: {reason}') from error
+    if bgr is None or bgr.shape[:2] != (height, width):
+        raise ValueError(f'the compressed image ({len(data)} bytes) cannot be decoded: '
+                         'it is damaged')
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
+
+
+def wrong_size(size: tuple[int, int], expected: tuple[int, int]) -> str:
+    """Return what is wrong with an image of another width and height than its CameraInfo's."""
+    return (f'the image is {size[0]} x {size[1]}, its CameraInfo is for {expected[0]} x '
+            f'{expected[1]} (after region of interest and binning)')
 
 
 def depth_from_msg(msg: Image) -> np.ndarray:

@@ -4,15 +4,13 @@
 
 import array
 
-import cv2
 import numpy as np
 import pytest
-from ros_helpers import header, image_msg
-from sensor_msgs.msg import CompressedImage, Image
+from ros_helpers import image_msg
+from sensor_msgs.msg import Image
 
 from plane_detector.ros.inputs.image_decoding import (
     depth_from_msg,
-    rgb_from_compressed_msg,
     rgb_from_msg,
 )
 
@@ -130,20 +128,6 @@ def bad_images():
 def test_bad_images_are_refused_with_the_reason(msg, reason):
     with pytest.raises(ValueError, match=reason):
         rgb_from_msg(msg)
-
-
-@pytest.mark.parametrize('extension', ['.png', '.jpg'])
-def test_compressed_picture_keeps_the_order_of_colours(extension):
-    picture = np.broadcast_to(COLOUR, (16, 16, 3))
-    _, data = cv2.imencode(extension, picture[..., ::-1])
-    msg = CompressedImage(header=header(), format=extension[1:], data=data.tobytes())
-    assert abs(rgb_from_compressed_msg(msg).astype(int) - picture).max() <= 3
-
-
-@pytest.mark.parametrize('data', [b'', b'not a picture'])
-def test_what_is_no_picture_is_refused(data):
-    with pytest.raises(ValueError, match='cannot be decoded'):
-        rgb_from_compressed_msg(CompressedImage(format='jpeg', data=data))
 
 
 @pytest.mark.parametrize('big_endian', [False, True])

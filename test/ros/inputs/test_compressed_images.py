@@ -1,0 +1,127 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Compressed images: JPEG and PNG of the right size, and nothing that is decoded before."""
+
+import cv2
+import numpy as np
+import pytest
+from compressed_bombs import PNG_BEGIN, jpeg_bomb, jpeg_of_many_scans, png_bomb, png_chunk
+from ros_helpers import header
+from sensor_msgs.msg import CompressedImage
+
+from plane_detector.ros.inputs import image_decoding
+from plane_detector.ros.inputs.compressed_size import MOST_SCANS, compressed_size
+from plane_detector.ros.inputs.image_decoding import rgb_from_compressed_msg
+
+COLOUR = np.array([200, 100, 30], np.uint8)
+SIZE = (18, 16)
+MOST_PIXELS = 1000
+
+
+def encoded(extension, size=SIZE, flags=()):
+    image = np.broadcast_to(COLOUR, (size[1], size[0], 3))
+    return cv2.imencode(extension, image[..., ::-1], list(flags))[1].tobytes()
+
+
+def decoded(data, expected=SIZE, most_pixels=MOST_PIXELS):
+    msg = CompressedImage(header=header(), format='jpeg', data=data)
+    return rgb_from_compressed_msg(msg, expected, most_pixels)
+
+
+@pytest.mark.parametrize('expected', [SIZE, (0, 0)])
+@pytest.mark.parametrize('extension', ['.png', '.jpg'])
+def test_colours_keep_their_order(extension, expected):
+    rgb = decoded(encoded(extension), expected)
+    assert rgb.shape == (16, 18, 3)
+    assert abs(rgb.astype(int) - COLOUR).max() <= 3
+
+
+@pytest.mark.parametrize('data', [
+    encoded('.png', (640, 480)), encoded('.jpg', (640, 480)),
+    encoded('.jpg', (640, 480), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1]),
+    encoded('.jpg', (640, 480), [cv2.IMWRITE_JPEG_RST_INTERVAL, 1])])
+def test_the_header_tells_the_size(data):
+    assert compressed_size(data) == (640, 480)
+
+
+def test_segments_before_the_header_are_passed_over():
+    plain = encoded('.jpg')
+    comment = b'\xff\xfe\x00\x06\xff\xc0\xff\xd8'
+    assert compressed_size(plain[:2] + comment + b'\xff' + plain[2:]) == SIZE
+
+
+def bombs():
+    yield 'png', png_bomb(30000, 30000), 'is 30000 x 30000'
+    yield 'jpeg', jpeg_bomb(30000, 30000), 'is 30000 x 30000'
+    yield 'png chunk', encoded('.png')[:33] + b'\x7f' + encoded('.png')[34:], 'breaks off'
+    yield 'png end', encoded('.png')[:-12] + b'\x7f' + encoded('.png')[-11:], 'breaks off'
+    yield 'scans', jpeg_of_many_scans(*SIZE, MOST_SCANS + 1), f'more than {MOST_SCANS}'
+
+
+def others():
+    yield 'empty', b'', 'neither a JPEG nor a PNG'
+    yield 'text', b'not a picture', 'neither a JPEG nor a PNG'
+    for extension in ('.webp', '.bmp', '.tiff', '.pgm'):
+        yield extension, cv2.imencode(extension, np.zeros((16, 18), np.uint8))[1].tobytes(), \
+            'neither a JPEG nor a PNG'
+    yield 'cut png', encoded('.png')[:20], 'breaks off'
+    yield 'png without its end', encoded('.png')[:-12], 'breaks off'
+    yield 'cut jpeg', encoded('.jpg')[:30], 'no size'
+    yield 'png without a size', (PNG_BEGIN + png_chunk(b'IHDR', bytes(13))
+                                 + png_chunk(b'IEND', b'')), 'no size'
+    yield 'jpeg without a height', jpeg_bomb(18, 0), 'no size'
+
+
+@pytest.mark.parametrize('expected', [SIZE, (0, 0)], ids=['of a known size', 'of any size'])
+@pytest.mark.parametrize('data, reason', [
+    pytest.param(data, reason, id=name) for name, data, reason in (*bombs(), *others())])
+def test_what_is_refused_is_refused_before_it_is_decoded(data, reason, expected, monkeypatch):
+    def decode(*_):
+        pytest.fail('decoded')
+
+    monkeypatch.setattr(image_decoding.cv2, 'imdecode', decode)
+    with pytest.raises(ValueError, match=reason):
+        decoded(data, expected)
+
+
+def test_another_size_than_that_of_the_calibration_is_refused_before_it_is_decoded(monkeypatch):
+    monkeypatch.setattr(image_decoding.cv2, 'imdecode', lambda *_: pytest.fail('decoded'))
+    with pytest.raises(ValueError, match='the image is 18 x 17, its CameraInfo is for 18 x 16'):
+        decoded(encoded('.png', (18, 17)))
+
+
+def test_the_limit_is_inclusive():
+    data = encoded('.png')
+    assert decoded(data, (0, 0), 18 * 16).shape == (16, 18, 3)
+    with pytest.raises(ValueError, match='max_image_pixels, 287'):
+        decoded(data, (0, 0), 18 * 16 - 1)
+
+
+def test_what_opencv_fails_on_is_one_line():
+    damaged = bytearray(encoded('.png'))
+    damaged[33:41] = b'\xff' * 8
+    with pytest.raises(ValueError, match='cannot be decoded') as caught:
+        decoded(bytes(damaged))
+    assert '\n' not in str(caught.value)
+
+
+def test_an_error_of_opencv_is_one_line(monkeypatch):
+    def decode(*_):
+        return cv2.cvtColor(np.zeros((2, 2, 7), np.uint8), cv2.COLOR_BGR2RGB)
+
+    monkeypatch.setattr(image_decoding.cv2, 'imdecode', decode)
+    with pytest.raises(ValueError, match='cannot be decoded') as caught:
+        decoded(encoded('.png'))
+    assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('extension', ['.png', '.jpg'])
+def test_random_damage_is_told_or_decoded_but_never_another_size(extension):
+    rng, plain = np.random.default_rng(0), encoded(extension)
+    for _ in range(300):
+        data = np.frombuffer(plain, np.uint8).copy()
+        data[rng.integers(len(data), size=rng.integers(1, 6))] = rng.integers(256)
+        try:
+            assert decoded(data.tobytes(), (0, 0)).shape[0] <= MOST_PIXELS
+        except ValueError as error:
+            assert '\n' not in str(error)
