@@ -119,11 +119,9 @@ class PointMapReader:
     needs_lens: bool = True
 
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return how far each point is from the one nearest along z; see `Reader`."""
-        z = as_map(arrays[0], 3)[..., 2]
-        is_valid = (as_map(arrays[2]) >= LEAST_MASK) & np.isfinite(z)
-        z = np.where(is_valid, z, np.nan)
-        return z - (np.nanmin(z) if is_valid.any() else 0)
+        """Return the length of each point, which a wall face on has different too."""
+        length = np.linalg.norm(as_map(arrays[0], 3), axis=-1)
+        return np.where(as_map(arrays[2]) >= LEAST_MASK, length, np.nan)
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics, max_depth_m: float) -> Prediction:

@@ -1,0 +1,157 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Networks of several outputs: units, axes, letterboxing and the lens, on ONNX Runtime."""
+
+import numpy as np
+import pytest
+from onnx_geometry_models import (
+    angle_deg_of,
+    encoded,
+    put_in_cache,
+    write_canonical_network,
+    write_point_map_network,
+)
+
+from plane_detector.config import DepthConfig
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.framing import Framing, rays
+from plane_detector.depth.networks import NETWORKS
+from plane_detector.depth.point_map import depth_from_point_map
+from plane_detector.depth.preprocessing import prepare_input
+from plane_detector.types import CameraIntrinsics
+
+MOGE, METRIC3D = 'moge_2_small_normal', 'metric3d_v2_small'
+WIDTH, HEIGHT = 56, 42
+LENS = CameraIntrinsics(50.0, 52.0, 20.0, 23.0, WIDTH, HEIGHT)
+
+
+def wall_m(lens=LENS, slope=0.15):
+    """Return the depth of an upright wall that is turned about the vertical."""
+    x = rays(lens, (lens.height, lens.width))[..., 0]
+    return 2 / (1 + slope * x)
+
+
+def moge(monkeypatch, tmp_path, lens=LENS, **changes):
+    path = write_point_map_network(tmp_path / 'moge.onnx', rays(lens, (HEIGHT, WIDTH)), **changes)
+    put_in_cache(monkeypatch, MOGE, path)
+    return DepthEstimator(DepthConfig(model=MOGE, cache_dir=str(tmp_path)))
+
+
+def metric3d(monkeypatch, tmp_path):
+    put_in_cache(monkeypatch, METRIC3D, write_canonical_network(tmp_path / 'metric3d.onnx'))
+    return DepthEstimator(DepthConfig(model=METRIC3D, cache_dir=str(tmp_path)))
+
+
+def angles_deg(normals):
+    """Return the angle of each normal (sin a, 0, -cos a), after a check of the rest of it."""
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=-1), 1, rtol=1e-5)
+    np.testing.assert_allclose(normals[..., 1], 0, atol=1e-6)
+    return np.degrees(np.arctan2(normals[..., 0], -normals[..., 2]))
+
+
+@pytest.mark.parametrize('changes', [{}, {'shift': -0.3}, {'facing': -1},
+                                     {'element_of_mask': 'BOOL'}])
+def test_a_point_map_gives_metres_and_normals_that_look_at_the_camera(
+        tmp_path, monkeypatch, changes):
+    estimate = moge(monkeypatch, tmp_path, **changes)
+    depth_m = np.round(wall_m(), 3)
+    blue = np.tile(np.linspace(40, 220, WIDTH).astype(np.uint8), (HEIGHT, 1))
+    found = estimate.predict(encoded(depth_m, blue), LENS)
+    assert (estimate.output, found.output) == ('metric_depth', 'metric_depth')
+    np.testing.assert_allclose(found.values, depth_m, rtol=1e-4)
+    np.testing.assert_allclose(angles_deg(found.normals_camera), angle_deg_of(blue), atol=1e-3)
+    assert found.values.dtype == found.normals_camera.dtype == np.float32
+
+
+def test_what_the_mask_rules_out_is_nan(tmp_path, monkeypatch):
+    depth_m = np.round(wall_m(), 3)
+    depth_m[:10] = 0  # the sky
+    found = moge(monkeypatch, tmp_path).predict(encoded(depth_m, 100), LENS)
+    np.testing.assert_array_equal(np.isnan(found.values), depth_m == 0)
+    np.testing.assert_array_equal(np.isnan(found.normals_camera).any(axis=-1), depth_m == 0)
+
+
+def test_the_lens_is_that_of_the_image_and_not_of_the_input(tmp_path, monkeypatch):
+    # The same view in three times as many pixels; a wall face on has one depth in all of them.
+    large = CameraIntrinsics(150.0, 156.0, 61.0, 70.0, 3 * WIDTH, 3 * HEIGHT)
+    np.testing.assert_allclose(rays(large, (HEIGHT, WIDTH)), rays(LENS, (HEIGHT, WIDTH)),
+                               atol=1e-6)
+    found = moge(monkeypatch, tmp_path).predict(
+        encoded(np.full((3 * HEIGHT, 3 * WIDTH), 3.0), 100), large)
+    assert found.values.shape == (3 * HEIGHT, 3 * WIDTH)
+    assert found.normals_camera.shape == (3 * HEIGHT, 3 * WIDTH, 3)
+    np.testing.assert_allclose(found.values, 3.0, rtol=1e-4)
+
+
+def test_without_the_lens_such_a_network_is_refused(tmp_path, monkeypatch):
+    estimate = moge(monkeypatch, tmp_path)
+    assert estimate.needs_lens
+    with pytest.raises(ValueError, match='moge_2_small_normal needs the intrinsics'):
+        estimate(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+
+
+def test_a_file_of_other_outputs_than_the_zoo_says_is_refused(tmp_path, monkeypatch):
+    put_in_cache(monkeypatch, MOGE, write_canonical_network(tmp_path / 'n.onnx'))
+    with pytest.raises(ValueError, match='must have an input num_tokens of int64.*pixel_values'):
+        DepthEstimator(DepthConfig(model=MOGE, cache_dir=str(tmp_path)))
+    other = write_point_map_network(tmp_path / 'm.onnx', rays(LENS, (HEIGHT, WIDTH)))
+    put_in_cache(monkeypatch, METRIC3D, other)
+    with pytest.raises(ValueError, match='must have one input, of float32'):
+        DepthEstimator(DepthConfig(model=METRIC3D, cache_dir=str(tmp_path)))
+
+
+def test_noise_moves_the_shift_of_a_point_map_by_less_than_itself():
+    rng = np.random.default_rng(0)
+    x = rays(LENS, (HEIGHT, WIDTH))
+    z = wall_m().astype(np.float32)
+    points = np.dstack([x * z[..., None], z - 0.7]) * (1 + 0.02 * rng.standard_normal(
+        (HEIGHT, WIDTH, 1)))
+    is_valid = rng.random((HEIGHT, WIDTH)) < 0.9
+    points[~is_valid] = np.nan
+    found = depth_from_point_map(points.astype(np.float32), is_valid, x)
+    np.testing.assert_array_equal(np.isnan(found), ~is_valid)
+    assert abs(np.nanmedian(found - z)) < 0.01
+
+
+@pytest.mark.parametrize('valid', [False, True])
+def test_a_point_map_that_says_nothing_of_its_shift_keeps_its_z(valid):
+    points = np.ones((4, 4, 3), np.float32)
+    found = depth_from_point_map(points, np.full((4, 4), valid), np.zeros((4, 4, 2), np.float32))
+    np.testing.assert_array_equal(np.isnan(found), not valid)
+    assert not valid or (found == 1).all()
+
+
+@pytest.mark.parametrize(('width', 'height', 'focal_at_input'), [
+    (1064, 400, 500.0), (500, 616, 500.0), (532, 308, 1000.0)])
+def test_canonical_depth_becomes_metres_by_the_focal_length_at_the_input(
+        tmp_path, monkeypatch, width, height, focal_at_input):
+    lens = CameraIntrinsics(500.0, 500.0, width / 2, height / 2, width, height)
+    estimate = metric3d(monkeypatch, tmp_path)
+    assert estimate.input_size(width, height) == (1064, 616)
+    raw = np.full((height, width), 4.0)
+    if width != 532:  # not resized, so that every pixel can be told from its neighbours
+        raw = np.round(np.linspace(2, 9, width * height).reshape(height, width), 3)
+    found = estimate.predict(encoded(raw, 77), lens)
+    np.testing.assert_allclose(found.values, raw * focal_at_input / 1000, rtol=1e-4)
+    np.testing.assert_allclose(angles_deg(found.normals_camera), angle_deg_of(77), atol=1e-3)
+    np.testing.assert_allclose(found.normal_confidence, 77 / 255, rtol=1e-4)
+    assert found.normal_confidence.shape == (height, width)
+
+
+def test_a_letterboxed_image_lies_in_the_middle_of_the_colour_of_its_border():
+    recipe = NETWORKS[METRIC3D].recipe
+    rgb = np.full((480, 640, 3), (10, 20, 30), np.uint8)
+    planes = prepare_input(rgb, (1064, 616), recipe)
+    assert planes.shape == (3, 616, 1064)
+    left = (1064 - 821) // 2
+    inside = planes[:, :, left:left + 821]
+    np.testing.assert_allclose(np.moveaxis(inside, 0, -1) - (10, 20, 30), 0, atol=1e-5)
+    for border in (planes[:, :, :left], planes[:, :, left + 821:]):
+        np.testing.assert_allclose(np.moveaxis(border, 0, -1) - recipe.border_rgb, 0, atol=1e-5)
+
+
+def test_a_map_smaller_than_the_input_is_cropped_where_the_image_lies():
+    framing = Framing.letterboxed((640, 160), (64, 32))
+    assert (framing.left, framing.top, framing.width, framing.height) == (0, 8, 64, 16)
+    rows = np.repeat(np.arange(16)[:, None], 32, axis=1)
+    np.testing.assert_array_equal(framing.crop(rows)[:, 0], np.arange(4, 12))

@@ -1,0 +1,133 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+ONNX networks with the inputs and outputs of MoGe-2 and Metric3D v2 that decode truth from colours.
+
+Red and green hold the depth in millimetres as in `onnx_models`, blue the angle of a normal
+(sin a, 0, -cos a) with a = (blue / 255 - 0.5) * 2 radians.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from onnx_models import millimetres_as_rgb, onnx_package, write_network
+
+from plane_detector.depth.download import sha256_of
+from plane_detector.depth.networks import NETWORKS
+
+SCALE_PER_TOKEN = 1 / 480
+"""The scale of the point map is the number of tokens times this."""
+
+
+def angle_deg_of(blue: np.ndarray) -> np.ndarray:
+    return np.degrees((blue / 255 - 0.5) * 2)
+
+
+def encoded(depth_m: np.ndarray, blue: np.ndarray | int) -> np.ndarray:
+    """Return the image (H, W, 3) uint8 of a depth and of normals."""
+    rgb = millimetres_as_rgb(depth_m)
+    rgb[..., 2] = blue
+    return rgb
+
+
+def put_in_cache(monkeypatch, name: str, path: Path) -> None:
+    """Let a file in its own folder be the verified file of a network of the zoo."""
+    network = dataclasses.replace(NETWORKS[name], sha256=sha256_of(path), file_name=path.name)
+    monkeypatch.setitem(NETWORKS, name, network)
+
+
+def write_point_map_network(path: Path, rays: np.ndarray, *, shift: float = 0.7,
+                            facing: int = 1, element_of_mask: str = 'FLOAT') -> Path:
+    """
+    Write a network with the interface of MoGe-2.
+
+    Parameters
+    ----------
+    path : Path
+    rays : (h, w, 2) floating
+        x / z and y / z of its pixels.
+    shift : float
+        Taken from the z of all points, in metres.
+    facing : int
+        1: normals look at the camera; -1: away.
+    element_of_mask : str
+        FLOAT or BOOL. The mask is 0 where red and green are.
+
+    """
+    proto, make = onnx_package().TensorProto, onnx_package().helper.make_node
+    height, width = rays.shape[:2]
+    directions = np.concatenate([rays, np.ones((height, width, 1))], axis=-1)[None]
+    nodes = [
+        *_channels(),
+        make('Mul', ['rg', 'metres'], ['rg_m']),
+        make('ReduceSum', ['rg_m', 'channel_axis'], ['z'], keepdims=1),
+        make('Transpose', ['z'], ['z_last'], perm=[0, 2, 3, 1]),
+        make('Mul', ['z_last', 'rays'], ['points_m']),
+        make('Sub', ['points_m', 'shift'], ['shifted_m']),
+        make('Cast', ['num_tokens'], ['tokens'], to=proto.FLOAT),
+        make('Mul', ['tokens', 'scale_per_token'], ['scale']),
+        make('Div', ['shifted_m', 'scale'], ['points']),
+        *_normals(), make('Transpose', ['normal_first'], ['normal'], perm=[0, 2, 3, 1]),
+        make('Greater', ['z', 'nothing'], ['is_there']),
+        make('Squeeze', ['is_there', 'channel_axis'], ['is_there_3d']),
+        make('Cast', ['is_there_3d'], ['mask'], to=getattr(proto, element_of_mask))]
+    shape = [1, height, width]
+    return write_network(
+        path, nodes, [('image', proto.FLOAT, [1, 3, height, width]),
+                      ('num_tokens', proto.INT64, [])],
+        [('points', proto.FLOAT, [*shape, 3]), ('normal', proto.FLOAT, [*shape, 3]),
+         ('mask', getattr(proto, element_of_mask), shape), ('scale', proto.FLOAT, [])],
+        [*_constants(255.0, facing), _tensor(directions, 'rays'),
+         _tensor([0, 0, shift], 'shift'), _tensor(SCALE_PER_TOKEN, 'scale_per_token'),
+         _tensor(1e-6, 'nothing')])
+
+
+def write_canonical_network(path: Path) -> Path:
+    """Write a network with the interface of Metric3D v2; its confidence is blue / 255."""
+    proto, make = onnx_package().TensorProto, onnx_package().helper.make_node
+    nodes = [
+        *_channels('pixel_values'),
+        make('Mul', ['rg', 'metres'], ['rg_m']),
+        make('ReduceSum', ['rg_m', 'channel_axis'], ['predicted_depth'], keepdims=1),
+        *_normals(), make('Identity', ['normal_first'], ['predicted_normal']),
+        make('Squeeze', ['blue', 'channel_axis'], ['blue_3d']),
+        make('Mul', ['blue_3d', 'to_unit'], ['normal_confidence'])]
+    free = ['height', 'width']
+    return write_network(
+        path, nodes, [('pixel_values', proto.FLOAT, [1, 3, *free])],
+        [('predicted_depth', proto.FLOAT, [1, 1, *free]),
+         ('predicted_normal', proto.FLOAT, [1, 3, *free]),
+         ('normal_confidence', proto.FLOAT, [1, *free])], _constants(1.0, 1))
+
+
+def _channels(image: str = 'image') -> list:
+    make = onnx_package().helper.make_node
+    return [make('Slice', [image, 'zero', 'two', 'channel_axis'], ['rg']),
+            make('Slice', [image, 'two', 'three', 'channel_axis'], ['blue'])]
+
+
+def _normals() -> list:
+    """Return what makes normals [1, 3, h, w] of blue."""
+    make = onnx_package().helper.make_node
+    return [make('Mul', ['blue', 'to_two'], ['twice']), make('Sub', ['twice', 'one'], ['angle']),
+            make('Sin', ['angle'], ['sine']), make('Cos', ['angle'], ['cosine']),
+            make('Sub', ['sine', 'sine'], ['none']), make('Neg', ['cosine'], ['minus_cosine']),
+            make('Concat', ['sine', 'none', 'minus_cosine'], ['looking'], axis=1),
+            make('Mul', ['looking', 'facing'], ['normal_first'])]
+
+
+def _constants(full: float, facing: int) -> list:
+    """Return the constants of a network whose image is 0 to 255 / ``full``."""
+    metres = np.reshape([256, 1], (1, 2, 1, 1)) * full / 1000
+    floats = {'metres': metres, 'to_two': 2 * full / 255, 'to_unit': full / 255, 'one': 1.0,
+              'facing': facing}
+    integers = {'zero': 0, 'two': 2, 'three': 3, 'channel_axis': 1}
+    return [*(_tensor(value, name) for name, value in floats.items()),
+            *(_tensor([value], name, np.int64) for name, value in integers.items())]
+
+
+def _tensor(value: object, name: str, dtype: type = np.float32) -> object:
+    return onnx_package().numpy_helper.from_array(np.asarray(value, dtype), name)
