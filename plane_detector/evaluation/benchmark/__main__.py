@@ -26,6 +26,7 @@ from plane_detector.evaluation.benchmark.tables import emit
 COMMANDS = {
     'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
     'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
+    'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
     'depth': ('benchmark.depth_network', 'time of the depth network'),
     'flicker': ('benchmark.flicker', 'the temporal filter of the depth'),

@@ -1,0 +1,84 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of shapes: matching, and a run on one scene."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from plane_detector.evaluation.benchmark import shapes
+from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
+from plane_detector.evaluation.shape_methods import ShapeGuess
+from plane_detector.types import ShapeType
+
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def mask_of(rows):
+    mask = np.zeros((100, 100), bool)
+    mask[rows] = True
+    return mask
+
+
+def truth(kind, rows, radius=0.2, axis=UP):
+    return TrueShape(kind, np.zeros(3), axis, radius, 0.0, mask_of(rows))
+
+
+def guess(kind, rows, radius=0.2, axis=UP):
+    return ShapeGuess(kind, mask_of(rows), radius, 0.0, axis)
+
+
+def test_matches_need_the_type_and_half_of_the_pixels():
+    scene = ShapeScene(None, (truth(ShapeType.CYLINDER, np.s_[:20]),
+                              truth(ShapeType.SPHERE, np.s_[40:60], axis=np.zeros(3)),
+                              truth(ShapeType.CONE, np.s_[80:85])), '')
+    tilted = np.array([0.0, np.cos(0.1), np.sin(0.1)])
+    judged = shapes.match(scene, [guess(ShapeType.CYLINDER, np.s_[:18], 0.22, -tilted),
+                                  guess(ShapeType.CONE, np.s_[40:60]),
+                                  guess(ShapeType.CYLINDER, np.s_[0:20])])
+    assert judged.matched == (ShapeType.CYLINDER,)
+    assert judged.missed == (ShapeType.SPHERE,)  # the cone is too small to be missed
+    assert judged.wrong == 2
+    assert judged.radius_errors == pytest.approx((0.1,))
+    assert judged.axis_errors_deg == pytest.approx((np.degrees(0.1),))
+
+
+def test_scenes_hold_visible_shapes_with_their_geometry():
+    scene = shape_scene(np.random.default_rng(0))
+    assert 1 <= len(scene.shapes) <= 5
+    v, u = np.mgrid[:480, :640]
+    k = scene.scene.intrinsics
+    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u, float)], axis=-1)
+    points_m = rays * scene.scene.depth_m[..., None]
+    for shape in scene.shapes:
+        assert (scene.scene.labels[shape.mask] == -1).all()
+        offset = points_m[shape.mask] - shape.position_m
+        along = offset @ shape.axis
+        away = np.linalg.norm(offset - along[:, None] * shape.axis, axis=1)
+        expected = shape.radius_m or along * np.tan(shape.half_angle_rad)
+        np.testing.assert_allclose(away, expected, atol=2e-4)
+
+
+def test_a_run_prints_both_tables(capsys):
+    shapes.run(SimpleNamespace(scenes=1, first_seed=0, peer_scenes=0))
+    printed = capsys.readouterr().out
+    assert '| plane_detector | 0 | 1 |' in printed
+    assert 'The planes without and with the search for shapes' in printed
+
+
+def test_the_baseline_finds_a_ball():
+    pytest.importorskip('pyransac3d')
+    from plane_detector.evaluation.shape_methods import PyRansac
+    from plane_detector.types import CameraIntrinsics
+    camera = CameraIntrinsics(80.0, 80.0, 39.5, 29.5, 80, 60)
+    v, u = np.mgrid[:60, :80]
+    ray_x, ray_y = (u - 39.5) / 80, (v - 29.5) / 80
+    square, half, rest = ray_x**2 + ray_y**2 + 1, 2.0, 4.0 - 0.5**2
+    with np.errstate(invalid='ignore'):
+        depth_m = ((half - np.sqrt(half**2 - square * rest)) / square).astype(np.float32)
+    found = PyRansac()(depth_m, camera)
+    assert found[0].type == ShapeType.SPHERE
+    assert found[0].radius_m == pytest.approx(0.5, abs=0.05)
