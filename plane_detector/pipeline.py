@@ -1,19 +1,21 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image and intrinsics to planes: the recipe, one line a stage."""
+"""Image and intrinsics to planes: the recipe, one move a stage."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.focal_correction import lens_factor
-from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
-from plane_detector.geometry.disparity import disparity_range, to_depth, to_disparity
+from plane_detector.depth.observation import (
+    DepthSource,
+    ModelOrFunction,
+    Observation,
+    make_source,
+)
+from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
@@ -32,10 +34,7 @@ from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneSegmentation
 
-EstimateDepth = Callable[[np.ndarray], np.ndarray]
 DEFAULTS = Config()
-# Edges of a network's depth are off by up to about this many pixels of its input.
-BLUR_INPUT_PX = 3.5
 
 
 class PlaneDetector:
@@ -45,50 +44,55 @@ class PlaneDetector:
     Parameters
     ----------
     config : Config, optional
-    estimate_depth : callable, optional
-        Takes rgb (H, W, 3) uint8 and returns depth or disparity (H, W) float32, NaN invalid, as
-        its attribute ``output`` or ``config.depth.output`` states. An attribute ``input_size``, a
-        function of width and height, states how blurred it is. Default: the network that
-        ``config.depth`` names.
+    depth_model : DepthModel or callable, optional
+        Takes rgb (H, W, 3) uint8 and returns depth or disparity (H, W) float32, NaN invalid. Of
+        a plain function ``config.depth.output`` says what it returns, ``auto``: metres. Default:
+        the network that ``config.depth`` names, or none with ``config.depth.source`` ``topic``.
+
+    Attributes
+    ----------
+    config : Config
+        May be replaced between two images.
+    source : DepthSource
+        Where depth comes from.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    >>> detector = PlaneDetector(depth_model=lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
+    >>> detection = detector.detect(np.zeros((120, 160, 3), np.uint8), camera)
+    >>> [round(plane.offset_m, 3) for plane in detection.planes], detection.scale_method
+    ([2.0], 'metric')
 
     """
 
     def __init__(self, config: Config | None = None,
-                 estimate_depth: EstimateDepth | None = None) -> None:
-        self.config = config or Config()
-        if estimate_depth is None and self.config.depth.source == 'model':
-            estimate_depth = DepthEstimator(self.config.depth)
-        self.estimate_depth = estimate_depth
-        self._damped: DampedDisparity | None = None
+                 depth_model: ModelOrFunction | None = None) -> None:
+        self.config = config or DEFAULTS
+        self.source: DepthSource = make_source(self.config, depth_model)
         self._scale: ScaleState | None = None
         self._tracker = PlaneTracker()
         self._shapes = ShapeDetector()
-
-    def reset(self) -> None:
-        """Forget the pictures before: averages, scale and labels start anew."""
-        self._damped = self._scale = None
-        self._tracker.reset()
-        self._shapes.reset()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
                covered: np.ndarray | None = None) -> Detection:
         """
-        Find the planes of a picture.
+        Find the planes of an image.
 
         Parameters
         ----------
         rgb : (H, W, 3) uint8
             Rectified.
         intrinsics : CameraIntrinsics
-            Of that picture.
+            Of that image.
         depth_m : (H, W) floating, optional
-            Measured depth of the same picture, NaN invalid. With ``config.depth.source`` ``topic``
+            Measured depth of the same image, NaN invalid. With ``config.depth.source`` ``topic``
             it is what is segmented, and must be there; with ``model`` it may fix the scale.
         down_camera : (3,) floating, optional
             Measured direction of gravity; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
-            Where the picture shows something; rectification leaves corners black, and a network
+            Where the image shows something; rectification leaves corners black, and a network
             has a depth for these too.
 
         Returns
@@ -98,144 +102,81 @@ class PlaneDetector:
         Raises
         ------
         ValueError
-            Picture, depth and intrinsics do not fit together.
+            Image, depth and intrinsics do not fit together.
 
+        """
+        return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), down_camera)
+
+    def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
+                depth_m: np.ndarray | None = None,
+                covered: np.ndarray | None = None) -> Observation:
+        """
+        Take the first half of :meth:`detect`: the depth of an image.
+
+        While a thread is in the second half with one image, another may be in the first half with
+        the next one; each half takes the images one by one and in order.
         """
         stages = StageTimer()
         with stages('depth'):
-            prediction, output = self._predict(rgb, intrinsics, depth_m)
-            prediction = self._damp(prediction, output, rgb)
+            seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if covered is not None:
-                prediction = np.where(covered, prediction, np.float32(np.nan))
-            check_depth(prediction, intrinsics)
+                seen = seen.restricted_to(covered)
+            check_depth(seen.prediction.values, intrinsics)
+        return replace(seen, depth_seconds=stages.seconds['depth'])
+
+    def find_planes(self, seen: Observation, down_camera: np.ndarray | None = None) -> Detection:
+        """Take the second half of :meth:`detect`: the planes of an image with depth."""
+        config, stages = self.config, StageTimer()
+        stages.seconds['depth'] = seen.depth_seconds
+        down = unit_direction(config.scale.gravity if down_camera is None else down_camera)
         with stages('segmentation'):
-            regions = self._segment(prediction, output, intrinsics, rgb)
+            # 1. The pixels of each plane, in the unit of the prediction.
+            regions = _segment(seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
+                               guide=_guide(seen, config))
         with stages('scale'):
-            scale = self._update_scale(prediction, output, regions.labels, intrinsics, depth_m,
-                                       down_camera)
+            # 2. The scale and shift that make it metres, steadied over time.
+            self._scale = _update_scale(self._scale, seen, regions.labels, config, down)
+            scale = self._scale.estimate
         with stages('measurement'):
-            scaled_m = self._in_metres(prediction, output, scale.estimate)
-            regions = regions.rescaled(scale.estimate.scale, scale.estimate.shift)
-            planes = _measured(regions.restricted_to(scaled_m > 0), intrinsics, self.config)
+            # 3. Depth and planes in metres, or in a unit of their own where nothing fixes it.
+            depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
+            regions = regions.rescaled(scale.scale, scale.shift)
+            planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config)
         with stages('shapes'):
-            planes, shapes, names = self._shapes.detect(
-                scaled_m, planes, regions, intrinsics, self.config, scale.estimate.is_metric)
-            classes = self._classify(planes.planes, scale.estimate, down_camera)
+            # 4. Spheres, cylinders and cones in what the planes leave over, where asked for.
+            planes, shapes, shape_labels = self._shapes.detect(
+                depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
+            # 5. Floor, ceiling and walls, where angles are true and gravity is known.
+            classes = _classify(planes.planes, scale, config, down)
         with stages('tracking'):
+            # 6. Labels that stay the same from image to image.
             planes, track_labels = self._track(planes)
-        return Detection(planes.planes, planes.labels, planes.disparity_noise, scaled_m,
-                         scale.estimate.unit_method, scale_note=str(scale.estimate),
-                         scale_event=scale.event, classes=classes, track_labels=track_labels,
-                         shapes=shapes, shape_labels=names,
+        return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=depth_m,
+                         scale_method=scale.unit_method, scale_note=str(scale),
+                         scale_event=self._scale.event, classes=classes,
+                         track_labels=track_labels, shapes=shapes, shape_labels=shape_labels,
                          stage_seconds=stages.seconds)
 
-    def _segment(self, prediction: np.ndarray, output: str, intrinsics: CameraIntrinsics,
-                 rgb: np.ndarray) -> PixelRegions:
-        disparity = _as_disparity(prediction, output)
-        known = getattr(self.estimate_depth, 'disparity_noise', 0.0)
-        if output == 'metric_depth':
-            noise_floor = metric_noise_floor(self.config, known)
-        else:
-            known *= disparity_range(disparity) if output == 'relative_disparity' else 1.0
-            noise_floor = unitless_noise_floor(disparity, known)
-        if self.config.segmentation.method == 'paper' and output == 'relative_disparity':
-            raise ValueError('segmentation.method paper needs depth in metres, but the network '
-                             'gives relative_disparity')
-        return _segment_as_configured(disparity, intrinsics, noise_floor, self.config,
-                                      guide=self._guide(rgb))
+    def reset(self) -> None:
+        """Forget the images before: averages, scale and labels start anew."""
+        self.reset_depth()
+        self.reset_planes()
 
-    def _guide(self, rgb: np.ndarray) -> GuideImage | None:
-        """Return what borders snap to, where a network blurred them."""
-        input_size = getattr(self.estimate_depth, 'input_size', None)
-        if not self.config.segmentation.snap_to_picture or input_size is None:
-            return None
-        return GuideImage(rgb, BLUR_INPUT_PX * rgb.shape[1] / input_size(*rgb.shape[1::-1])[0])
+    def reset_depth(self) -> None:
+        """Forget what :meth:`observe` keeps: the average of the depth."""
+        self.source.reset()
 
-    def _is_measured(self) -> bool:
-        return self.config.depth.source == 'topic' and self.estimate_depth is None
+    def reset_planes(self) -> None:
+        """Forget what :meth:`find_planes` keeps: the scale and the labels."""
+        self._scale = None
+        self._tracker.reset()
+        self._shapes.reset()
 
-    def _update_scale(self, prediction: np.ndarray, output: str, labels: np.ndarray,
-                      intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
-                      down_camera: np.ndarray | None) -> ScaleState:
-        """Return what fixes the unit of this picture, given those before."""
-        config = self.config.scale
-        if self._is_measured():
-            config, depth_m = replace(config, method='metric'), None
-        measured = estimate_scale(_as_disparity(prediction, output), labels, intrinsics, config,
-                                  output=output, gravity_camera=down_camera,
-                                  sensor_depth_m=depth_m)
-        note = 'measured depth' if self._is_measured() else measured.note
-        self._scale = update_scale(self._scale, replace(measured, note=note), config)
-        return self._scale
-
-    def _in_metres(self, prediction: np.ndarray, output: str, scale: ScaleEstimate) -> np.ndarray:
-        """Return the depth (H, W) float32 in the unit of the scale, NaN invalid."""
-        if output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
-            return prediction
-        return apply_scale(_as_disparity(prediction, output), scale, self.config.depth.max_depth)
-
-    def _classify(self, planes: tuple[Plane, ...], scale: ScaleEstimate,
-                  down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:
-        """Tell floor, walls and so on apart, where angles are true and gravity is known."""
-        config = self.config.scale
-        down = unit_direction(config.gravity if down_camera is None else down_camera)
-        if not scale.has_true_angles:
-            down = None
-        elif down is not None and config.gravity_tolerance > COARSE_GRAVITY_DEG:
-            down = refine_gravity(planes, down, config.gravity_tolerance)
-        return classify_planes(planes, down)
-
-    def _track(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
+    def _track(self, planes: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         if not self.config.tracking.enabled:
             self._tracker.reset()
-            return found, ()
-        self._tracker.config = self.config.tracking
-        return self._tracker.update(found)
-
-    def _predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
-                 depth_m: np.ndarray | None) -> tuple[np.ndarray, str]:
-        """Return what is segmented and what it means."""
-        if self._is_measured():
-            if depth_m is None:
-                raise ValueError('depth.source is topic, but no depth image was given')
-            return self._within_max_depth(np.asarray(depth_m, np.float32)), 'metric_depth'
-        output = getattr(self.estimate_depth, 'output', self.config.depth.output)
-        if isinstance(self.estimate_depth, DepthEstimator):
-            self.estimate_depth.max_depth_m = self.config.depth.max_depth
-        prediction = np.asarray(self.estimate_depth(rgb), np.float32)
-        if prediction.shape != rgb.shape[:2]:
-            raise ValueError(f'depth of shape {prediction.shape} for a picture of shape '
-                             f'{rgb.shape[:2]}: they must be of one size')
-        output = 'metric_depth' if output == 'auto' else output
-        prediction = self._without_lens(prediction, output, intrinsics)
-        if output == 'metric_depth':
-            prediction = self._within_max_depth(prediction)
-        return prediction, output
-
-    def _damp(self, prediction: np.ndarray, output: str, rgb: np.ndarray) -> np.ndarray:
-        """Return what a network says with less flicker; measured depth stays as it is."""
-        keep = self.config.depth.damping
-        if keep == 0 or self._is_measured():
-            self._damped = None
-            return prediction
-        self._damped = damp_flicker(self._damped, _as_disparity(prediction, output), rgb, keep,
-                                    same_scale=output != 'relative_disparity')
-        if self._damped.pictures == 1:
-            return prediction
-        damped = self._damped.disparity
-        return to_depth(damped) if output == 'metric_depth' else damped
-
-    def _without_lens(self, prediction: np.ndarray, output: str,
-                      intrinsics: CameraIntrinsics) -> np.ndarray:
-        """Correct metres for another lens than that of the network's training."""
-        factor = lens_factor(intrinsics, self.config.scale.reference_focal_px,
-                             getattr(self.estimate_depth, 'focal_per_height', 0.0))
-        if output == 'relative_disparity' or factor == 1.0:
-            return prediction
-        return prediction * np.float32(factor if output == 'metric_depth' else 1 / factor)
-
-    def _within_max_depth(self, depth_m: np.ndarray) -> np.ndarray:
-        return np.where(depth_m <= self.config.depth.max_depth, depth_m, np.float32(np.nan))
+            return planes, ()
+        return self._tracker.update(planes, self.config.tracking)
 
 
 @one_blas_thread
@@ -269,32 +210,85 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     ValueError
         ``depth_m`` is not a 2-D floating point array, or its size differs from the intrinsics.
 
+    Examples
+    --------
+    A wall 2 m ahead:
+
+    >>> camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    >>> found = segment_planes(np.full((120, 160), 2.0), camera)
+    >>> found.planes[0].normal.round(3) + 0.0
+    array([ 0.,  0., -1.])
+    >>> round(found.planes[0].offset_m, 3), bool((found.labels == 0).all())
+    (2.0, True)
+
     """
     config = config or DEFAULTS
     check_depth(depth_m, intrinsics)
-    regions = _segment_as_configured(to_disparity(depth_m), intrinsics,
-                                     metric_noise_floor(config, disparity_noise), config, rng)
-    return _measured(regions, intrinsics, config)
+    noise_floor = metric_noise_floor(config, disparity_noise)
+    regions = _segment(to_disparity(depth_m), intrinsics, config, noise_floor, rng)
+    return _measure(regions, intrinsics, config)
 
 
-def _segment_as_configured(disparity: np.ndarray, intrinsics: CameraIntrinsics,
-                           noise_floor: Noise, config: Config,
-                           rng: np.random.Generator | None = None,
-                           guide: GuideImage | None = None) -> PixelRegions:
+def _noise_floor(seen: Observation, config: Config) -> Noise:
+    """Return the least noise of the disparity in its own unit."""
+    if seen.output != 'relative_disparity':
+        return metric_noise_floor(config, seen.disparity_noise)
+    if config.segmentation.method == 'paper':
+        raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
+                         'relative_disparity')
+    return unitless_noise_floor(seen.disparity, seen.disparity_noise)
+
+
+def _guide(seen: Observation, config: Config) -> GuideImage | None:
+    """Return what borders snap to, where a network blurred them."""
+    if not config.segmentation.snap_to_picture or seen.edge_blur_px == 0:
+        return None
+    return GuideImage(seen.rgb, seen.edge_blur_px)
+
+
+def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
+             noise_floor: Noise, rng: np.random.Generator | None = None,
+             guide: GuideImage | None = None) -> PixelRegions:
     """Segment by the method that the settings name."""
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, noise_floor, config, rng)
     return segment(disparity, noise_floor, config, rng, guide)
 
 
+def _update_scale(before: ScaleState | None, seen: Observation, labels: np.ndarray,
+                  config: Config, down_camera: np.ndarray | None) -> ScaleState:
+    """Return what fixes the unit of this image, given those before."""
+    scale, is_measured = config.scale, seen.is_measured
+    if is_measured:
+        scale = replace(scale, method='metric')
+    found = estimate_scale(seen.disparity, labels, seen.intrinsics, scale,
+                           output=seen.output, gravity_camera=down_camera,
+                           sensor_depth_m=seen.sensor_depth_m)
+    found = replace(found, note='measured depth') if is_measured else found
+    return update_scale(before, found, scale)
+
+
+def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -> np.ndarray:
+    """Return the depth (H, W) in the unit of the scale; metres that stay are not touched."""
+    if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
+        return seen.prediction.values
+    return apply_scale(seen.disparity, scale, max_depth_m)
+
+
 @one_blas_thread
-def _measured(regions: PixelRegions, intrinsics: CameraIntrinsics,
-              config: Config) -> PlaneSegmentation:
+def _measure(regions: PixelRegions, intrinsics: CameraIntrinsics,
+             config: Config) -> PlaneSegmentation:
     """Measure the planes that are large enough."""
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
     return PlaneSegmentation(planes, labels, regions.noise.mean)
 
 
-def _as_disparity(prediction: np.ndarray, output: str) -> np.ndarray:
-    return to_disparity(prediction) if output == 'metric_depth' else prediction
+def _classify(planes: tuple[Plane, ...], scale: ScaleEstimate, config: Config,
+              down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:
+    """Tell floor, walls and so on apart, where angles are true and gravity is known."""
+    if not scale.has_true_angles:
+        down_camera = None
+    elif down_camera is not None and config.scale.gravity_tolerance > COARSE_GRAVITY_DEG:
+        down_camera = refine_gravity(planes, down_camera, config.scale.gravity_tolerance)
+    return classify_planes(planes, down_camera)

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -78,6 +79,44 @@ class Prediction:
     values: np.ndarray
     normals_camera: np.ndarray | None = None
     normal_confidence: np.ndarray | None = None
+
+
+@runtime_checkable
+class DepthModel(Protocol):
+    """
+    What the pipeline asks of whatever predicts depth from an image.
+
+    :class:`~plane_detector.depth.estimator.DepthEstimator` runs networks; a plain function is
+    wrapped in a :class:`~plane_detector.depth.observation.DepthFunction`.
+
+    Attributes
+    ----------
+    output : str
+        What it predicts: ``metric_depth`` (metres), ``disparity`` (1/metres) or
+        ``relative_disparity`` (unknown scale and shift).
+    disparity_noise : float
+        Typical error of 1/depth per metre, for relative disparity as a share of the range of the
+        image; 0: not known.
+    focal_per_height : float
+        Focal length over image height that metres are right for; 0: not known.
+    facts : mapping of str to str
+        For the log and the diagnostics, ``depth_model`` among them.
+
+    """
+
+    output: str
+    disparity_noise: float
+    focal_per_height: float
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What the log and the diagnostics say of it."""
+
+    def edge_blur_px(self, width: int, height: int) -> float:
+        """Return how far edges of depth may be off, in pixels of an image of this size."""
+
+    def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
+        """Return the depth of an image (H, W, 3) uint8, of the size of the image."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import pytest
 from rclpy.parameter import Parameter
 from ros_helpers import Robot, camera_info_msg, image_msg
 
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import attic, random_room
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
@@ -23,7 +24,8 @@ CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 GRAVITY = [0.0, 1.0, 0.0]
 LENGTH = re.compile(r'\d\s*(mm|cm|m|m2|met(re|er)s?)\b')
 WORD = re.compile(r'\b(met(re|er)s?|metric)\b', re.IGNORECASE)
-DENIALS = ('metric: the network gives no metres', 'the network gives no metres',
+DENIALS = ('neither metres nor gravity are known',
+           'metric: the network gives no metres', 'the network gives no metres',
            'the depth has no known scale: it is not compared with the truth in metres')
 ROOM = random_room(np.random.default_rng(3), CAMERA)
 ATTIC = attic(np.random.default_rng(1), CAMERA)  # without right angles but those of the gable
@@ -36,17 +38,10 @@ def claims(text):
     return [match.group() for pattern in (LENGTH, WORD) for match in pattern.finditer(text)]
 
 
-class RelativeNetwork:
-    """The true disparity, its scale and shift unknown."""
-
-    output = 'relative_disparity'
-    name = 'a relative network'
-
-    def __init__(self, scene):
-        self._disparity = 3.0 / scene.depth_m - 0.2
-
-    def __call__(self, rgb):
-        return self._disparity
+def relative_network(scene):
+    """Return a model that gives the true disparity, its scale and shift unknown."""
+    disparity = 3.0 / scene.depth_m - 0.2
+    return DepthFunction(lambda rgb: disparity, 'relative_disparity')
 
 
 @pytest.fixture
@@ -73,7 +68,7 @@ def robot(capfd):
 def run(robot, scene, frames=3, **values):
     """Let a node see a scene some times; return the values of its diagnostics."""
     overrides = [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
-    node = PlaneDetectorNode(RelativeNetwork(scene), context=robot.context,
+    node = PlaneDetectorNode(relative_network(scene), context=robot.context,
                              parameter_overrides=overrides)
     robot.add(node)
     assert robot.spin(lambda: node.state == 'active'), robot.log()

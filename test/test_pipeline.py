@@ -7,6 +7,7 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 
@@ -16,24 +17,20 @@ SCALE, SHIFT = 0.02, 0.05
 TOPIC = Config(depth=DepthConfig(source='topic'))
 
 
-class Network:
-    """Gives the truth in the unit that it is told to."""
-
-    def __init__(self, output, disparity_noise=0.0):
-        self.output, self.disparity_noise = output, disparity_noise
-
-    def __call__(self, rgb):
-        disparity = 1 / SCENE.depth_m
-        return {'metric_depth': SCENE.depth_m, 'disparity': disparity,
-                'relative_disparity': (disparity - SHIFT) / SCALE}[self.output]
+def network(output, disparity_noise=0.0):
+    """Return a model that gives the truth in the unit that it is told to."""
+    disparity = 1 / SCENE.depth_m
+    values = {'metric_depth': SCENE.depth_m, 'disparity': disparity,
+              'relative_disparity': (disparity - SHIFT) / SCALE}[output]
+    return DepthFunction(lambda rgb: values, output, disparity_noise)
 
 
-def detect(network, config=None):
-    return PlaneDetector(config or Config(), network).detect(SCENE.rgb, SMALL)
+def detect(model, config=None):
+    return PlaneDetector(config or Config(), model).detect(SCENE.rgb, SMALL)
 
 
 def test_metric_depth_is_segmented_as_it_comes():
-    found = detect(Network('metric_depth'))
+    found = detect(network('metric_depth'))
     expected = segment_planes(SCENE.depth_m, SMALL)
     np.testing.assert_array_equal(found.labels, expected.labels)
     np.testing.assert_array_equal(plane_array(found), plane_array(expected))
@@ -48,7 +45,7 @@ def test_a_plain_function_gives_metres():
 
 
 def test_metric_disparity_gives_the_planes_of_the_depth():
-    found, expected = detect(Network('disparity')), detect(Network('metric_depth'))
+    found, expected = detect(network('disparity')), detect(network('metric_depth'))
     assert found.scale_method == 'metric'
     np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-4)
     assert len(found.planes) == pytest.approx(len(expected.planes), abs=1)
@@ -58,25 +55,25 @@ def test_metric_disparity_gives_the_planes_of_the_depth():
 def test_relative_disparity_with_known_scale_and_shift_is_metric():
     config = Config(scale=ScaleConfig(method='fixed', disparity_scale=SCALE,
                                       disparity_shift=SHIFT))
-    found = detect(Network('relative_disparity'), config)
+    found = detect(network('relative_disparity'), config)
     assert found.scale_method == 'fixed'
     np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-3)
-    expected = detect(Network('metric_depth'))
+    expected = detect(network('metric_depth'))
     np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
 
 
 def test_relative_disparity_without_scale_says_so_and_has_labels_all_the_same():
-    found = detect(Network('relative_disparity'), Config(scale=ScaleConfig(method='none')))
+    found = detect(network('relative_disparity'), Config(scale=ScaleConfig(method='none')))
     assert found.scale_method == 'relative'
     assert found.planes
-    metric = detect(Network('metric_depth'))
+    metric = detect(network('metric_depth'))
     large = metric.labels == 0
     assert np.bincount(found.labels[large] + 1).max() > 0.9 * large.sum()
 
 
 def test_the_noise_that_a_network_is_known_for_is_taken():
-    assert detect(Network('metric_depth', 0.02)).disparity_noise >= 0.02
-    assert detect(Network('metric_depth')).disparity_noise < 0.01
+    assert detect(network('metric_depth', 0.02)).disparity_noise >= 0.02
+    assert detect(network('metric_depth')).disparity_noise < 0.01
 
 
 def test_measured_depth_needs_no_network():
@@ -100,12 +97,12 @@ def test_depth_of_another_size_than_the_picture_is_refused():
 
 def test_intrinsics_of_another_size_are_refused():
     with pytest.raises(ValueError, match='intrinsics'):
-        PlaneDetector(Config(), Network('metric_depth')).detect(
+        PlaneDetector(Config(), network('metric_depth')).detect(
             SCENE.rgb, CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480))
 
 
 def test_every_stage_has_its_time():
-    metric, relative = detect(Network('metric_depth')), detect(Network('relative_disparity'))
+    metric, relative = detect(network('metric_depth')), detect(network('relative_disparity'))
     assert {'depth', 'segmentation'} <= set(metric.stage_seconds)
     assert {'depth', 'segmentation', 'scale', 'measurement'} <= set(relative.stage_seconds)
     assert all(seconds >= 0 for seconds in relative.stage_seconds.values())
@@ -113,7 +110,7 @@ def test_every_stage_has_its_time():
 
 def test_the_picture_is_not_modified():
     before = SCENE.rgb.copy()
-    detect(Network('metric_depth'))
+    detect(network('metric_depth'))
     np.testing.assert_array_equal(SCENE.rgb, before)
 
 
@@ -132,8 +129,8 @@ def test_depth_beyond_the_largest_is_invalid_whatever_its_source(source):
     scene = single_wall(yaw_deg=40.0)
     limit_m = float(np.median(scene.depth_m))
     config = Config(depth=DepthConfig(source=source, max_depth=limit_m))
-    network = (lambda rgb: scene.depth_m) if source == 'model' else None
-    found = PlaneDetector(config, network).detect(scene.rgb, scene.intrinsics, scene.depth_m)
+    model = (lambda rgb: scene.depth_m) if source == 'model' else None
+    found = PlaneDetector(config, model).detect(scene.rgb, scene.intrinsics, scene.depth_m)
     np.testing.assert_array_equal(np.isnan(found.depth_m), scene.depth_m > limit_m)
 
 

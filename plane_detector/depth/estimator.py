@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +24,9 @@ from plane_detector.depth.plausibility import ImplausibleDepthError
 from plane_detector.depth.preprocessing import InputRecipe, prepare_input
 from plane_detector.depth.readers import DepthImageReader, OutputError, Reader
 from plane_detector.types import CameraIntrinsics, Prediction
+
+# Edges of a network's depth are off by up to about this many pixels of its input.
+BLUR_INPUT_PX = 3.5
 
 
 class DepthEstimator:
@@ -54,8 +57,6 @@ class DepthEstimator:
         Focal length over image height that the network assumes, 0 where it is not known.
     provider : str
         The execution provider that runs.
-    max_depth_m : float
-        Farther is invalid; may be set between two calls.
 
     Raises
     ------
@@ -74,7 +75,6 @@ class DepthEstimator:
         self.output, self.needs_lens = self._reader.kind, self._reader.needs_lens
         self.disparity_noise = network.disparity_noise if network else 0.0
         self.focal_per_height = network.focal_per_height if network else 0.0
-        self.max_depth_m = config.max_depth
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)
         check_external_data(self._path)
@@ -121,6 +121,16 @@ class DepthEstimator:
         arrays = self._session.run(prepare_input(rgb, input_size, self._recipe))
         return self._read(arrays, rgb, intrinsics)
 
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What the log and the diagnostics say of it."""
+        return {'depth_model': self.name, 'depth_model_reason': self.reason,
+                'execution_provider': self.provider}
+
+    def edge_blur_px(self, width: int, height: int) -> float:
+        """Return how far edges of depth may be off, in pixels of an image of this size."""
+        return BLUR_INPUT_PX * width / self.input_size(width, height)[0]
+
     def input_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the width and height of the network's input for an image of this size."""
         return self._session.input_size(width, height)
@@ -132,7 +142,7 @@ class DepthEstimator:
         framing = self._recipe.framing(size, self._session.input_size(*size))
         try:
             plausibility.check_values(self._reader.values(arrays), self.output, rgb)
-            return self._reader.read(arrays, framing, intrinsics, self.max_depth_m)
+            return self._reader.read(arrays, framing, intrinsics)
         except ImplausibleDepthError as error:
             raise ImplausibleDepthError(f'{self._path}: {error}') from None
         except OutputError as error:

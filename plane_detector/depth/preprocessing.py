@@ -117,8 +117,7 @@ def _bordered(picture: np.ndarray, framing: Framing, border_rgb: tuple[float, ..
     return whole
 
 
-def finish_output(raw: np.ndarray, size: tuple[int, int], output: str,
-                  max_depth_m: float) -> np.ndarray:
+def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.ndarray:
     """
     Bring a network's output to the size of the picture and mark what is invalid.
 
@@ -133,13 +132,11 @@ def finish_output(raw: np.ndarray, size: tuple[int, int], output: str,
         Width and height of the picture.
     output : str
         ``metric_depth``, ``disparity`` or ``relative_disparity``.
-    max_depth_m : float
-        Farther is invalid; without meaning for relative disparity.
 
     Returns
     -------
     (H, W) float32
-        Of the same kind as ``raw``; NaN where it is not finite, not positive or too far.
+        Of the same kind as ``raw``; NaN where it is not finite or not positive.
 
     """
     values = np.array(raw, np.float32)
@@ -147,6 +144,4 @@ def finish_output(raw: np.ndarray, size: tuple[int, int], output: str,
     disparity = 1 / values if output == 'metric_depth' else values
     if size != (disparity.shape[1], disparity.shape[0]):
         disparity = cv2.resize(disparity, size, interpolation=cv2.INTER_LINEAR)
-    if output != 'relative_disparity':
-        disparity[disparity < np.float32(1 / max_depth_m)] = np.nan
     return 1 / disparity if output == 'metric_depth' else disparity

@@ -51,7 +51,7 @@ class Reader(Protocol):
         """Return what tells depth, (h, w) as the network gives it; raise OutputError as `read`."""
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics | None, max_depth_m: float) -> Prediction:
+             intrinsics: CameraIntrinsics | None) -> Prediction:
         """Return the prediction at the size of the image; raise OutputError for other arrays."""
 
 
@@ -68,11 +68,11 @@ class DepthImageReader:
         return as_map(arrays[0])
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics | None, max_depth_m: float) -> Prediction:
+             intrinsics: CameraIntrinsics | None) -> Prediction:
         """Return the image; see `Reader`."""
         raw = framing.crop(as_map(arrays[0]))
         return Prediction(
-            self.kind, finish_output(raw, framing.image_size, self.kind, max_depth_m))
+            self.kind, finish_output(raw, framing.image_size, self.kind))
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ class CanonicalDepthReader:
         return as_map(arrays[0])
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics, max_depth_m: float) -> Prediction:
+             intrinsics: CameraIntrinsics) -> Prediction:
         """Return metres and normals; see `Reader`."""
         raw = framing.crop(as_map(arrays[0])).astype(np.float32)
         depth_m = raw * np.float32(framing.focal_px(intrinsics) / self.canonical_focal_px)
         confidence = framing.crop(as_map(arrays[2])).astype(np.float32)
         return Prediction(
-            self.kind, finish_output(depth_m, framing.image_size, self.kind, max_depth_m),
+            self.kind, finish_output(depth_m, framing.image_size, self.kind),
             finish_normals(framing.crop(as_map(arrays[1], 3)), framing, intrinsics),
             framing.resized(confidence))
 
@@ -124,7 +124,7 @@ class PointMapReader:
         return np.where(as_map(arrays[2]) >= LEAST_MASK, length, np.nan)
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics, max_depth_m: float) -> Prediction:
+             intrinsics: CameraIntrinsics) -> Prediction:
         """Return metres and normals, NaN where the mask says so; see `Reader`."""
         points, normals = (framing.crop(as_map(array, 3)).astype(np.float32)
                            for array in arrays[:2])
@@ -134,8 +134,7 @@ class PointMapReader:
         depth = depth_from_point_map(points, is_valid, rays(intrinsics, points.shape[:2]))
         return Prediction(
             self.kind,
-            finish_output(depth * np.float32(arrays[3].item()), framing.image_size, self.kind,
-                          max_depth_m),
+            finish_output(depth * np.float32(arrays[3].item()), framing.image_size, self.kind),
             finish_normals(np.where(is_valid[..., None], normals, np.float32(np.nan)), framing,
                            intrinsics))
 

@@ -9,7 +9,6 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -142,17 +141,6 @@ class DiagnosticsPublisher:
         name = self._node.get_fully_qualified_name().lstrip('/')
         msg.status = [status_to_msg(name, level, message, report, facts)]
         self._publisher.publish(msg)
-
-
-def model_facts(source: str, estimate_depth: Any) -> dict[str, str]:
-    """Return where depth comes from: the network with the reason why it was taken, or a topic."""
-    if source == 'topic':
-        return {'depth_model': 'none, the depth topic'}
-    facts = {'depth_model': getattr(estimate_depth, 'name', type(estimate_depth).__name__)}
-    for key, attribute in (('depth_model_reason', 'reason'), ('execution_provider', 'provider')):
-        if hasattr(estimate_depth, attribute):
-            facts[key] = getattr(estimate_depth, attribute)
-    return facts
 
 
 def status_to_msg(name: str, level: bytes, message: str, report: Report,

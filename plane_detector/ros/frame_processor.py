@@ -71,8 +71,8 @@ class FrameProcessor:
 
     @property
     def output(self) -> str:
-        """What the network gives; metres without one."""
-        return getattr(self.detector.estimate_depth, 'output', 'metric_depth')
+        """What the source of depth gives."""
+        return self.detector.source.output
 
     def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> Processed:
         """

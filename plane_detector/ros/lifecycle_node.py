@@ -10,14 +10,13 @@ see frame_worker.py.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
+from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros import parameters, qos
 from plane_detector.ros.autostart import Autostart
@@ -25,7 +24,6 @@ from plane_detector.ros.diagnostics import (
     DiagnosticsPublisher,
     Report,
     Statistics,
-    model_facts,
 )
 from plane_detector.ros.fault_log import FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor
@@ -50,7 +48,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     Parameters
     ----------
-    estimate_depth : callable, optional
+    depth_model : DepthModel or callable, optional
         Takes the place of the network: rgb (H, W, 3) uint8 to depth (H, W) float32.
     transforms : FrameTransforms, optional
         Takes the place of TF.
@@ -64,11 +62,11 @@ class PlaneDetectorNode(LifecycleNode):
 
     """
 
-    def __init__(self, estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None,
+    def __init__(self, depth_model: ModelOrFunction | None = None,
                  transforms: FrameTransforms | None = None, **node_options: Any):
         super().__init__('plane_detector', **node_options)
         self._transforms = transforms
-        self._estimate_depth = estimate_depth
+        self._depth_model = depth_model
         self._live = LiveSettings(self, lambda: self.state == 'active', self._on_change)
         self._statistics = Statistics()
         self._processor: FrameProcessor | None = None
@@ -223,7 +221,7 @@ class PlaneDetectorNode(LifecycleNode):
         facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.scale_facts}
         if self._processor is not None:
             detector = self._processor.detector
-            facts.update(model_facts(detector.config.depth.source, detector.estimate_depth))
+            facts.update(detector.source.facts)
         if self._health.failure:
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
@@ -232,8 +230,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _introduction(self) -> list[str]:
         """Return what is logged at configure: where depth comes from, why, what is waited for."""
-        detector = self._processor.detector
-        facts = model_facts(detector.config.depth.source, detector.estimate_depth)
+        facts = self._processor.detector.source.facts
         runs_on = facts.get('execution_provider')
         topics = input_topics(self, self._live.settings.image_transport)
         lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
@@ -248,7 +245,7 @@ class PlaneDetectorNode(LifecycleNode):
         """Make the pipeline, whose network may have to be fetched; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could be more than the memory holds
-        return PlaneDetector(self._live.config, self._estimate_depth)
+        return PlaneDetector(self._live.config, self._depth_model)
 
     def _create_outputs(self) -> None:
         for name, output in OUTPUTS.items():

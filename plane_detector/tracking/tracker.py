@@ -71,22 +71,14 @@ class Track:
 
 
 class PlaneTracker:
-    """
-    Gives planes their labels; call it with every image in order.
+    """Gives planes their labels; call it with every image in order."""
 
-    Parameters
-    ----------
-    config : TrackingConfig, optional
-        May be replaced between two pictures.
-
-    """
-
-    def __init__(self, config: TrackingConfig | None = None) -> None:
-        self.config = config or TrackingConfig()
+    def __init__(self) -> None:
         self._tracks: tuple[Track, ...] = ()
         self._shape: tuple[int, int] | None = None
 
-    def update(self, found: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
+    def update(self, found: PlaneSegmentation, config: TrackingConfig
+               ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         """
         Take the planes of the next image.
 
@@ -95,6 +87,7 @@ class PlaneTracker:
         found : PlaneSegmentation
             In any unit, which may change from image to image. An image of another size starts
             anew.
+        config : TrackingConfig
 
         Returns
         -------
@@ -107,7 +100,7 @@ class PlaneTracker:
         if found.labels.shape != self._shape:
             self.reset()
             self._shape = found.labels.shape
-        self._tracks, seen = update_tracks(self._tracks, found, self.config)
+        self._tracks, seen = update_tracks(self._tracks, found, config)
         planes = tuple(track.plane for track in seen)
         return replace(found, planes=planes), tuple(track.label for track in seen)
 

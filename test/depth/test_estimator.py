@@ -73,15 +73,6 @@ def test_disparity_keeps_its_meaning(tmp_path):
         np.testing.assert_allclose(estimate(rgb), 0.2, rtol=1e-6)
 
 
-def test_the_farthest_depth_may_change_between_two_frames(tmp_path):
-    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
-    estimate = DepthEstimator(config_for(path, max_depth=3.0))
-    rgb = millimetres_as_rgb(np.full((4, 4), 5.0))
-    assert np.isnan(estimate(rgb)).all()
-    estimate.max_depth_m = 6.0
-    np.testing.assert_allclose(estimate(rgb), 5.0, rtol=1e-6)
-
-
 def test_the_same_picture_gives_the_same_depth(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx')
     rgb = np.random.default_rng(1).integers(0, 256, (50, 70, 3), dtype=np.uint8)

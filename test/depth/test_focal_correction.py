@@ -7,21 +7,15 @@ import pytest
 
 from plane_detector.config import Config, DepthConfig, ScaleConfig
 from plane_detector.depth.focal_correction import OWN_FOCAL, lens_factor
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import VGA, single_wall
 from plane_detector.pipeline import PlaneDetector
 
 
-class WideNetwork:
-    """Takes every picture for one of a camera of half the focal length."""
-
-    disparity_noise = 0.0
-    focal_per_height = 0.5 * VGA.fy / VGA.height
-
-    def __init__(self, depth_m, output):
-        self.depth_m, self.output = depth_m, output
-
-    def __call__(self, rgb):
-        return self.depth_m / 2 if self.output == 'metric_depth' else 2 / self.depth_m
+def wide_network(depth_m, output):
+    """Return a model that takes every image for one of a camera of half the focal length."""
+    values = depth_m / 2 if output == 'metric_depth' else 2 / depth_m
+    return DepthFunction(lambda rgb: values, output, focal_per_height=0.5 * VGA.fy / VGA.height)
 
 
 @pytest.mark.parametrize(('reference_px', 'own', 'factor'), [
@@ -33,7 +27,7 @@ def test_factor(reference_px, own, factor):
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity'])
 def test_the_pipeline_corrects_the_lens_when_told_to(output):
     scene = single_wall(distance_m=3.0)
-    network = WideNetwork(scene.depth_m, output)
+    network = wide_network(scene.depth_m, output)
     own = Config(scale=ScaleConfig(reference_focal_px=OWN_FOCAL))
     corrected = PlaneDetector(own, network).detect(scene.rgb, VGA)
     assert corrected.planes[0].offset_m == pytest.approx(scene.planes[0, 3], rel=1e-3)

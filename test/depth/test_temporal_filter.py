@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config, DepthConfig, TrackingConfig
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.depth.temporal_filter import damp_flicker
 from plane_detector.evaluation.benchmark import flicker as benchmark_damping
 from plane_detector.evaluation.scenes.sequences import FRAMES, Motion, sequence
@@ -201,23 +202,23 @@ def test_inputs_are_not_changed():
         np.testing.assert_array_equal(array, copy)
 
 
-class FlickeringNetwork:
-    """A wall whose disparity is another one in every picture."""
+class FlickeringWall:
+    """A wall whose disparity is another one in every image."""
 
-    def __init__(self, output):
-        self.output = output
+    def __init__(self, unit):
+        self.unit = unit
         self._rng = np.random.default_rng(6)
 
     def __call__(self, rgb):
         self.last = flickering(self._rng)
-        if self.output == 'metric_depth':
+        if self.unit == 'metric_depth':
             self.last = 1 / self.last
         return self.last
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
 def test_the_pipeline_damps_what_a_network_says(output):
-    network = FlickeringNetwork(output)
+    network = DepthFunction(FlickeringWall(output), output)
     detector = PlaneDetector(Config(tracking=TrackingConfig(enabled=False)), network)
     pictures, _ = still(8)
     first, *_, last = (detector.detect(rgb, CAMERA) for rgb in pictures)
@@ -227,13 +228,13 @@ def test_the_pipeline_damps_what_a_network_says(output):
     assert flicker == pytest.approx(NOISE, rel=0.15)
     assert damped_flicker < 0.5 * NOISE
     detector.reset()
-    detector.detect(pictures[0], CAMERA)
-    assert detector._damped.pictures == 1
+    prediction = detector.observe(pictures[0], CAMERA).prediction
+    np.testing.assert_array_equal(prediction.values, network.function.last)
 
 
 def test_the_pipeline_leaves_depth_as_it_is_where_it_is_told_to():
     pictures, disparities = still(4)
-    network = FlickeringNetwork('metric_depth')
+    network = FlickeringWall('metric_depth')
     detector = PlaneDetector(Config(depth=DepthConfig(damping=0.0)), network)
     measured = PlaneDetector(Config(depth=DepthConfig(source='topic')))
     for rgb, disparity in zip(pictures, disparities, strict=True):
@@ -243,7 +244,7 @@ def test_the_pipeline_leaves_depth_as_it_is_where_it_is_told_to():
 
 
 def test_damping_ends_when_it_is_switched_off():
-    network = FlickeringNetwork('metric_depth')
+    network = FlickeringWall('metric_depth')
     detector = PlaneDetector(Config(), network)
     pictures, _ = still(5)
     for rgb in pictures[:3]:

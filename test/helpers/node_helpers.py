@@ -25,10 +25,10 @@ def small_room():
     return random_room(np.random.default_rng(3), CAMERA)
 
 
-def start(robot, estimate_depth=None, wait=True, transforms=None, **values):
+def start(robot, depth_model=None, wait=True, transforms=None, **values):
     """Add a node with these parameters, and spin until it is active."""
     overrides = [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
-    node = PlaneDetectorNode(estimate_depth, transforms, context=robot.context,
+    node = PlaneDetectorNode(depth_model, transforms, context=robot.context,
                              parameter_overrides=overrides)
     robot.add(node)
     if wait:

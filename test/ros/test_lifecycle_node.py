@@ -21,6 +21,7 @@ from ros_helpers import (
 )
 from sensor_msgs.msg import Imu
 
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 
 
@@ -62,7 +63,7 @@ def test_the_whole_way_through_a_network(robot, room, tmp_path):
     labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
     assert_true_to(room, planes, labels)
     assert robot.diagnosis()[1]['depth_model'] == str(model)
-    estimator = weakref.ref(node._processor.detector.estimate_depth)
+    estimator = weakref.ref(node._processor.detector.source.model)
     assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
     assert estimator() is not None
     assert change_state(robot, Transition.TRANSITION_CLEANUP)
@@ -124,11 +125,7 @@ def test_diagnostics(robot, room):
 
 
 def test_depth_of_unknown_unit_is_called_relative(robot, room):
-    def estimate(rgb):
-        return 1 / room.depth_m
-
-    estimate.output = 'relative_disparity'
-    start(robot, estimate)
+    start(robot, DepthFunction(lambda rgb: 1 / room.depth_m, 'relative_disparity'))
     send(robot, room)
     robot.wait_for('planes')
     assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
@@ -177,11 +174,8 @@ def test_without_gravity_there_is_no_cloud_of_obstacles(robot, room):
 
 
 def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
-    def estimate(rgb):
-        return (0.4 / room.depth_m - 0.03).astype(np.float32)
-
-    estimate.output = 'relative_disparity'
-    start(robot, estimate)
+    disparity = (0.4 / room.depth_m - 0.03).astype(np.float32)
+    start(robot, DepthFunction(lambda rgb: disparity, 'relative_disparity'))
     send(robot, room, 1.0, depth=True)
     robot.wait_for('planes')
     send(robot, room, 1.1, depth=True)

@@ -10,6 +10,7 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -141,9 +142,7 @@ def test_a_plane_without_clustering_takes_its_inliers_wherever_they_are():
 
 
 def test_the_paper_needs_metres():
-    def relative(rgb):
-        return 1 / single_wall(SMALL).depth_m
-    relative.output = 'relative_disparity'
+    relative = DepthFunction(lambda rgb: 1 / single_wall(SMALL).depth_m, 'relative_disparity')
     with pytest.raises(ValueError, match='paper needs depth in metres'):
         PlaneDetector(PAPER, relative).detect(np.zeros((120, 160, 3), np.uint8), SMALL)
 

@@ -41,7 +41,7 @@ PATCHES = (np.s_[80:, :], np.s_[:80, :60], np.s_[:80, 60:], np.s_[50:90, 90:130]
 def picture(*planes, patches=PATCHES, shape=SHAPE):
     """Return a segmentation in which each plane fills its patch; later ones lie before."""
     labels = np.full(shape, -1, np.int32)
-    for index, patch in zip(range(len(planes)), patches, strict=False):
+    for index, patch in enumerate(patches[:len(planes)]):
         labels[patch] = index
     return PlaneSegmentation(planes, labels, 0.001)
 
@@ -49,16 +49,25 @@ def picture(*planes, patches=PATCHES, shape=SHAPE):
 ROOM = picture(FLOOR, LEFT, BACK, BOX)
 
 
-def labels_of(tracker, segmentation):
-    return tracker.update(segmentation)[1]
+class Tracked(PlaneTracker):
+    def __init__(self, **settings):
+        super().__init__()
+        self.settings = TrackingConfig(**settings)
+
+    def update(self, found):
+        return super().update(found, self.settings)
+
+
+def labels_of(tracker, found):
+    return tracker.update(found)[1]
 
 
 def test_new_planes_are_counted_from_one():
-    assert labels_of(PlaneTracker(), ROOM) == (1, 2, 3, 4)
+    assert labels_of(Tracked(), ROOM) == (1, 2, 3, 4)
 
 
 def test_labels_follow_the_plane_and_not_the_order():
-    tracker = PlaneTracker()
+    tracker = Tracked()
     tracker.update(ROOM)
     turned = picture(BOX, BACK, FLOOR, LEFT,
                      patches=(PATCHES[3], PATCHES[2], PATCHES[0], PATCHES[1]))
@@ -67,14 +76,14 @@ def test_labels_follow_the_plane_and_not_the_order():
 
 
 def test_without_planes_there_are_no_labels_and_the_old_ones_stay():
-    tracker = PlaneTracker()
+    tracker = Tracked()
     tracker.update(ROOM)
     assert labels_of(tracker, picture()) == ()
     assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
 
 
 def test_a_plane_missed_for_a_while_comes_back_under_its_label():
-    tracker = PlaneTracker(TrackingConfig(keep_frames=5))
+    tracker = Tracked(keep_frames=5)
     tracker.update(ROOM)
     for _ in range(5):
         assert labels_of(tracker, picture(FLOOR, LEFT, BACK)) == (1, 2, 3)
@@ -82,7 +91,7 @@ def test_a_plane_missed_for_a_while_comes_back_under_its_label():
 
 
 def test_a_label_is_free_once_its_plane_is_forgotten():
-    tracker = PlaneTracker(TrackingConfig(keep_frames=3))
+    tracker = Tracked(keep_frames=3)
     tracker.update(ROOM)
     for _ in range(4):
         tracker.update(picture(FLOOR, LEFT, BACK))
@@ -91,7 +100,7 @@ def test_a_label_is_free_once_its_plane_is_forgotten():
 
 
 def test_the_label_of_a_missed_plane_is_not_given_away():
-    tracker = PlaneTracker(TrackingConfig(keep_frames=3))
+    tracker = Tracked(keep_frames=3)
     tracker.update(ROOM)
     tracker.update(picture(FLOOR, LEFT, BACK))
     other = plane([0, -1, -1], 3.0, (1, 0, 3))
@@ -102,13 +111,13 @@ def test_the_label_of_a_missed_plane_is_not_given_away():
     plane([0, 0, -1], 3.2, (0, 0, 3.2)), plane([0, 0, -1], 5.0, (0, 0, 5)),
     plane([1, 0, -1], 3.0, (0, 0, 4)), plane([0, 1, 0], 1.2, (0, -1.2, 4))])
 def test_another_plane_at_the_same_pixels_gets_another_label(stranger):
-    tracker = PlaneTracker()
+    tracker = Tracked()
     tracker.update(ROOM)
     assert labels_of(tracker, picture(FLOOR, LEFT, stranger, BOX)) == (1, 2, 5, 4)
 
 
 def test_parts_of_one_plane_are_told_apart_by_their_pixels():
-    tracker = PlaneTracker()
+    tracker = Tracked()
     patches = (np.s_[:, :60], np.s_[:, 100:])
     left, right = plane([0, 0, -1], 3.0, (-1, 0, 3)), plane([0, 0, -1], 3.0, (1, 0, 3))
     assert labels_of(tracker, picture(left, right, patches=patches)) == (1, 2)
@@ -118,7 +127,7 @@ def test_parts_of_one_plane_are_told_apart_by_their_pixels():
 
 @pytest.mark.parametrize('factor', [0.4, 0.9, 1.3, 5.0])
 def test_a_change_of_unit_changes_no_label(factor):
-    tracker = PlaneTracker()
+    tracker = Tracked()
     tracker.update(ROOM)
     unit = PlaneMotion(np.eye(3), np.zeros(3), factor)
     assert labels_of(tracker, replace(ROOM, planes=tuple(map(unit.move, ROOM.planes)))) == (
@@ -127,7 +136,7 @@ def test_a_change_of_unit_changes_no_label(factor):
 
 def test_a_turn_changes_no_label_where_no_pixel_is_shared():
     """A slow network sees a turning camera at 20 degrees a picture; the small plane moves away."""
-    tracker = PlaneTracker()
+    tracker = Tracked()
     tracker.update(ROOM)
     motion = PlaneMotion(cv2.Rodrigues(np.radians([0.0, 20.0, 0.0]))[0],
                          np.array([0.05, 0.0, 0.1]), 1.0)
@@ -138,7 +147,7 @@ def test_a_turn_changes_no_label_where_no_pixel_is_shared():
 
 
 def test_another_picture_size_and_reset_start_anew():
-    tracker = PlaneTracker()
+    tracker = Tracked()
     tracker.update(picture(BACK, BOX))
     tracker.update(picture(FLOOR, LEFT))
     assert labels_of(tracker, picture(FLOOR, LEFT)) == (3, 4)
@@ -149,7 +158,7 @@ def test_another_picture_size_and_reset_start_anew():
 
 def test_labels_stay_small_and_unique_whatever_comes():
     rng = np.random.default_rng(0)
-    tracker = PlaneTracker(TrackingConfig(keep_frames=2))
+    tracker = Tracked(keep_frames=2)
     for _ in range(60):
         planes = [plane(rng.normal(size=3), rng.uniform(0.1, 5), rng.normal(size=3))
                   for _ in range(rng.integers(0, 6))]
@@ -164,7 +173,7 @@ def test_labels_stay_small_and_unique_whatever_comes():
 def test_smoothing_takes_the_noise_and_leaves_the_changes():
     rng = np.random.default_rng(1)
     rough, smooth = [], []
-    tracker = PlaneTracker(TrackingConfig(smoothing=0.8))
+    tracker = Tracked(smoothing=0.8)
     for _ in range(60):
         noisy = plane(BACK.normal + rng.normal(0, 1e-3, 3), 4 + rng.normal(0, 2e-3), (0, 0, 4))
         (tracked,) = tracker.update(picture(noisy))[0].planes
@@ -179,7 +188,7 @@ def test_smoothing_takes_the_noise_and_leaves_the_changes():
 
 
 def test_without_smoothing_the_planes_are_what_was_found():
-    tracker = PlaneTracker()
+    tracker = Tracked()
     for _ in range(2):
         tracked, _ = tracker.update(ROOM)
         assert all(a is b for a, b in zip(tracked.planes, ROOM.planes, strict=True))
@@ -211,8 +220,8 @@ def walk(frame_count):
     for time_s in np.arange(frame_count) / FRAME_RATE_HZ:
         sway = np.sin(2 * np.pi * 1.8 * time_s)
         look = TURN_DEG_S * period_s / (2 * np.pi) * np.sin(2 * np.pi * time_s / period_s)
-        yield (camera_rotation(look, -20 + 2 * sway, 1.5 * sway),
-               np.array([2.3 + 0.03 * sway, 0.3 + WALK_M_S * time_s, 1.5 + 0.02 * sway]))
+        place_m = np.array([2.3 + 0.03 * sway, 0.3 + WALK_M_S * time_s, 1.5 + 0.02 * sway])
+        yield camera_rotation(look, -20 + 2 * sway, 1.5 * sway), place_m
 
 
 @pytest.fixture(scope='module')
@@ -230,7 +239,7 @@ def walked_room():
 
 def label_switches(scenes, sigma, every=1):
     """Return for each rectangle in view throughout how often its label changes."""
-    tracker, rng = PlaneTracker(), np.random.default_rng(2)
+    tracker, rng = Tracked(), np.random.default_rng(2)
     labels_seen, smallest = {}, {}
     for scene in scenes[::every]:
         depth_m = with_disparity_noise(scene.depth_m, sigma, rng) if sigma else scene.depth_m
@@ -239,9 +248,9 @@ def label_switches(scenes, sigma, every=1):
             labels_seen.setdefault(truth, []).append(track_labels[index])
         for truth, rectangle in enumerate(scene.rectangles):
             smallest.setdefault(rectangle, []).append((scene.labels == truth).sum())
-    throughout = [r for r, sizes in smallest.items()
-                  if len(sizes) == len(scenes[::every]) and min(sizes) > 0.01 * CAMERA.width
-                  * CAMERA.height and r in labels_seen]
+    least = 0.01 * CAMERA.width * CAMERA.height
+    throughout = [r for r, sizes in smallest.items() if r in labels_seen
+                  and len(sizes) == len(scenes[::every]) and min(sizes) > least]
     return {r: int(np.count_nonzero(np.diff(labels_seen[r]))) for r in throughout}
 
 
@@ -269,7 +278,7 @@ def test_planes_of_a_real_sequence_keep_their_labels(data_folder):
     """Without true labels: planes that overlap by half in two pictures are the same."""
     folder = data_folder / 'living_room'
     camera = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
-    tracker, before, same, switched = PlaneTracker(), None, 0, 0
+    tracker, before, same, switched = Tracked(), None, 0, 0
     for path in sorted(folder.glob('*_depth.png')):
         millimetres = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         depth_m = np.where(millimetres > 0, millimetres * np.float32(0.001), np.nan)

@@ -40,7 +40,7 @@ def row(config: DepthConfig, rgb: np.ndarray, at_least_s: float) -> str:
     raw = np.ones(size[::-1], np.float32)
     resampling_ms = 1e3 * np.median(seconds(lambda: (
         prepare_input(rgb, size, recipe),
-        finish_output(raw, (width, height), estimate.output, config.max_depth)), 0.2))
+        finish_output(raw, (width, height), estimate.output)), 0.2))
     median_ms = np.median(stage_ms)
     return (f'| {estimate.provider} | {size[0]} x {size[1]} | {median_ms:.1f} '
             f'| {stage_ms.min():.1f} | {resampling_ms:.1f} | {1e3 / median_ms:.1f} |')

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from plane_detector.config import Config
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.diagnostics import model_facts
 from plane_detector.tools.replay.bag_reader import BagReader
 from plane_detector.tools.replay.bag_topics import InputTopics, registered_depth
 from plane_detector.tools.replay.options import ReplayOptions
@@ -38,7 +37,7 @@ class DepthChoice:
         """Return in one line what depth it is and why."""
         if self.config.depth.source == 'topic':
             return f'measured: {self.why}'
-        facts = model_facts('model', detector.estimate_depth)
+        facts = detector.source.facts
         reason = facts.get('depth_model_reason', '')
         return (f'network {facts["depth_model"]}{f" ({reason})" if reason else ""}, '
                 f'{self.why}')

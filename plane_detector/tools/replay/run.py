@@ -13,6 +13,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from tqdm import tqdm
 
+from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.frame_processor import FrameProcessor, Processed
 from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
@@ -44,7 +45,7 @@ NODE_NAME = '/plane_detector'
 
 
 def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
-           estimate_depth: Callable[[np.ndarray], np.ndarray] | None = None,
+           depth_model: ModelOrFunction | None = None,
            tell: Callable[[str], None] = lambda line: print(line, file=sys.stderr)) -> Tally:
     """
     Replay a bag.
@@ -54,7 +55,7 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
     options : ReplayOptions
     should_stop : callable
         Asked before and during every frame; what is written stays whole.
-    estimate_depth : callable, optional
+    depth_model : DepthModel or callable, optional
         Takes the place of the network, as in :class:`PlaneDetector`.
     tell : callable
         Takes lines for people, before the first frame.
@@ -80,7 +81,7 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
         part_ns = _part_asked_for(bag, camera.image, options)
         folder = opened.enter_context(PartFolder(options.target, options.leftover))
         choice = choose_depth(bag, camera, options)
-        detector = until_stopped(lambda: PlaneDetector(choice.config, estimate_depth), should_stop)
+        detector = until_stopped(lambda: PlaneDetector(choice.config, depth_model), should_stop)
         processor = FrameProcessor(detector, options.settings, camera.image)
         wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
         topics = with_companions(bag, camera, wanted, depth_use(choice.config, processor.output),

@@ -11,6 +11,7 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, SegmentationConfig
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 
@@ -96,21 +97,17 @@ def test_input_is_not_modified():
     np.testing.assert_array_equal(picture, rgb)
 
 
-class BlurredNetwork:
-    """Two walls in depth, with the step 6 pixels beside the edge of the picture."""
+def blurred_depth(rgb):
+    """Return two walls in depth, with the step 6 pixels beside the edge of the image."""
+    depth_m = np.full(rgb.shape[:2], 2.0, np.float32)
+    depth_m[:, rgb.shape[1] // 2 + 6:] = 4.0
+    return depth_m
 
-    disparity_noise = 0.008
 
-    def __init__(self, output='metric_depth'):
-        self.output = output
-
-    def __call__(self, rgb):
-        depth_m = np.full(rgb.shape[:2], 2.0, np.float32)
-        depth_m[:, rgb.shape[1] // 2 + 6:] = 4.0
-        return depth_m if self.output == 'metric_depth' else 1 / depth_m
-
-    def input_size(self, width, height):
-        return width // 3, height // 3
+def blurred_network(output):
+    def values(rgb):
+        return blurred_depth(rgb) if output == 'metric_depth' else 1 / blurred_depth(rgb)
+    return DepthFunction(values, output, disparity_noise=0.008, blur_px=10.5)
 
 
 def border_column(detector, **given):
@@ -125,11 +122,11 @@ def border_column(detector, **given):
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
 def test_the_pipeline_snaps_what_a_network_says(output, snap, column):
     config = Config(segmentation=SegmentationConfig(snap_to_picture=snap))
-    detector = PlaneDetector(config, BlurredNetwork(output))
+    detector = PlaneDetector(config, blurred_network(output))
     assert border_column(detector) == pytest.approx(column, abs=1)
 
 
 def test_the_pipeline_leaves_measured_depth_alone():
     config = replace(Config(), depth=DepthConfig(source='topic'))
-    depth_m = BlurredNetwork()(np.zeros((120, 160, 3)))
+    depth_m = blurred_depth(np.zeros((120, 160, 3)))
     assert border_column(PlaneDetector(config), depth_m=depth_m) == pytest.approx(86, abs=1)

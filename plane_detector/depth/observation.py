@@ -1,0 +1,272 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+An image with its depth, which a sensor measures or a model predicts.
+
+Which of the two is decided once, in :func:`make_source`. Both give an :class:`Observation`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from plane_detector.config import Config
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.focal_correction import lens_factor
+from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.geometry.disparity import disparity_range, to_depth, to_disparity, valid_depth
+from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
+
+
+@dataclass(frozen=True)
+class Observation:
+    """
+    An image with its depth, before the scale of it is known.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    intrinsics : CameraIntrinsics
+    prediction : Prediction
+        What is segmented.
+    is_measured : bool
+        The prediction is the measurement of a sensor, so that its metres are metres.
+    sensor_depth_m : (H, W) floating or None
+        Measured depth that may fix the scale of the prediction.
+    typical_noise : float
+        Standard deviation of 1/depth that the source is known for, per metre; for relative
+        disparity as a share of its range; 0: not known.
+    edge_blur_px : float
+        How far edges may be off, in pixels of this image; 0: they are sharp.
+    depth_seconds : float
+        Time that the prediction took.
+
+    """
+
+    rgb: np.ndarray
+    intrinsics: CameraIntrinsics
+    prediction: Prediction
+    is_measured: bool = False
+    sensor_depth_m: np.ndarray | None = None
+    typical_noise: float = 0.0
+    edge_blur_px: float = 0.0
+    depth_seconds: float = 0.0
+
+    @property
+    def output(self) -> str:
+        """What is segmented: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        return self.prediction.output
+
+    @cached_property
+    def disparity(self) -> np.ndarray:
+        """Disparity (H, W) float32, affine in 1/z, NaN invalid."""
+        values = self.prediction.values
+        return to_disparity(values) if self.output == 'metric_depth' else values
+
+    @property
+    def disparity_noise(self) -> float:
+        """What the source is known for, in the unit of the disparity."""
+        if self.typical_noise and self.output == 'relative_disparity':
+            return self.typical_noise * disparity_range(self.disparity)
+        return self.typical_noise
+
+    def restricted_to(self, covered: np.ndarray) -> Observation:
+        """Return the observation, invalid where ``covered`` (H, W) bool is False."""
+        values = np.where(covered, self.prediction.values, np.float32(np.nan))
+        return replace(self, prediction=replace(self.prediction, values=values))
+
+
+class SensorDepth:
+    """The depth image of a sensor is what is segmented."""
+
+    output = 'metric_depth'
+    facts: Mapping[str, str] = {'depth_model': 'none, depth comes from the topic'}
+
+    def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
+                config: Config) -> Observation:
+        """
+        Return an image with the depth image, invalid beyond ``config.depth.max_depth``.
+
+        Raises
+        ------
+        ValueError
+            There is no depth image.
+
+        """
+        if depth_m is None:
+            raise ValueError('depth.source is topic, but no depth image was given')
+        depth_m = np.asarray(depth_m, np.float32)
+        prediction = Prediction(
+            self.output, _without_the_far(depth_m, self.output, config.depth.max_depth))
+        return Observation(rgb, intrinsics, prediction, is_measured=True)
+
+    def reset(self) -> None:
+        """Nothing is kept from frame to frame."""
+
+
+class ModelDepth:
+    """
+    A model predicts depth from the image; its flicker is averaged while nothing moves.
+
+    Parameters
+    ----------
+    model : DepthModel
+
+    """
+
+    def __init__(self, model: DepthModel) -> None:
+        self.model = model
+        self._average: DampedDisparity | None = None
+
+    @property
+    def output(self) -> str:
+        """What the model gives."""
+        return self.model.output
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """What the log and the diagnostics say of the model."""
+        return self.model.facts
+
+    def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
+                config: Config) -> Observation:
+        """
+        Return an image with what the model says of it, and with measured depth where there is.
+
+        Raises
+        ------
+        ValueError
+            The model gives depth of another size than the image.
+
+        """
+        prediction, (height, width) = self.model.predict(rgb, intrinsics), rgb.shape[:2]
+        output, values = prediction.output, np.asarray(prediction.values, np.float32)
+        if values.shape != (height, width):
+            raise ValueError(f'depth of shape {values.shape} for an image of shape '
+                             f'{(height, width)}: they must be of one size')
+        factor = lens_factor(intrinsics, config.scale.reference_focal_px,
+                             self.model.focal_per_height)
+        if output != 'relative_disparity' and factor != 1.0:
+            values = values * np.float32(factor if output == 'metric_depth' else 1 / factor)
+        values = _without_the_far(values, output, config.depth.max_depth)
+        seen = Observation(rgb, intrinsics, replace(prediction, values=values),
+                           sensor_depth_m=depth_m, typical_noise=self.model.disparity_noise,
+                           edge_blur_px=self.model.edge_blur_px(width, height))
+        return self._averaged(seen, config.depth.damping)
+
+    def reset(self) -> None:
+        """Forget the frames before."""
+        self._average = None
+
+    def _averaged(self, seen: Observation, keep: float) -> Observation:
+        """Return the observation with less flicker of the depth."""
+        if keep == 0:
+            self._average = None
+            return seen
+        self._average = damp_flicker(self._average, seen.disparity, seen.rgb, keep,
+                                     same_scale=seen.output != 'relative_disparity')
+        if self._average.pictures == 1:
+            return seen
+        values = self._average.disparity
+        values = to_depth(values) if seen.output == 'metric_depth' else values
+        return replace(seen, prediction=replace(seen.prediction, values=values))
+
+
+@dataclass(frozen=True)
+class DepthFunction:
+    """
+    A plain function as a depth model.
+
+    Attributes
+    ----------
+    function : callable
+        Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) floating, NaN invalid.
+    output : str
+        What it returns: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    disparity_noise, focal_per_height
+        As in :class:`~plane_detector.types.DepthModel`.
+    blur_px : float
+        How far the edges of its depth may be off, in pixels.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(3.0, 3.0, 1.0, 0.0, 3, 1)
+    >>> wall = DepthFunction(lambda rgb: np.full(rgb.shape[:2], 2.0))
+    >>> wall.predict(np.zeros((1, 3, 3), np.uint8), camera)
+    Prediction(output='metric_depth', values=array([[2., 2., 2.]]), ...)
+
+    """
+
+    function: Callable[[np.ndarray], np.ndarray]
+    output: str = 'metric_depth'
+    disparity_noise: float = 0.0
+    focal_per_height: float = 0.0
+    blur_px: float = 0.0
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """The name of the function."""
+        return {'depth_model': getattr(self.function, '__name__', type(self.function).__name__)}
+
+    def edge_blur_px(self, width: int, height: int) -> float:
+        """Return how far edges may be off."""
+        return self.blur_px
+
+    def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
+        """Call the function, which does not look at the lens."""
+        return Prediction(self.output, self.function(rgb))
+
+
+DepthSource = SensorDepth | ModelDepth
+ModelOrFunction = DepthModel | Callable[[np.ndarray], np.ndarray]
+
+
+def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
+    """
+    Decide where depth comes from.
+
+    Parameters
+    ----------
+    config : Config
+        ``depth.source`` decides where no model is given.
+    model : DepthModel, callable or None
+        A plain function returns what ``depth.output`` says; ``auto``: metres.
+
+    Raises
+    ------
+    ValueError
+        Some attributes of a :class:`~plane_detector.types.DepthModel` are there and others not;
+        or what :class:`~plane_detector.depth.estimator.DepthEstimator` raises.
+
+    """
+    if model is None:
+        return (SensorDepth() if config.depth.source == 'topic'
+                else ModelDepth(DepthEstimator(config.depth)))
+    return ModelDepth(model if isinstance(model, DepthModel) else _wrapped(model, config))
+
+
+def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> DepthFunction:
+    """Return a plain function as a depth model."""
+    wanted = ('output', 'disparity_noise', 'focal_per_height', 'facts', 'edge_blur_px', 'predict')
+    there = [name for name in wanted if hasattr(function, name)]
+    if there:
+        raise ValueError(f'the depth model has {", ".join(there)}, but not '
+                         f'{", ".join(name for name in wanted if name not in there)}: see '
+                         'plane_detector.types.DepthModel, or wrap it in a DepthFunction')
+    output = config.depth.output
+    return DepthFunction(function, 'metric_depth' if output == 'auto' else output)
+
+
+def _without_the_far(values: np.ndarray, output: str, max_depth_m: float) -> np.ndarray:
+    """Return depth or disparity that is NaN where invalid or beyond the largest depth."""
+    if output == 'metric_depth':
+        valid = valid_depth(values) & (values <= max_depth_m)
+    elif output == 'disparity':
+        valid = values >= np.float32(1 / max_depth_m)
+    else:
+        return values
+    return values if valid.all() else np.where(valid, values, np.float32(np.nan))

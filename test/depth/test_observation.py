@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where depth comes from: a sensor, a model, or a plain function as a model."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from onnx_models import write_depth_network
+
+from plane_detector.config import Config, DepthConfig
+from plane_detector.depth.estimator import BLUR_INPUT_PX, DepthEstimator
+from plane_detector.depth.observation import (
+    DepthFunction,
+    ModelDepth,
+    Observation,
+    SensorDepth,
+    make_source,
+)
+from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
+
+CAMERA = CameraIntrinsics(20.0, 20.0, 3.5, 2.5, 8, 6)
+RGB = np.zeros((6, 8, 3), np.uint8)
+VALUES = np.full((6, 8), 2.0, np.float32)
+VALUES[0, :4] = [0.0, np.nan, np.inf, 100.0]
+PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
+TOPIC = Config(depth=DepthConfig(source='topic'))
+
+
+def test_the_kind_of_source_is_decided_once(tmp_path):
+    path = str(write_depth_network(tmp_path / 'n.onnx', height=6, width=8))
+    network = Config(depth=DepthConfig(model=path, output='metric_depth', **PLAIN))
+    assert isinstance(make_source(TOPIC, None), SensorDepth)
+    assert isinstance(make_source(network, None).model, DepthEstimator)
+    assert isinstance(make_source(TOPIC, lambda rgb: VALUES), ModelDepth), 'a model comes first'
+
+
+def test_a_network_is_a_depth_model(tmp_path):
+    path = str(write_depth_network(tmp_path / 'n.onnx', height=6, width=8))
+    estimator = DepthEstimator(DepthConfig(model=path, output='disparity', **PLAIN))
+    assert isinstance(estimator, DepthModel)
+    assert estimator.edge_blur_px(80, 60) == pytest.approx(10 * BLUR_INPUT_PX)
+    assert estimator.facts['depth_model'] == path
+    assert 'CPUExecutionProvider' in estimator.facts['execution_provider']
+
+
+@pytest.mark.parametrize(('asked_for', 'output'), [
+    ('auto', 'metric_depth'), ('relative_disparity', 'relative_disparity')])
+def test_a_plain_function_is_wrapped_once(asked_for, output):
+    def wall(rgb):
+        return VALUES
+    source = make_source(Config(depth=DepthConfig(output=asked_for)), wall)
+    assert isinstance(source.model, DepthFunction)
+    assert isinstance(source.model, DepthModel)
+    assert (source.output, source.facts) == (output, {'depth_model': 'wall'})
+
+
+def test_half_a_depth_model_is_refused_with_what_it_lacks():
+    def wall(rgb):
+        return VALUES
+    wall.output = 'relative_disparity'
+    with pytest.raises(ValueError, match='has output, but not disparity_noise, focal_per_height'):
+        make_source(Config(), wall)
+
+
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
+def test_a_prediction_has_disparity_whatever_it_is(output):
+    values = VALUES if output == 'metric_depth' else 1 / VALUES.clip(0.1, 50)
+    source = ModelDepth(DepthFunction(lambda rgb: values, output, disparity_noise=0.01))
+    found = source.observe(RGB, CAMERA, None, Config())
+    assert found.output == output and not found.is_measured
+    np.testing.assert_allclose(found.disparity[1:], 0.5)
+
+
+def test_noise_of_relative_disparity_is_a_share_of_its_range():
+    ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
+    relative, metric = (Observation(RGB, CAMERA, Prediction(output, ramp), typical_noise=0.1)
+                        for output in ('relative_disparity', 'disparity'))
+    assert relative.disparity_noise == pytest.approx(2.0, rel=0.06)
+    assert metric.disparity_noise == 0.1
+    assert replace(relative, typical_noise=0.0).disparity_noise == 0.0
+
+
+@pytest.mark.parametrize('source', [
+    SensorDepth(), ModelDepth(DepthFunction(lambda rgb: VALUES)),
+    ModelDepth(DepthFunction(lambda rgb: np.where(VALUES > 0, 1 / VALUES, np.nan), 'disparity'))])
+def test_what_is_invalid_or_too_far_is_nan(source):
+    given = VALUES.copy()
+    with np.errstate(divide='ignore'):
+        found = source.observe(RGB, CAMERA, given, Config(depth=DepthConfig(max_depth=50.0)))
+        nearer = source.observe(RGB, CAMERA, given, Config(depth=DepthConfig(max_depth=1.0)))
+    is_valid = np.isfinite(found.prediction.values)
+    assert not is_valid[0, :4].any() and is_valid[1:].all() and is_valid[0, 4:].all()
+    assert np.isnan(nearer.prediction.values).all(), 'the settings may change between two frames'
+    np.testing.assert_array_equal(given, VALUES)
+
+
+def test_no_depth_farther_than_the_largest_says_nothing_of_an_unknown_unit():
+    source = ModelDepth(DepthFunction(lambda rgb: VALUES[1:2].repeat(6, 0), 'relative_disparity'))
+    found = source.observe(RGB, CAMERA, None, Config(depth=DepthConfig(max_depth=0.01)))
+    assert np.isfinite(found.prediction.values).all()
+
+
+def test_a_sensor_measures():
+    found = SensorDepth().observe(RGB, CAMERA, VALUES, TOPIC)
+    assert found.is_measured and found.typical_noise == found.edge_blur_px == 0
+    with pytest.raises(ValueError, match='depth.source is topic'):
+        SensorDepth().observe(RGB, CAMERA, None, TOPIC)
+
+
+def test_restricted_to_what_the_image_covers():
+    covered = np.ones(VALUES.shape, bool)
+    covered[:, 0] = False
+    prediction = Prediction('metric_depth', VALUES[1:2].repeat(6, 0))
+    found = Observation(RGB, CAMERA, prediction).restricted_to(covered)
+    assert np.isnan(found.prediction.values[:, 0]).all() and np.isnan(found.disparity[:, 0]).all()
+    assert np.isfinite(found.prediction.values[:, 1:]).all()
