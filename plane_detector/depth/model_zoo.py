@@ -34,6 +34,11 @@ def default_cache_dir() -> Path:
     return root / 'plane_detector'
 
 
+def cached_path(network: Network, cache_dir: str | Path = '') -> Path:
+    """Return where the file of a network is, or would be; empty: in `default_cache_dir`."""
+    return Path(cache_dir or default_cache_dir()).expanduser() / network.file_name
+
+
 def fetch(name: str, cache_dir: str | Path = '', unreachable: set[str] | None = None) -> Path:
     """
     Return the verified file of a network, fetching it when it is not in the cache.
@@ -63,7 +68,7 @@ def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Pa
     if name not in NETWORKS:
         raise ValueError(f'no network is called {name!r}; there are {", ".join(NETWORKS)}')
     network = NETWORKS[name]
-    path = Path(cache_dir or default_cache_dir()).expanduser() / network.file_name
+    path = cached_path(network, cache_dir)
     damaged = False
     try:
         damaged = path.is_file() and sha256_of(path) != network.sha256

@@ -125,14 +125,14 @@ _SMALL_FP16 = replace(
     file_name='depth_anything_v2_small_fp16.onnx',
     sources=(UrlSource(_ONNX_COMMUNITY + 'model_fp16.onnx'),), size_bytes=49642442,
     sha256='2df6223f206b5164e21f664ace61dabeb9bb6a49b8b5a3e00510b4807d0f5b04',
-    summary='the same in 16 bits, for a GPU')
+    summary='relative disparity in 16 bits, for a GPU')
 # Its size is 26641268 bytes by one count and 27258801 by another, with the same SHA-256.
 _SMALL_INT8 = replace(
     _SMALL, name='depth_anything_v2_small_int8',
     file_name='depth_anything_v2_small_quantized.onnx',
     sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),), size_bytes=0,
     sha256='fcf51f1b230362b28690bb9d1809bf0431f29cad20534e3f589bd7285547f20d',
-    summary='the same in 8 bits, for a CPU')
+    summary='relative disparity in 8 bits, for a CPU')
 # Trained on images cut by 11/250 of the height on each side, which makes NYU's focal length of
 # 519.47 px at 480 rows one of 1.187 heights. The second source is a mirror of the first package.
 _FASTDEPTH = Network(
@@ -168,7 +168,7 @@ _METRIC3D = Network(
                        'onnx/model.onnx'),),
     size_bytes=150739433,
     sha256='674a665052f01bb2b64687200182f3380f0a462f4b6ef2e51fefd06c84d8ee75',
-    licence='code BSD-2-Clause, weights not stated: ask the authors before you ship it',
+    licence='weights: not stated; code: BSD-2-Clause',
     summary='metres and normals with confidence, any scene, needs the lens',
     recipe=InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3, 'linear', (123.675, 116.28, 103.53)),
     reader=CanonicalDepthReader(

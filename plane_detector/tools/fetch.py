@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Fetch depth networks before they are needed; without a name, list those that there are."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from plane_detector.depth.model_zoo import cached_path, choose, fetch
+from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
+
+_HEADER = ('network', 'size', 'licence', 'here', 'gives')
+
+
+def table(networks: Sequence[Network], cache_dir: str) -> str:
+    """Return a table of networks, one a line; ``here``: whether the file is in the cache."""
+    rows = [_HEADER, *(
+        (network.name, _size(network), network.licence,
+         'yes' if cached_path(network, cache_dir).is_file() else '', network.summary)
+        for network in networks)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return '\n'.join('  '.join(cell.ljust(width) for cell, width in zip(
+        row, widths, strict=True)).rstrip() for row in rows)
+
+
+def _size(network: Network) -> str:
+    return f'{network.size_bytes / 1e6:.0f} MB' if network.size_bytes else 'not known'
+
+
+def obtain(name: str, cache_dir: str) -> tuple[Network, Path]:
+    """Return a network, the best of ``auto``, and its verified file."""
+    if name == 'auto':
+        network, path, reason = choose(cache_dir)
+        print(reason)
+        return network, path
+    return NETWORKS[name], fetch(name, cache_dir)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Fetch what is named; exit code 1 where one cannot be had."""
+    parser = argparse.ArgumentParser(prog='ros2 run plane_detector fetch', description=__doc__)
+    parser.add_argument('names', nargs='*', metavar='NAME',
+                        help='network, or auto for what depth.model auto would take now')
+    parser.add_argument('--cache-dir', default='', help='as depth.cache_dir')
+    options = parser.parse_args(arguments)
+    if wrong := [name for name in options.names if name not in ('auto', *NETWORKS)]:
+        parser.error(f'no network is called {wrong[0]!r}; there are auto, {", ".join(NETWORKS)}')
+    if not options.names:
+        print(table(list(NETWORKS.values()), options.cache_dir))
+        print(f'\ndepth.model auto takes the first that can be had of: {", ".join(AUTO_ORDER)}')
+        return
+    for name in options.names:
+        try:
+            network, path = obtain(name, options.cache_dir)
+        except FileNotFoundError as error:
+            sys.exit(str(error))
+        print(f'{network.name}: {path}\nlicence: {network.licence}')
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+import os
+import subprocess
+import sys
+
+import pytest
+from zoo_helpers import CONTENT, put, serving
+
+from plane_detector.depth.networks import AUTO_ORDER, NETWORKS
+from plane_detector.depth.sources import UrlSource
+from plane_detector.tools.fetch import main
+
+
+@pytest.fixture(name='server')
+def fixture_server(monkeypatch):
+    monkeypatch.setenv('no_proxy', '*')
+    with serving() as server:
+        yield server
+
+
+def test_without_a_name_all_networks_are_listed(tmp_path, capsys):
+    (tmp_path / NETWORKS['fastdepth'].file_name).write_bytes(b'')
+    main(['--cache-dir', str(tmp_path)])
+    lines = capsys.readouterr().out.splitlines()
+    for network in NETWORKS.values():
+        (line,) = (line for line in lines if line.startswith(network.name + ' '))
+        assert network.licence in line
+        assert network.summary in line
+        assert (' yes ' in line) == (network.name == 'fastdepth')
+    assert any(line.split()[1:4] == ['6', 'MB', 'MIT'] for line in lines)
+    assert f'auto takes the first that can be had of: {", ".join(AUTO_ORDER)}' in lines[-1]
+
+
+def test_what_is_named_is_fetched_and_its_licence_said(server, tmp_path, monkeypatch, capsys):
+    for name in ('fastdepth', 'metric3d_v2_small'):
+        put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
+    main(['fastdepth', 'metric3d_v2_small', '--cache-dir', str(tmp_path)])
+    for name in ('fastdepth', 'metric3d_v2_small'):
+        assert (tmp_path / NETWORKS[name].file_name).read_bytes() == CONTENT
+    said = capsys.readouterr().out
+    assert f'fastdepth: {tmp_path / NETWORKS["fastdepth"].file_name}' in said
+    assert 'weights: not stated' in said
+
+
+def test_auto_is_what_the_node_would_take(server, tmp_path, monkeypatch, capsys):
+    for name in AUTO_ORDER:
+        put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
+    main(['auto', '--cache-dir', str(tmp_path)])
+    assert f'auto took {AUTO_ORDER[0]} (fetched)' in capsys.readouterr().out
+
+
+def test_what_cannot_be_had_ends_with_a_message(server, tmp_path, monkeypatch):
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/missing.onnx'))
+    with pytest.raises(SystemExit, match='fastdepth is not in .* cannot be fetched: .*404'):
+        main(['fastdepth', '--cache-dir', str(tmp_path)])
+
+
+def test_a_wrong_name_is_a_usage_error():
+    done = subprocess.run([sys.executable, '-m', 'plane_detector.tools.fetch', 'nothing'],
+                          check=False, capture_output=True, text=True,
+                          env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+    assert done.returncode == 2
+    assert "no network is called 'nothing'" in done.stderr
+    assert 'fastdepth' in done.stderr
