@@ -43,5 +43,6 @@ setup(
         f'demo = {NAME}.tools.demo.__main__:main',
         f'fetch = {NAME}.tools.fetch:main',
         f'replay = {NAME}.tools.replay.__main__:main',
+        f'show = {NAME}.tools.show:main',
     ]},
 )

@@ -134,8 +134,8 @@ def test_every_output_of_the_node_is_in_the_tables(page):
 
 
 def test_every_field_of_planes_and_shapes_is_in_the_tables():
-    from plane_detector.ros.outputs.messages import PLANE_DTYPE
+    from plane_detector.ros.outputs.plane_table import CORNER_DTYPE, PLANE_DTYPE
     from plane_detector.ros.outputs.shapes import SHAPE_DTYPE
     text = text_of(ROOT / 'docs' / 'topics.md')
-    for field in (*PLANE_DTYPE.names, *SHAPE_DTYPE.names):
+    for field in (*PLANE_DTYPE.names, *SHAPE_DTYPE.names, *CORNER_DTYPE.names):
         assert re.search(rf'^\|[^|]*`{field}`', text, re.MULTILINE), field

@@ -1,8 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The outline of a plane's pixels, laid onto the plane."""
+"""The outlines of a plane's pixels, laid onto the plane, and the rectangle around them."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -10,6 +12,44 @@ import numpy as np
 from plane_detector.types import CameraIntrinsics, Plane
 
 _TOLERANCE_PX = 2.0
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """
+    One outline of a plane.
+
+    Attributes
+    ----------
+    corners_m : (N, 3) float64
+        In order, on the plane; the first one is not repeated.
+    is_hole : bool
+
+    """
+
+    corners_m: np.ndarray
+    is_hole: bool
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """
+    A rectangle in space.
+
+    Attributes
+    ----------
+    centre_m : (3,) float64
+    rotation : (3, 3) float64
+        Its columns are the directions of the width, of the height and of the normal.
+    width_m, height_m : float
+        The width is not the smaller one.
+
+    """
+
+    centre_m: np.ndarray
+    rotation: np.ndarray
+    width_m: float
+    height_m: float
 
 
 def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
@@ -41,7 +81,70 @@ def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntri
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL,
                                    cv2.CHAIN_APPROX_SIMPLE)
     largest = max(outlines, key=lambda outline: (cv2.contourArea(outline), len(outline)))
-    column, row = cv2.approxPolyDP(largest, _TOLERANCE_PX, True).reshape(-1, 2).T
+    return _corners_on_plane(largest, depth_m, intrinsics, plane)
+
+
+def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                   plane: Plane) -> tuple[Polygon, ...]:
+    """
+    Return the outlines of all patches of a plane, and of the holes in them.
+
+    Parameters
+    ----------
+    mask, depth_m, intrinsics, plane
+        As for :func:`plane_outline`.
+
+    Returns
+    -------
+    tuple of Polygon
+        The largest patch first, each followed by its holes. What has fewer than three corners,
+        once it is simplified, is left out.
+
+    """
+    outlines, hierarchy = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP,
+                                           cv2.CHAIN_APPROX_SIMPLE)
+    parents = hierarchy[0, :, 3].tolist()
+    patches = [index for index, parent in enumerate(parents) if parent < 0]
+    patches.sort(key=lambda index: -cv2.contourArea(outlines[index]))
+    order = [index for patch in patches for index in
+             (patch, *(hole for hole, parent in enumerate(parents) if parent == patch))]
+    polygons = [Polygon(_corners_on_plane(outlines[index], depth_m, intrinsics, plane),
+                        parents[index] >= 0) for index in order]
+    return tuple(polygon for polygon in polygons if len(polygon.corners_m) > 2)
+
+
+def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
+                        centroid_m: np.ndarray) -> Rectangle:
+    """
+    Return the smallest rectangle, in a plane, around points of it.
+
+    Parameters
+    ----------
+    corners_m : (N, 3) float64
+        At least one.
+    normal : (3,) float64
+        Of the plane, unit.
+    centroid_m : (3,) float64
+        A point of the plane.
+
+    """
+    helper = np.eye(3)[np.argmin(np.abs(normal))]
+    across = np.cross(normal, helper)
+    across /= np.linalg.norm(across)
+    axes = np.stack([across, np.cross(normal, across)])
+    flat_m = ((corners_m - centroid_m) @ axes.T).astype(np.float32)
+    centre_m, (width_m, height_m), angle_deg = cv2.minAreaRect(flat_m)
+    turn = np.radians(angle_deg + (0.0 if width_m >= height_m else 90.0))
+    x_axis = np.array([np.cos(turn), np.sin(turn)]) @ axes
+    return Rectangle(centroid_m + np.asarray(centre_m) @ axes,
+                     np.stack([x_axis, np.cross(normal, x_axis), normal], axis=1),
+                     max(width_m, height_m), min(width_m, height_m))
+
+
+def _corners_on_plane(outline: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                      plane: Plane) -> np.ndarray:
+    """Return the simplified corners (N, 3) of an outline in pixels, brought onto the plane."""
+    column, row = cv2.approxPolyDP(outline, _TOLERANCE_PX, True).reshape(-1, 2).T
     z_m = depth_m[row, column].astype(float)
     points_m = np.stack([(column - intrinsics.cx) / intrinsics.fx * z_m,
                          (row - intrinsics.cy) / intrinsics.fy * z_m, z_m], axis=-1)

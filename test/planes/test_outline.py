@@ -5,10 +5,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from ros_helpers import header
 
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.planes.outline import plane_outline
+from plane_detector.planes.outline import enclosing_rectangle, plane_outline, plane_polygons
 from plane_detector.ros.outputs.markers import markers_to_msg
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
@@ -55,6 +56,49 @@ def test_a_single_pixel_has_an_outline():
     mask = np.zeros((80, 100), bool)
     mask[5, 7] = True
     assert outline_px(mask) == {(7, 5)}
+
+
+def test_polygons_have_holes_and_all_patches():
+    mask = np.zeros((80, 100), bool)
+    mask[10:60, 10:60] = True
+    mask[20:50, 20:50] = False
+    mask[65:75, 70:95] = True
+    depth_m = np.full(mask.shape, 2.0, np.float32)
+    depth_m[~mask] = np.nan
+    polygons = plane_polygons(mask, depth_m, CAMERA, WALL)
+    assert [polygon.is_hole for polygon in polygons] == [False, True, False]
+    sizes_m = [np.ptp(polygon.corners_m, axis=0)[:2] for polygon in polygons]
+    np.testing.assert_allclose(sizes_m[0], 49 * 2.0 / 100)
+    np.testing.assert_allclose(sizes_m[1], 31 * 2.0 / 100)
+    np.testing.assert_allclose(sizes_m[2], [24 * 2.0 / 100, 9 * 2.0 / 100])
+    for polygon in polygons:
+        assert np.abs(polygon.corners_m @ WALL.normal + WALL.offset_m).max() < 1e-9
+
+
+def test_a_line_of_pixels_is_no_polygon():
+    mask = np.zeros((80, 100), bool)
+    mask[40, 10:60] = True
+    assert plane_polygons(mask, np.full(mask.shape, 2.0), CAMERA, WALL) == ()
+
+
+@pytest.mark.parametrize('turn_deg', [0, 20, 45, 90, 170])
+@pytest.mark.parametrize('normal', [(0.0, 0.0, -1.0), (0.48, -0.6, -0.64)])
+def test_the_rectangle_around_a_turned_table(turn_deg, normal):
+    normal = np.array(normal)
+    width_axis = np.cross(normal, [0.3, 1.0, 0.2])
+    width_axis /= np.linalg.norm(width_axis)
+    turn = np.radians(turn_deg)
+    width_axis = np.cos(turn) * width_axis + np.sin(turn) * np.cross(normal, width_axis)
+    sides = 1.6 * width_axis, 0.7 * np.cross(normal, width_axis)
+    centre_m = np.array([0.2, 0.1, 3.0])
+    corners_m = [centre_m + a * sides[0] + b * sides[1] for a in (-.5, .5) for b in (-.5, .5)]
+    found = enclosing_rectangle(np.array(corners_m), normal, centre_m + 0.2 * sides[0])
+    np.testing.assert_allclose(found.centre_m, centre_m, atol=1e-5)
+    assert found.width_m == pytest.approx(1.6, abs=1e-5)
+    assert found.height_m == pytest.approx(0.7, abs=1e-5)
+    assert abs(found.rotation[:, 0] @ width_axis) > 1 - 1e-6
+    np.testing.assert_allclose(found.rotation[:, 2], normal)
+    assert np.linalg.det(found.rotation) == pytest.approx(1.0)
 
 
 def detection(**changes):

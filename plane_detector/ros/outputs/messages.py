@@ -25,11 +25,6 @@ FIRST_SHAPE_LABEL = 32768
 POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4'),
                         ('label', '<u4')])
 XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
-PLANE_DTYPE = np.dtype([
-    ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
-    ('normal_x', '<f4'), ('normal_y', '<f4'), ('normal_z', '<f4'), ('d', '<f4'),
-    ('label', '<u4'), ('num_inliers', '<u4'), ('rms', '<f4'), ('area', '<f4'),
-    ('class', 'u1'), ('confidence', '<f4')], align=True)
 _FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
 
 
@@ -131,35 +126,6 @@ def obstacles_to_msg(header: Header, points_m: np.ndarray) -> PointCloud2:
     data = array.array('B')
     data.frombytes(np.ascontiguousarray(points_m, '<f4').data.cast('B'))
     return cloud_msg(header, XYZ_DTYPE, data, 1, len(points_m))
-
-
-def planes_to_msg(header: Header, planes: tuple[Plane, ...], labels: np.ndarray,
-                  classes: tuple[int, ...]) -> PointCloud2:
-    """
-    Return the coefficients: one point per plane, at its centroid; none is an empty cloud.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the picture.
-    planes : tuple of Plane
-        normal . p + d = 0 with d >= 0.
-    labels : (N,) uint32
-        Of these planes.
-    classes : tuple of int
-        PlaneClass of these planes; empty: all unknown.
-
-    """
-    table = np.zeros(len(planes), PLANE_DTYPE)
-    table['class'] = classes or 0
-    for row, plane, label in zip(table, planes, labels, strict=True):
-        row['x'], row['y'], row['z'] = plane.centroid_m
-        row['normal_x'], row['normal_y'], row['normal_z'] = plane.normal
-        row['d'], row['label'], row['num_inliers'] = plane.offset_m, label, plane.inlier_count
-        row['rms'], row['area'] = plane.rms_m, plane.area_m2
-        row['confidence'] = plane.confidence
-    data = array.array('B', table.tobytes())
-    return cloud_msg(header, PLANE_DTYPE, data, 1, len(planes))
 
 
 def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:

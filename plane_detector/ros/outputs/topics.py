@@ -24,8 +24,15 @@ from plane_detector.drawing import overlay
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
+from plane_detector.planes.outline import (
+    Polygon,
+    Rectangle,
+    enclosing_rectangle,
+    plane_polygons,
+)
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.markers import markers_to_msg, moved
+from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
 from plane_detector.ros.outputs.shapes import shapes_to_msg
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection
@@ -81,6 +88,25 @@ class Result:
         return replace(found, planes=tuple(map(turn.plane, found.planes)), shapes=shapes)
 
     @cached_property
+    def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
+        """The outlines of each plane in the target frame."""
+        found = self.detection
+        polygons = (plane_polygons(found.labels == index, found.depth_m, self.intrinsics, plane)
+                    for index, plane in enumerate(found.planes))
+        if self.to_target is None:
+            return tuple(polygons)
+        return tuple(tuple(replace(polygon, corners_m=self.to_target.points(polygon.corners_m))
+                           for polygon in of_plane) for of_plane in polygons)
+
+    @cached_property
+    def rectangles(self) -> tuple[Rectangle, ...]:
+        """The smallest rectangle around each plane in the target frame."""
+        return tuple(enclosing_rectangle(
+            np.vstack([plane.centroid_m, *(polygon.corners_m for polygon in polygons)]),
+            plane.normal, plane.centroid_m)
+            for plane, polygons in zip(self.target_detection.planes, self.polygons, strict=True))
+
+    @cached_property
     def labels(self) -> np.ndarray:
         """The label of each pixel in the messages, (H, W) uint32, 0 for none."""
         return messages.pixel_labels(self.detection)
@@ -126,9 +152,14 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
 
 
 def _planes(result: Result) -> PointCloud2:
-    return messages.planes_to_msg(result.target_header, result.target_detection.planes,
-                                  messages.plane_labels(result.detection),
-                                  result.detection.classes)
+    return planes_to_msg(result.target_header, result.target_detection.planes,
+                         messages.plane_labels(result.detection), result.detection.classes,
+                         result.rectangles)
+
+
+def _boundaries(result: Result) -> PointCloud2:
+    return boundaries_to_msg(result.target_header, messages.plane_labels(result.detection),
+                             result.polygons)
 
 
 def _poses(result: Result) -> PoseArray:
@@ -161,6 +192,7 @@ OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, _points),
     'points_without_floor': Output(PointCloud2, _points_without_floor),
     'planes': Output(PointCloud2, _planes),
+    'boundaries': Output(PointCloud2, _boundaries),
     'plane_poses': Output(PoseArray, _poses),
     'markers': Output(MarkerArray, _markers),
     'labels': Output(Image, _labels),

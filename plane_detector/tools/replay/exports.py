@@ -16,7 +16,7 @@ import numpy as np
 from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.ros.frame_processor import Processed
-from plane_detector.ros.outputs.messages import PLANE_DTYPE
+from plane_detector.ros.outputs.plane_table import PLANE_DTYPE
 from plane_detector.ros.outputs.topics import Result
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.ply import write_ply

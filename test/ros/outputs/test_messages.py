@@ -86,38 +86,6 @@ def test_points_are_organised_coloured_and_labelled():
         packed, rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
 
 
-def test_planes_cloud():
-    planes = (make_plane([0.0, 0.6, -0.8], 2.0), make_plane([0.0, -1.0, 0.0], 1.25))
-    msg = messages.planes_to_msg(header(2.0), planes, np.array([7, 9], np.uint32), (1, 3))
-    assert [f.name for f in msg.fields] == [
-        'x', 'y', 'z', 'normal_x', 'normal_y', 'normal_z', 'd', 'label', 'num_inliers', 'rms',
-        'area', 'class', 'confidence']
-    assert (msg.height, msg.width, msg.header) == (1, 2, header(2.0))
-    (table,) = cloud_array(msg)
-    for row, plane in zip(table, planes, strict=True):
-        normal = np.array([row['normal_x'], row['normal_y'], row['normal_z']])
-        np.testing.assert_allclose(normal, plane.normal, atol=1e-7)
-        centroid = np.array([row['x'], row['y'], row['z']])
-        assert abs(normal @ centroid + row['d']) < 1e-6
-    np.testing.assert_array_equal(table['label'], [7, 9])
-    np.testing.assert_allclose(table['rms'], 0.003)
-    np.testing.assert_allclose(table['area'], 2.5)
-    np.testing.assert_allclose(table['confidence'], 0.75)
-    np.testing.assert_array_equal(table['num_inliers'], 1234)
-    np.testing.assert_array_equal(table['class'], [1, 3])
-
-
-def test_without_classes_they_are_unknown():
-    msg = messages.planes_to_msg(header(), (make_plane([0, 0, -1], 1.0),), np.array([1]), ())
-    assert cloud_array(msg)[0]['class'].tolist() == [0]
-
-
-def test_no_plane_is_an_empty_cloud_with_fields():
-    msg = messages.planes_to_msg(header(), (), np.zeros(0, np.uint32), ())
-    assert (msg.height, msg.width, len(msg.data)) == (1, 0, 0)
-    assert len(msg.fields) == 13
-
-
 @pytest.mark.parametrize('normal', [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, -1, 0], [0.6, 0, -0.8]])
 def test_z_of_a_pose_is_the_normal(normal):
     plane = make_plane(normal, 2.0)

@@ -1,0 +1,93 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes as clouds: one point per plane with its coefficients, one per corner of its outline."""
+
+from __future__ import annotations
+
+import array
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from plane_detector.planes.outline import Polygon, Rectangle
+from plane_detector.ros.outputs.messages import cloud_msg
+from plane_detector.types import Plane
+
+PLANE_DTYPE = np.dtype([
+    ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
+    ('normal_x', '<f4'), ('normal_y', '<f4'), ('normal_z', '<f4'), ('d', '<f4'),
+    ('label', '<u4'), ('num_inliers', '<u4'), ('rms', '<f4'), ('area', '<f4'),
+    ('class', 'u1'), ('confidence', '<f4'),
+    ('rect_x', '<f4'), ('rect_y', '<f4'), ('rect_z', '<f4'),
+    ('rect_qx', '<f4'), ('rect_qy', '<f4'), ('rect_qz', '<f4'), ('rect_qw', '<f4'),
+    ('rect_width', '<f4'), ('rect_height', '<f4')], align=True)
+CORNER_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('label', '<u4'),
+                         ('hole', 'u1'), ('polygon', '<u4')], align=True)
+
+
+def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
+                  classes: Sequence[int], rectangles: Sequence[Rectangle]) -> PointCloud2:
+    """
+    Return the coefficients: one point per plane, at its centroid; none is an empty cloud.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image.
+    planes : sequence of Plane
+        normal . p + d = 0 with d >= 0 in the frame of the camera.
+    labels : (N,) uint32
+        Of these planes.
+    classes : sequence of int
+        PlaneClass of these planes; empty: all unknown.
+    rectangles : sequence of Rectangle
+        Around each plane.
+
+    """
+    table = np.zeros(len(planes), PLANE_DTYPE)
+    table['class'] = classes or 0
+    for row, plane, label, rectangle in zip(table, planes, labels, rectangles, strict=True):
+        row['x'], row['y'], row['z'] = plane.centroid_m
+        row['normal_x'], row['normal_y'], row['normal_z'] = plane.normal
+        row['d'], row['label'], row['num_inliers'] = plane.offset_m, label, plane.inlier_count
+        row['rms'], row['area'] = plane.rms_m, plane.area_m2
+        row['confidence'] = plane.confidence
+        row['rect_x'], row['rect_y'], row['rect_z'] = rectangle.centre_m
+        quaternion = Rotation.from_matrix(rectangle.rotation).as_quat()
+        row['rect_qx'], row['rect_qy'], row['rect_qz'], row['rect_qw'] = quaternion
+        row['rect_width'], row['rect_height'] = rectangle.width_m, rectangle.height_m
+    return _table_msg(header, table)
+
+
+def boundaries_to_msg(header: Header, labels: Iterable[int],
+                      polygons: Iterable[Sequence[Polygon]]) -> PointCloud2:
+    """
+    Return one point per corner, in order; the last corner of each polygon is its first one again.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image.
+    labels : iterable of int
+        Of the planes.
+    polygons : iterable of sequences of Polygon
+        Of each plane.
+
+    """
+    tables = [np.zeros(0, CORNER_DTYPE)]
+    for label, outlines in zip(labels, polygons, strict=True):
+        for polygon in outlines:
+            closed_m = np.vstack([polygon.corners_m, polygon.corners_m[:1]])
+            table = np.zeros(len(closed_m), CORNER_DTYPE)
+            table['x'], table['y'], table['z'] = closed_m.T
+            table['label'], table['hole'] = label, polygon.is_hole
+            table['polygon'] = len(tables) - 1
+            tables.append(table)
+    return _table_msg(header, np.concatenate(tables))
+
+
+def _table_msg(header: Header, table: np.ndarray) -> PointCloud2:
+    return cloud_msg(header, table.dtype, array.array('B', table.tobytes()), 1, len(table))

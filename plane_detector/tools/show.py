@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Print the planes of a running node as a table, live.
+
+    ros2 run plane_detector show
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import TextIO
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from sensor_msgs.msg import PointCloud2
+
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.cloud_reading import read_cloud
+from plane_detector.scale.estimate import RELATIVE
+
+_CLEAR = '\x1b[2J\x1b[H'
+_HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7} {"area":>8} '
+         f'{"rms":>7} {"sure":>5}  normal')
+
+
+def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
+    """
+    Return the planes of a message as lines of text, largest first.
+
+    Parameters
+    ----------
+    msg : sensor_msgs.msg.PointCloud2
+        Of ``~/planes``.
+    is_metric : bool
+        Whether lengths are in metres.
+
+    """
+    stamp = msg.header.stamp
+    unit = 'metres' if is_metric else 'lengths in an unknown unit'
+    rows = read_cloud(msg)[0] if msg.height else []
+    lines = [f'{len(rows)} planes at {stamp.sec}.{stamp.nanosec:09d} in {msg.header.frame_id}, '
+             f'{unit}', _HEAD]
+    for row in rows:
+        name = PlaneClass(row['class']).name.lower().replace('_', ' ')
+        normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')
+        lines.append(f'{row["label"]:>5}  {name:<16} {row["d"]:>8.2f} {row["rect_width"]:>7.2f} '
+                     f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
+                     f'{row["confidence"]:>5.0%}  {normal}')
+    return '\n'.join(lines)
+
+
+class PlanePrinter(Node):
+    """
+    Prints every message of ``~/planes``; a terminal is cleared before each.
+
+    Parameters
+    ----------
+    detector : str
+        Name of the node, with its namespace.
+    stream : text file
+        Where to print.
+    on_table : callable
+        Called after each table.
+
+    """
+
+    def __init__(self, detector: str, stream: TextIO, on_table: Callable[[], None] = lambda: None,
+                 **node_options: object):
+        super().__init__('plane_printer', **node_options)
+        self._name, self._stream, self._on_table = detector.strip('/'), stream, on_table
+        self._is_metric = True
+        self.create_subscription(PointCloud2, f'/{self._name}/planes', self._print, 1)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._note_unit, 10)
+
+    def _note_unit(self, msg: DiagnosticArray) -> None:
+        for status in msg.status:
+            if status.name.strip('/') == self._name:
+                scales = [value.value for value in status.values if value.key == 'scale']
+                self._is_metric = RELATIVE not in scales
+
+    def _print(self, msg: PointCloud2) -> None:
+        clear = _CLEAR if self._stream.isatty() else ''
+        print(clear + table_of(msg, self._is_metric), file=self._stream, flush=True)
+        self._on_table()
+
+
+def main(args: list[str] | None = None) -> int:
+    """Print until Ctrl-C; return the exit code."""
+    parser = argparse.ArgumentParser(prog='show', description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--node', default='/plane_detector', metavar='NAME',
+                        help='of the detector, with its namespace (default: %(default)s)')
+    parser.add_argument('--once', action='store_true', help='end after the first table')
+    options, of_ros = parser.parse_known_args(args)
+    rclpy.init(args=of_ros)
+    done: list[bool] = []
+    executor = SingleThreadedExecutor()
+    node = PlanePrinter(options.node, sys.stdout, lambda: done.append(options.once))
+    executor.add_node(node)
+    print(f'waiting for {options.node}/planes', file=sys.stderr)
+    try:
+        while rclpy.ok() and not any(done):
+            executor.spin_once(timeout_sec=0.2)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
