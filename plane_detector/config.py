@@ -223,11 +223,12 @@ class PaperConfig(Settings, section='paper'):
     """The metric thresholds of the paper's own method, the baseline."""
 
     distance_threshold: float = setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
-    max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 1000000)
-    dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 10.0)
+    max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 10000)
+    dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 1.0)
     dbscan_min_samples: int = setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
     max_points: int = setting(
-        20000, 'points are reduced to this many before the search', '', 100, 10000000)
+        20000, 'points are reduced to this many before the search; the time goes with its '
+        'square where all are within dbscan_eps', '', 100, 50000)
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from plane_detector.stopping import raise_if_stopped
+
 
 class StageTimer:
     """
@@ -33,7 +35,8 @@ class StageTimer:
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Measure what is done within."""
+        """Measure what is done within; raise Stopped where it was told to stop before."""
+        raise_if_stopped()
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start

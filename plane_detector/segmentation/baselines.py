@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import random
 from itertools import islice
+from typing import Any
 
 import numpy as np
-from sklearn.cluster import DBSCAN
 
 from plane_detector.config import Config, PaperConfig
 from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
@@ -29,10 +29,15 @@ from plane_detector.segmentation.cells.labels import count_labels, renumber
 from plane_detector.segmentation.cells.model import make_model
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.search.point_clusters import point_clusters
 from plane_detector.segmentation.search.ransac import peel_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.segmentation.threads import one_blas_thread
+from plane_detector.stopping import raise_if_stopped
 from plane_detector.types import CameraIntrinsics
+
+# derived: some 50 ms with 20 000 points; a stop is looked at in between.
+ITERATIONS_AT_ONCE = 100
 
 
 @one_blas_thread
@@ -154,8 +159,7 @@ def _peel(points_m: np.ndarray, min_points: float, config: Config,
             left = np.flatnonzero(labels < 0)
             if len(left) < min_points:
                 break
-            equation, inliers = Plane().fit(points_m[left], config.paper.distance_threshold,
-                                            maxIteration=config.paper.max_iterations)
+            equation, inliers = _fit(Plane, points_m[left], config.paper)
             if len(inliers) < min_points:
                 break
             labels[left[inliers]] = len(equations)
@@ -165,14 +169,30 @@ def _peel(points_m: np.ndarray, min_points: float, config: Config,
     return labels, np.array(equations).reshape(-1, 4)
 
 
+def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.ndarray]:
+    """
+    Return the equation (4,) of the best plane and the indices of its inliers.
+
+    pyransac3d is called for a part of the iterations at a time, so that it can be stopped; the
+    first of the best samples is the same as in one go.
+    """
+    equation, inliers = np.zeros(4), np.zeros(0, np.int64)
+    for done in range(0, paper.max_iterations, ITERATIONS_AT_ONCE):
+        raise_if_stopped()
+        found = plane().fit(points_m, paper.distance_threshold,
+                            maxIteration=min(ITERATIONS_AT_ONCE, paper.max_iterations - done))
+        if len(found[1]) > len(inliers):
+            equation, inliers = found
+    return equation, inliers
+
+
 def _cluster(labels: np.ndarray, points_m: np.ndarray, equations: np.ndarray, min_points: float,
              paper: PaperConfig) -> tuple[np.ndarray, np.ndarray]:
     """Replace each plane by the density clusters of its points that are large enough."""
     out, kept = np.full(labels.shape, -1, np.int32), []
     for k, equation in enumerate(equations):
         members = labels == k
-        found = DBSCAN(eps=paper.dbscan_eps, min_samples=paper.dbscan_min_samples)
-        clusters = found.fit_predict(points_m[members])
+        clusters = point_clusters(points_m[members], paper.dbscan_eps, paper.dbscan_min_samples)
         renumbered = np.full(clusters.max(initial=-1) + 2, -1, np.int32)
         for cluster in np.unique(clusters[clusters >= 0]):
             if (clusters == cluster).sum() >= min_points:

@@ -23,10 +23,12 @@ from plane_detector.evaluation.scenes.rooms import (
 from plane_detector.evaluation.scenes.rooms import box as upright_box
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.planes.measurement import measure_planes
+from plane_detector.segmentation import baselines
 from plane_detector.segmentation.baselines import fit_labels, paper_labels, ransac_alone
 from plane_detector.segmentation.cells.grid import make_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.stopping import Background, Stopped
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 PAPER = Config(segmentation=SegmentationConfig(method='paper'))
@@ -151,3 +153,25 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, 'pyransac3d', None)
     with pytest.raises(ModuleNotFoundError, match='pip install pyransac3d'):
         segment_planes(single_wall(SMALL).depth_m, SMALL, PAPER)
+
+
+def test_the_search_in_parts_is_the_search_in_one_go(monkeypatch):
+    scene = corner()
+    found = [paper_labels(scene.depth_m, SMALL, PAPER, np.random.default_rng(1))]
+    monkeypatch.setattr(baselines, 'ITERATIONS_AT_ONCE', 7)
+    found.append(paper_labels(scene.depth_m, SMALL, PAPER, np.random.default_rng(1)))
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_array_equal(found[0][1], found[1][1])
+
+
+def test_the_search_can_be_stopped():
+    """With the largest settings that there are: one search for a plane is some seconds then."""
+    paper = PaperConfig(max_points=50000, max_iterations=10000, dbscan_eps=1.0)
+    config = Config(segmentation=SegmentationConfig(method='paper', max_planes=255,
+                                                    min_plane_share=0.0), paper=paper)
+    scene = corner()
+    call = Background(lambda: segment_planes(scene.depth_m, SMALL, config), 'search')
+    assert not call.wait(0.2)
+    call.stop.set()
+    with pytest.raises(Stopped):
+        call.result()

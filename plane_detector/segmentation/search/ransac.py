@@ -20,6 +20,7 @@ from plane_detector.config import RansacConfig
 from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.model import CellModel, Patches, chi_squared, monomials
 from plane_detector.segmentation.search.dbscan import Clustering
+from plane_detector.stopping import raise_if_stopped
 
 # Rows and columns: small windows find small planes, long ones narrow planes, and large ones see
 # through the noise.
@@ -86,6 +87,7 @@ def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
     count = model.grid.moments[:, cells.N].reshape(shape)
     while (found and drawn < ransac.max_iterations
            and clustering.largest_piece(free.reshape(shape), count) >= min_pixels):
+        raise_if_stopped()
         found = False
         batch = _draw(model, free, min_pixels, ransac, rng)
         drawn += len(batch.planes)
