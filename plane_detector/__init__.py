@@ -3,12 +3,28 @@
 """
 Planes from an ordinary colour camera.
 
-1. depth: a network estimates depth or disparity from the picture (ONNX Runtime);
-2. segmentation: cells of 1/z are peeled plane by plane with RANSAC, largest first, and cleaned
-   with DBSCAN in the grid of the picture;
-3. scale: what fixes the unit of the depth is found, or the result says that nothing does;
-4. measurement: the planes get normal, offset, extent and covariance in metres;
-5. ros: the node does this for every image of a topic and publishes the result.
+The recipe is :class:`~plane_detector.pipeline.PlaneDetector`, one folder a move::
+
+    seen = source.observe(rgb, intrinsics)            depth/         image to depth or disparity
+    regions = segment(seen.disparity, noise_floor)    segmentation/  disparity to planar regions
+    scale = estimate_scale(seen.disparity, regions)   scale/         what makes it metres, if any
+    planes = measure_planes(regions.rescaled(scale))  planes/        normal, offset, extent, class
+    labels = tracker.update(planes)                   tracking/      labels that stay
+
+The node in ros/ does this for every image of a topic and publishes the result.
+
+Examples
+--------
+>>> import numpy as np
+>>> from plane_detector import CameraIntrinsics, PlaneDetector
+>>> camera = CameraIntrinsics.from_field_of_view(320, 240, horizontal_deg=60.0)
+>>> rows, _ = np.mgrid[:240, :320]
+>>> floor_m = 1.2 * camera.fy / (rows - camera.cy)             # 1.2 m below the camera
+>>> detector = PlaneDetector(depth_model=lambda rgb: floor_m)  # leave it out: the best network
+>>> detection = detector.detect(np.zeros((240, 320, 3), np.uint8), camera)
+>>> detection.planes[0].normal.round(3) + 0.0, round(detection.planes[0].offset_m, 3)
+(array([ 0., -1.,  0.]), 1.2)
+
 """
 
 from importlib import import_module

@@ -9,6 +9,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from plane_detector.geometry.disparity import valid_depth
+
 # Neighbours in the list, the largest planes of a picture, are far apart in hue and lightness.
 PALETTE = np.array(
     [
@@ -77,7 +79,16 @@ def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
 
 
 def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """Return the picture with its planes coloured, outlined and numbered; as :func:`tint`."""
+    """
+    Return the image with its planes coloured, outlined and numbered; as :func:`tint`.
+
+    Examples
+    --------
+    >>> drawn = overlay(np.full((40, 60, 3), 99, np.uint8), np.ones((40, 60), int))
+    >>> drawn.shape, drawn.dtype.name, bool((drawn != 99).any())
+    ((40, 60, 3), 'uint8', True)
+
+    """
     result = tint(rgb, labels)
     _draw_outlines(result, labels)
     _draw_numbers(result, labels)
@@ -90,8 +101,15 @@ def colour_depth(depth_m: np.ndarray) -> np.ndarray:
 
     The scale is logarithmic between the 1st and the 99th percentile, so that a street and a desk
     both show their shape.
+
+    Examples
+    --------
+    >>> near, far, invalid = colour_depth(np.array([[1.0, 5.0, np.nan]]))[0].astype(int)
+    >>> bool(near[0] > near[2]), bool(far[2] > far[0]), invalid.tolist()
+    (True, True, [0, 0, 0])
+
     """
-    valid = (depth_m > 0) & (depth_m < np.inf)
+    valid = valid_depth(depth_m)
     if not valid.any():
         return np.zeros((*depth_m.shape, 3), np.uint8)
     near_m, far_m = depth_range(depth_m)
@@ -106,7 +124,7 @@ def colour_depth(depth_m: np.ndarray) -> np.ndarray:
 
 def depth_range(depth_m: np.ndarray) -> tuple[float, float]:
     """Return the 1st and the 99th percentile of the valid depth; NaN where none is valid."""
-    valid_m = depth_m[(depth_m > 0) & (depth_m < np.inf)]
+    valid_m = depth_m[valid_depth(depth_m)]
     if not valid_m.size:
         return np.nan, np.nan
     near_m, far_m = np.percentile(valid_m, [1, 99])

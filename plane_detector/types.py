@@ -31,6 +31,11 @@ class CameraIntrinsics:
     ValueError
         A focal length or a side is not positive, or a value is not finite.
 
+    Examples
+    --------
+    >>> CameraIntrinsics(fx=525.0, fy=525.0, cx=319.5, cy=239.5, width=640, height=480).width
+    640
+
     """
 
     fx: float
@@ -51,8 +56,17 @@ class CameraIntrinsics:
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_deg: float):
-        """Return the intrinsics of a centred camera with square pixels."""
-        focal_px = 0.5 * width / np.tan(np.radians(horizontal_deg) / 2)
+        """
+        Return the intrinsics of a centred camera with square pixels.
+
+        Examples
+        --------
+        >>> camera = CameraIntrinsics.from_field_of_view(640, 480, horizontal_deg=90.0)
+        >>> round(camera.fx, 6), camera.cx, camera.cy
+        (320.0, 319.5, 239.5)
+
+        """
+        focal_px = float(0.5 * width / np.tan(np.radians(horizontal_deg) / 2))
         return cls(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width, height)
 
 

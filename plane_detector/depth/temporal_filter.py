@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated
+
 _BLUR_PX = 1.5
 # Brightness that differs by this many standard deviations of its noise is another one; the noise
 # is taken to be within these grey levels.
@@ -26,12 +28,11 @@ _GREY_SIGMAS, _GREY_NOISE = 5.0, (0.4, 1.5)
 _DEPTH_SIGMAS, _DEPTH_SHARE, _BLOCK_PX = 4.0, 0.1, 8
 # Something moves where more than this share of the pixels has another brightness or disparity;
 # less is noise or, with its surroundings, too small for a plane.
-_GREY_MOVING, _DEPTH_MOVING, _SPREAD_PX = 0.0005, 0.005, 17
+_GREY_MOVING, _DEPTH_MOVING, _SPREAD_PX = 0.0005, 0.005, 8
 _STEP_PX = 4  # statistics need not look at every row and column
 # Without this many edges in these nothing tells that the camera stands still.
 _EDGE_GREY_PER_PX, _FEWEST_ON_EDGES = 6.0, 50
 _FIT_ROUNDS, _FEWEST_FITTED = 3, 100
-_MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -115,12 +116,12 @@ def _shows_motion(grey: np.ndarray) -> bool:
 def _has_changed(before: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return where the brightness is another one, (H, W) bool."""
     difference = np.abs(grey - before)
-    sigma = np.clip(_MAD_TO_SIGMA * np.median(difference[::_STEP_PX, ::_STEP_PX]), *_GREY_NOISE)
+    sigma = np.clip(SIGMA_PER_MEDIAN * np.median(difference[::_STEP_PX, ::_STEP_PX]), *_GREY_NOISE)
     return difference > _GREY_SIGMAS * sigma
 
 
 def _spread(mask: np.ndarray) -> np.ndarray:
-    return cv2.dilate(mask.view(np.uint8), np.ones((_SPREAD_PX, _SPREAD_PX), np.uint8)).view(bool)
+    return dilated(mask, _SPREAD_PX)
 
 
 def _in_scale_of(disparity: np.ndarray, before: np.ndarray,
@@ -136,7 +137,7 @@ def _in_scale_of(disparity: np.ndarray, before: np.ndarray,
         scale = np.cov(old, new, ddof=0)[0, 1] / old.var()
         shift = new.mean() - scale * old.mean()
         residual = np.abs(new - scale * old - shift)
-        inside = residual <= 3 * _MAD_TO_SIGMA * np.median(residual)
+        inside = residual <= 3 * SIGMA_PER_MEDIAN * np.median(residual)
         old, new = old[inside], new[inside]
     return np.float32(scale) * before + np.float32(shift) if scale > 0 else None
 
@@ -149,7 +150,7 @@ def _differs(disparity: np.ndarray, expected: np.ndarray, known: np.ndarray) -> 
     difference = np.subtract(disparity, expected, out=np.zeros_like(disparity), where=known)
     share = _block_means(known.astype(np.float32))
     mean = np.abs(_block_means(difference)) / np.maximum(share, 1e-6)
-    flicker = _MAD_TO_SIGMA * np.median(mean[share > 0])
+    flicker = SIGMA_PER_MEDIAN * np.median(mean[share > 0])
     span = np.ptp(np.quantile(expected[thinned][known[thinned]], (0.05, 0.95)))
     far = mean > max(_DEPTH_SIGMAS * flicker, _DEPTH_SHARE * span)
     return cv2.resize(far.view(np.uint8), known.shape[::-1],

@@ -15,7 +15,17 @@ SMOOTHING_S = 0.5
 
 
 def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
-    """Return the direction (3,) with length 1; None for 0 0 0, the unknown one."""
+    """
+    Return the direction (3,) with length 1; None for 0 0 0, the unknown one.
+
+    Examples
+    --------
+    >>> unit_direction([0.0, 9.81, 0.0])
+    array([0., 1., 0.])
+    >>> unit_direction([0.0, 0.0, 0.0]) is None
+    True
+
+    """
     vector = np.asarray(direction, np.float64)
     length = np.linalg.norm(vector)
     return vector / length if length > 0 else None

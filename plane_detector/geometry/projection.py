@@ -46,9 +46,9 @@ def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.nda
     Parameters
     ----------
     depth_m : (H, W) floating
-        Depth along the optical axis in metres; not finite or not positive is invalid.
+        Depth along the optical axis in metres; not finite or less than 1 mm is invalid.
     intrinsics : CameraIntrinsics
-        Of the same picture.
+        Of the same image.
 
     Returns
     -------
@@ -59,6 +59,14 @@ def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.nda
     ------
     ValueError
         Depth and intrinsics do not fit together.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(fx=1.0, fy=1.0, cx=1.0, cy=0.0, width=3, height=1)
+    >>> depth_to_points(np.array([[2.0, np.nan, 2.0]]), camera)[0]
+    array([[-2.,  0.,  2.],
+           [nan, nan, nan],
+           [ 2.,  0.,  2.]], dtype=float32)
 
     """
     check_depth(depth_m, intrinsics)
@@ -72,7 +80,16 @@ def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.nda
 
 
 def points_to_pixels(points_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Project points (..., 3) in metres to pixels (..., 2); NaN for points not in front."""
+    """
+    Project points (..., 3) in metres to pixels (..., 2); NaN for points not in front.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(fx=500.0, fy=500.0, cx=320.0, cy=240.0, width=640, height=480)
+    >>> points_to_pixels(np.array([0.2, 0.0, 2.0]), camera)
+    array([370., 240.])
+
+    """
     z_m = np.where(points_m[..., 2] > 0, points_m[..., 2], np.nan)
     u_px = points_m[..., 0] / z_m * intrinsics.fx + intrinsics.cx
     v_px = points_m[..., 1] / z_m * intrinsics.fy + intrinsics.cy

@@ -35,7 +35,7 @@ class PlaneClass(IntEnum):
 def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
                     tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
     """
-    Tell the planes of one picture apart by gravity.
+    Tell the planes of one image apart by gravity.
 
     Parameters
     ----------
@@ -51,6 +51,14 @@ def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
     tuple of PlaneClass
         One per plane. The floor is the lowest level plane that looks up, the ceiling the highest
         that looks down, with all at that level. All ``UNKNOWN`` without gravity.
+
+    Examples
+    --------
+    >>> def plane(normal, offset_m):
+    ...     return Plane(np.array(normal), offset_m, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
+    >>> floor, table, wall = plane([0, -1, 0], 1.5), plane([0, -1, 0], 0.8), plane([0, 0, -1], 3.0)
+    >>> [found.name for found in classify_planes([floor, table, wall], np.array([0.0, 1.0, 0.0]))]
+    ['FLOOR', 'OTHER_HORIZONTAL', 'WALL']
 
     """
     if down_camera is None or not planes:

@@ -77,6 +77,16 @@ def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntri
     (N, 3) float64
         Corners in order, metres, on the plane; the first one is not repeated.
 
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
+    >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
+    >>> plane_outline(np.ones((51, 101), bool), np.full((51, 101), 2.0), camera, wall) + 0.0
+    array([[0., 0., 2.],
+           [0., 1., 2.],
+           [2., 1., 2.],
+           [2., 0., 2.]])
+
     """
     outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL,
                                    cv2.CHAIN_APPROX_SIMPLE)

@@ -56,7 +56,7 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
                    gravity_camera: np.ndarray | None = None,
                    sensor_depth_m: np.ndarray | None = None) -> ScaleEstimate:
     """
-    Find scale and shift of one picture by the method that the settings ask for.
+    Find scale and shift of one image by the method that the settings ask for.
 
     Parameters
     ----------
@@ -77,6 +77,16 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
     -------
     ScaleEstimate
         ``relative`` when no method has an answer; its note says why.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(30.0, 30.0, 19.5, 14.5, 40, 30)
+    >>> disparity, labels = np.full((30, 40), 0.5), np.zeros((30, 40), int)
+    >>> print(estimate_scale(disparity, labels, camera, ScaleConfig(method='fixed')))
+    relative, unit unknown: fixed: scale.disparity_scale is not given
+    >>> given = ScaleConfig(method='fixed', disparity_scale=0.8)
+    >>> estimate_scale(disparity, labels, camera, given).unit_method
+    'fixed'
 
     """
     config = config or ScaleConfig()

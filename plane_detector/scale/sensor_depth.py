@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.geometry.disparity import valid_depth
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
 
 MIN_POINTS = 5
 MAX_POINTS = 20_000
@@ -109,7 +110,7 @@ def _median_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
     """Return Tukey's biweights and the standard deviation of the residual."""
-    sigma = 1.4826 * float(np.median(np.abs(residual)))
+    sigma = SIGMA_PER_MEDIAN * float(np.median(np.abs(residual)))
     sigma = max(sigma, 1e-9 * float(np.abs(residual).max()), 1e-12)
     ratio = residual / (TUKEY_SIGMAS * sigma)
     return np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0), sigma

@@ -7,6 +7,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from plane_detector.geometry.robust import dilated
 from plane_detector.shapes.models import AXIS, depth_on_rays_m
 from plane_detector.shapes.refinement import DEVIATIONS, FittedShape, shape_residuals
 from plane_detector.shapes.surfels import depth_sigma_m
@@ -80,6 +81,4 @@ def open_share(view: DepthView, found: FoundShape) -> float:
 
 
 def _dilated_cells(view: DepthView, members: np.ndarray) -> np.ndarray:
-    side = 2 * _BORDER_CELLS + 1
-    return cv2.dilate(members.reshape(view.shape).astype(np.uint8),
-                      np.ones((side, side), np.uint8)).astype(bool).ravel()
+    return dilated(members.reshape(view.shape), _BORDER_CELLS).ravel()

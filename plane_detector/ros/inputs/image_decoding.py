@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
+from plane_detector.geometry.disparity import valid_depth
 from plane_detector.ros.inputs.compressed_size import compressed_size
 
 _CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1,
@@ -157,7 +158,7 @@ def depth_from_msg(msg: Image) -> np.ndarray:
     else:
         raise ValueError(f'depth encoding {msg.encoding!r} is not known: 32FC1 (metres) and '
                          '16UC1 (millimetres) are')
-    depth_m[~((depth_m > 0) & (depth_m < np.inf))] = np.nan
+    depth_m[~valid_depth(depth_m)] = np.nan
     return depth_m
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
@@ -89,7 +90,7 @@ def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndar
 
 def depth_error(depth_m: np.ndarray, true_depth_m: np.ndarray) -> tuple[float, float]:
     """Return the mean relative error of the depth (AbsRel) and the median ratio to the truth."""
-    both = (depth_m > 0) & (true_depth_m > 0)
+    both = valid_depth(depth_m) & valid_depth(true_depth_m)
     if not both.any():
         return np.nan, np.nan
     ratio = depth_m[both] / true_depth_m[both]

@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robust statistics and dilation, each defined once."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+# derived: the standard deviation of a normal deviate over its median absolute deviation.
+SIGMA_PER_MEDIAN = 1.4826
+
+
+def median(values: np.ndarray) -> float:
+    """
+    Return the median of some values (n,), none of them NaN, without numpy's overhead.
+
+    Examples
+    --------
+    >>> median(np.array([4.0, 1.0, 2.0, 3.0]))
+    2.5
+
+    """
+    middle = len(values) // 2
+    low, high = middle - 1 + len(values) % 2, middle
+    ordered = np.partition(values, (low, high))
+    return float((ordered[low] + ordered[high]) / 2)
+
+
+def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
+    """
+    Return a mask (H, W) bool grown by a square of so many pixels to each side.
+
+    Examples
+    --------
+    >>> dilated(np.array([[True, False, False]]), 1)
+    array([[ True,  True, False]])
+
+    """
+    square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    return cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), square).view(bool)

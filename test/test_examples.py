@@ -1,0 +1,44 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The examples in docstrings run and show what they say."""
+
+import doctest
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+WITH_EXAMPLES = sorted(
+    '.'.join(path.relative_to(ROOT).with_suffix('').parts).removesuffix('.__init__')
+    for path in (ROOT / 'plane_detector').rglob('*.py')
+    if '>>> ' in path.read_text(encoding='utf-8'))
+# What others call from their own code has an example.
+PUBLIC = {
+    'plane_detector': (),
+    'plane_detector.depth.observation': ('DepthFunction',),
+    'plane_detector.drawing': ('colour_depth', 'overlay'),
+    'plane_detector.geometry.disparity': ('to_depth', 'to_disparity', 'valid_depth'),
+    'plane_detector.geometry.gravity': ('unit_direction',),
+    'plane_detector.geometry.projection': ('depth_to_points', 'points_to_pixels'),
+    'plane_detector.pipeline': ('PlaneDetector', 'segment_planes'),
+    'plane_detector.planes.classification': ('classify_planes',),
+    'plane_detector.planes.outline': ('plane_outline',),
+    'plane_detector.scale.methods': ('estimate_scale',),
+    'plane_detector.types': ('CameraIntrinsics',),
+}
+
+
+@pytest.mark.parametrize('name', WITH_EXAMPLES)
+def test_examples_show_what_they_say(name):
+    result = doctest.testmod(import_module(name), optionflags=FLAGS)
+    assert result.attempted > 0
+    assert result.failed == 0
+
+
+@pytest.mark.parametrize('name', PUBLIC)
+def test_what_others_call_has_an_example(name):
+    module = import_module(name)
+    for thing in [getattr(module, member) for member in PUBLIC[name]] or [module]:
+        assert '>>> ' in thing.__doc__, f'{name}: {thing}'
