@@ -46,7 +46,7 @@ def instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
 
 
 def _shape_cost(found: FoundShape, pixels: Pixels) -> float:
-    return criterion(shape_residuals(found.fit, pixels), found.fit.model.freedoms,
+    return criterion(shape_residuals(found.fit, pixels), len(found.fit.model.freedoms),
                      pixels.independent)
 
 

@@ -15,7 +15,7 @@ from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.shapes.competition import instead_of_planes
 from plane_detector.shapes.extent import open_share, seen_through_cost
 from plane_detector.shapes.labelling import label_shapes
-from plane_detector.shapes.models import MODELS, ShapeModel
+from plane_detector.shapes.models import MODELS, ShapeModel, surface_of
 from plane_detector.shapes.refinement import FittedShape, fits_of, is_determined, plane_cost
 from plane_detector.shapes.search import (
     Candidate,
@@ -123,7 +123,7 @@ def _next_shape(view: DepthView, left: np.ndarray, models: Sequence[ShapeModel],
     fit = _best_fit(view, candidates, union)
     if fit is None or not is_determined(fit, _MAX_RADIUS_ERROR_SHARE, _MAX_ANGLE_ERROR_RAD):
         return None
-    agree = among[agreeing(surfels, fit.model.surface(fit.shape, surfels.points_m[among]), among)]
+    agree = among[agreeing(surfels, surface_of(fit.shape, surfels.points_m[among]), among)]
     if len(agree) < _MIN_CELLS:
         return None
     members = connected(surfels.shape, agree, agree[np.argmax(union[agree])])

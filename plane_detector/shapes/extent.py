@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from plane_detector.geometry.robust import dilated
-from plane_detector.shapes.models import AXIS, depth_on_rays_m
+from plane_detector.shapes.models import AXIS, depth_on_rays_m, surface_of
 from plane_detector.shapes.refinement import DEVIATIONS, FittedShape, shape_residuals
 from plane_detector.shapes.surfels import depth_sigma_m
 from plane_detector.shapes.views import DepthView, FoundShape, Window
@@ -48,7 +48,7 @@ def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray) ->
     thinned[::_THROUGH_STEP_PX, ::_THROUGH_STEP_PX] = True
     thinned &= mask & np.isfinite(view.depth_m[window])
     pixels = view.pixels(window, thinned)
-    along_m = fit.model.surface(fit.shape, view.surfels.points_m[members]).along_m
+    along_m = surface_of(fit.shape, view.surfels.points_m[members]).along_m
     ends_m = (along_m.min(), along_m.max()) if fit.shape[AXIS].any() else (-np.inf, np.inf)
     depth_m = depth_on_rays_m(fit.shape, pixels.rays, ends_m)
     through = pixels.points_m[:, 2] - depth_m > DEVIATIONS * pixels.depth_sigma_m

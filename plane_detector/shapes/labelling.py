@@ -11,7 +11,7 @@ import numpy as np
 
 from plane_detector.config import ShapesConfig
 from plane_detector.shapes.extent import pixels_on_shape
-from plane_detector.shapes.models import AXIS, HALF_ANGLE, POSITION, RADIUS
+from plane_detector.shapes.models import AXIS, HALF_ANGLE, POSITION, RADIUS, surface_of
 from plane_detector.shapes.refinement import explained_share, fit_shape
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
@@ -87,7 +87,7 @@ def _measured(view: DepthView, found: FoundShape, window: tuple[slice, slice],
               mask: np.ndarray) -> Shape:
     """Return the result for a shape with its pixels (h, w) of a window."""
     fit, pixels = found.fit, view.pixels(window, mask)
-    surface = fit.model.surface(fit.shape, pixels.points_m)
+    surface = surface_of(fit.shape, pixels.points_m)
     low_m, high_m = (float(end) for end in np.quantile(surface.along_m, _LENGTH_QUANTILES))
     share = explained_share(fit, view.free_pixels(found.members))
     shape = Shape(

@@ -1,12 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Sphere, cylinder and cone: from oriented points, to distances and their derivatives.
+Sphere, cylinder and cone as one surface with eight parameters.
 
-A shape is a row of eight parameters: position (3), unit axis (3), radius, half angle. The position
-is the centre of a sphere, a point on the axis of a cylinder, or the apex of a cone, whose axis
-points from the apex into the cone. Parameters that a kind does not have are 0. Shapes are convex
-and seen from outside: normals point away from the axis.
+A shape is a row: position (3), unit axis (3), radius, half angle. The position is the centre of a
+sphere, a point on the axis of a cylinder, or the apex of a cone, whose axis points from the apex
+into the cone. Parameters that a kind does not have are 0; then all three are
+
+    distance = away cos(half angle) - along sin(half angle) - radius,
+
+with the way along the axis and the distance away from it. Shapes are convex and seen from outside:
+normals point away from the axis.
 
 References
 ----------
@@ -25,6 +29,8 @@ from plane_detector.types import ShapeType
 
 POSITION, AXIS, RADIUS, HALF_ANGLE = np.s_[..., 0:3], np.s_[..., 3:6], np.s_[..., 6], np.s_[..., 7]
 _TINY = 1e-12
+# Below this the determinant of three unit normals says that they lie in a plane.
+_MIN_DETERMINANT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -58,34 +64,64 @@ class ShapeModel:
     type : ShapeType
     sample_size : int
         Oriented points that determine it.
-    freedoms : int
-        Parameters that are fitted: columns of the Jacobian.
+    freedoms : tuple of int
+        What is fitted, of the seven steps of :func:`moved`.
     from_samples : callable
         Points and normals (H, sample_size, 3) to parameters (H, 8), NaN where degenerate.
-    surface : callable
-        Parameters (..., 8) and points (N, 3) to a :class:`Surface`.
-    jacobian : callable
-        Parameters (8,), points (N, 3) and the :func:`tangents` (2, 3) of its axis to the
-        derivatives (N, freedoms) of the distance.
-    moved : callable
-        Parameters (8,), a step (freedoms,) and these tangents to parameters (8,).
 
     """
 
     type: ShapeType
     sample_size: int
-    freedoms: int
+    freedoms: tuple[int, ...]
     from_samples: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    surface: Callable[[np.ndarray, np.ndarray], Surface]
-    jacobian: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-    moved: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
 
 
-def tangents(axis: np.ndarray) -> np.ndarray:
-    """Return two unit vectors (2, 3) square to an axis (3,) and to each other, or zeros."""
+def surface_of(shapes: np.ndarray, points: np.ndarray) -> Surface:
+    """Return how points (N, 3) lie to shapes (..., 8)."""
+    along, away, outward = _about_axis(shapes, points)
+    cosine, sine = np.cos(shapes[..., None, 7]), np.sin(shapes[..., None, 7])
+    normal = cosine[..., None] * outward - sine[..., None] * shapes[..., None, 3:6]
+    return Surface(away * cosine - along * sine - shapes[..., None, 6], normal, along)
+
+
+def frame_of(shape: np.ndarray) -> np.ndarray:
+    """Return an orthonormal frame (3, 3) whose last row is the axis of a shape (8,), if any."""
+    axis = shape[AXIS]
     if not axis.any():
-        return np.zeros((2, 3))
-    return np.linalg.svd(axis[None])[2][1:]
+        return np.eye(3)
+    return np.vstack([np.linalg.svd(axis[None])[2][1:], axis])
+
+
+def moved(shape: np.ndarray, steps: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """
+    Return a shape (8,) moved by seven steps.
+
+    Parameters
+    ----------
+    shape : (8,) float64
+    steps : (7,) float64
+        Three of the position along the rows of the frame, two of the axis along the first two
+        rows, the radius and the half angle.
+    frame : (3, 3) float64
+        Of :func:`frame_of`.
+
+    """
+    result = shape + np.concatenate([steps[:3] @ frame, steps[3:5] @ frame[:2], steps[5:]])
+    length = np.linalg.norm(result[AXIS])
+    result[AXIS] /= length if length > _TINY else 1.0
+    return result
+
+
+def jacobian(shape: np.ndarray, points: np.ndarray, frame: np.ndarray) -> np.ndarray:
+    """Return the derivatives (N, 7) of the distances of points with respect to :func:`moved`."""
+    along, away, outward = _about_axis(shape, points)
+    cosine, sine = np.cos(shape[HALF_ANGLE]), np.sin(shape[HALF_ANGLE])
+    position = -(cosine * outward - sine * shape[AXIS]) @ frame.T
+    # Turning the axis changes both the way along it and the distance from it.
+    turn = -(along * cosine + away * sine)[:, None] * (outward @ frame[:2].T)
+    return np.column_stack([position, turn, np.full(len(points), -1.0),
+                            -away * sine - along * cosine])
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
@@ -123,7 +159,7 @@ def _cylinder_from_samples(points: np.ndarray, normals: np.ndarray) -> np.ndarra
 
 def _cone_from_samples(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     determinant = np.linalg.det(normals)
-    regular = np.abs(determinant) > 1e-6
+    regular = np.abs(determinant) > _MIN_DETERMINANT
     system = np.where(regular[:, None, None], normals, np.eye(3))
     apex = np.linalg.solve(system, (normals * points).sum(axis=2)[..., None])[..., 0]
     sides = _unit(points - apex[:, None])
@@ -132,13 +168,6 @@ def _cone_from_samples(points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     axis = axis * np.sign(cosine)[:, None]
     half_angle = np.arccos(np.clip(np.abs(cosine), 0, 1))
     return _packed(apex, axis, 0.0, np.where(regular, half_angle, np.nan))
-
-
-def _sphere_surface(shapes: np.ndarray, points: np.ndarray) -> Surface:
-    offset = points - shapes[..., None, 0:3]
-    away = np.sqrt(np.einsum('...k,...k->...', offset, offset))
-    normal = offset / np.maximum(away, _TINY)[..., None]
-    return Surface(away - shapes[..., None, 6], normal, np.zeros_like(away))
 
 
 def _about_axis(shapes: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -150,59 +179,9 @@ def _about_axis(shapes: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, ...
     return along, away, across / np.maximum(away, _TINY)[..., None]
 
 
-def _cylinder_surface(shapes: np.ndarray, points: np.ndarray) -> Surface:
-    along, away, outward = _about_axis(shapes, points)
-    return Surface(away - shapes[..., None, 6], outward, along)
-
-
-def _cone_surface(shapes: np.ndarray, points: np.ndarray) -> Surface:
-    along, away, outward = _about_axis(shapes, points)
-    cosine, sine = np.cos(shapes[..., None, 7]), np.sin(shapes[..., None, 7])
-    normal = cosine[..., None] * outward - sine[..., None] * shapes[..., None, 3:6]
-    return Surface(away * cosine - along * sine, normal, along)
-
-
-def _sphere_jacobian(shape: np.ndarray, points: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    normal = _sphere_surface(shape, points).normal
-    return np.column_stack([-normal, -np.ones(len(points))])
-
-
-def _cylinder_jacobian(shape: np.ndarray, points: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    along, _, outward = _about_axis(shape, points)
-    across = outward @ frame.T
-    return np.column_stack([-across, -along[:, None] * across, -np.ones(len(points))])
-
-
-def _cone_jacobian(shape: np.ndarray, points: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    along, away, outward = _about_axis(shape, points)
-    cosine, sine = np.cos(shape[HALF_ANGLE]), np.sin(shape[HALF_ANGLE])
-    across = outward @ frame.T
-    # Turning the axis changes both the way along it and the distance from it.
-    turn = -(along * cosine + away * sine)[:, None] * across
-    apex = -(cosine * outward - sine * shape[AXIS])
-    return np.column_stack([apex, turn, -away * sine - along * cosine])
-
-
-def _sphere_moved(shape: np.ndarray, step: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    return _packed(shape[POSITION] + step[:3], 0.0, shape[RADIUS] + step[3], 0.0)
-
-
-def _cylinder_moved(shape: np.ndarray, step: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    return _packed(shape[POSITION] + step[:2] @ frame,
-                   _unit(shape[AXIS] + step[2:4] @ frame), shape[RADIUS] + step[4], 0.0)
-
-
-def _cone_moved(shape: np.ndarray, step: np.ndarray, frame: np.ndarray) -> np.ndarray:
-    return _packed(shape[POSITION] + step[:3], _unit(shape[AXIS] + step[3:5] @ frame), 0.0,
-                   shape[HALF_ANGLE] + step[5])
-
-
-SPHERE = ShapeModel(ShapeType.SPHERE, 2, 4, _sphere_from_samples, _sphere_surface,
-                    _sphere_jacobian, _sphere_moved)
-CYLINDER = ShapeModel(ShapeType.CYLINDER, 2, 5, _cylinder_from_samples, _cylinder_surface,
-                      _cylinder_jacobian, _cylinder_moved)
-CONE = ShapeModel(ShapeType.CONE, 3, 6, _cone_from_samples, _cone_surface, _cone_jacobian,
-                  _cone_moved)
+SPHERE = ShapeModel(ShapeType.SPHERE, 2, (0, 1, 2, 5), _sphere_from_samples)
+CYLINDER = ShapeModel(ShapeType.CYLINDER, 2, (0, 1, 3, 4, 5), _cylinder_from_samples)
+CONE = ShapeModel(ShapeType.CONE, 3, (0, 1, 2, 3, 4, 6), _cone_from_samples)
 MODELS = {model.type: model for model in (SPHERE, CYLINDER, CONE)}
 
 

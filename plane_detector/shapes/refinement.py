@@ -10,7 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from plane_detector.shapes.models import AXIS, HALF_ANGLE, RADIUS, ShapeModel, tangents
+from plane_detector.shapes.models import (
+    HALF_ANGLE,
+    RADIUS,
+    ShapeModel,
+    frame_of,
+    jacobian,
+    moved,
+    surface_of,
+)
 from plane_detector.types import Plane
 
 # after: the usual three deviations of a normal distribution.
@@ -79,7 +87,7 @@ def sigma_m(fit: FittedShape, pixels: Pixels) -> tuple[np.ndarray, np.ndarray]:
     A point moves along its ray; towards the silhouette that changes its distance less and less,
     and the side of the pixel is what remains.
     """
-    return _distances(fit.model, fit.shape, pixels)
+    return _distances(fit.shape, pixels)
 
 
 def explained_share(fit: FittedShape, pixels: Pixels) -> float:
@@ -100,9 +108,8 @@ def plane_residuals(plane: Plane, pixels: Pixels) -> np.ndarray:
     return (pixels.points_m @ plane.normal + plane.offset_m) / (facing * pixels.depth_sigma_m)
 
 
-def _distances(model: ShapeModel, shape: np.ndarray,
-               pixels: Pixels) -> tuple[np.ndarray, np.ndarray]:
-    surface = model.surface(shape, pixels.points_m)
+def _distances(shape: np.ndarray, pixels: Pixels) -> tuple[np.ndarray, np.ndarray]:
+    surface = surface_of(shape, pixels.points_m)
     facing = np.abs(np.einsum('nk,nk->n', surface.normal, pixels.rays))
     # A pixel of width w, seen at an angle, spans w * tan(angle) of depth.
     spread_m = pixels.pixel_m * np.sqrt(np.maximum(1 - np.minimum(facing, 1) ** 2, 0)) / 12**0.5
@@ -121,35 +128,40 @@ def fit_shape(model: ShapeModel, shape: np.ndarray, pixels: Pixels) -> FittedSha
     """
     pixels = pixels.thinned(_MOST_PIXELS)
     for _ in range(_ROUNDS):
-        distance_m, deviation_m = _distances(model, shape, pixels)
+        distance_m, deviation_m = _distances(shape, pixels)
         inlier = np.abs(distance_m) < 2 * DEVIATIONS * deviation_m
-        if inlier.sum() < 4 * model.freedoms:
+        if inlier.sum() < 4 * len(model.freedoms):
             return None
         points_m, weight = pixels.points_m[inlier], 1 / deviation_m[inlier]
         shape = _least_squares(model, shape, points_m, weight)
         if not np.isfinite(shape).all():
             return None
-    jacobian = model.jacobian(shape, points_m, tangents(shape[AXIS])) * weight[:, None]
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * len(pixels.points_m) / pixels.independent
-    distance_m, deviation_m = _distances(model, shape, pixels)
-    cost = criterion(distance_m / deviation_m, model.freedoms, pixels.independent)
+    design = jacobian(shape, points_m, frame_of(shape))[:, model.freedoms] * weight[:, None]
+    covariance = np.linalg.pinv(design.T @ design) * len(pixels.points_m) / pixels.independent
+    distance_m, deviation_m = _distances(shape, pixels)
+    cost = criterion(distance_m / deviation_m, len(model.freedoms), pixels.independent)
     return FittedShape(model, shape, covariance, cost)
 
 
 def _least_squares(model: ShapeModel, start: np.ndarray, points_m: np.ndarray,
                    weight: np.ndarray) -> np.ndarray:
     """Return the shape (8,) with the least weighted squared distances from points (N, 3)."""
-    frame = tangents(start[AXIS])
+    frame, freedoms = frame_of(start), list(model.freedoms)
 
-    def residual(step: np.ndarray) -> np.ndarray:
-        return model.surface(model.moved(start, step, frame), points_m).distance_m * weight
+    def at(values: np.ndarray) -> np.ndarray:
+        steps = np.zeros(7)
+        steps[freedoms] = values
+        return moved(start, steps, frame)
 
-    def jacobian(step: np.ndarray) -> np.ndarray:
-        return model.jacobian(model.moved(start, step, frame), points_m, frame) * weight[:, None]
+    def residuals(values: np.ndarray) -> np.ndarray:
+        return surface_of(at(values), points_m).distance_m * weight
 
-    found = least_squares(residual, np.zeros(model.freedoms), jac=jacobian, method='lm',
+    def derivatives(values: np.ndarray) -> np.ndarray:
+        return jacobian(at(values), points_m, frame)[:, freedoms] * weight[:, None]
+
+    found = least_squares(residuals, np.zeros(len(freedoms)), jac=derivatives, method='lm',
                           x_scale='jac', max_nfev=_MOST_EVALUATIONS)
-    return model.moved(start, found.x, frame)
+    return at(found.x)
 
 
 def fits_of(candidates: Sequence[tuple[ShapeModel, np.ndarray]],

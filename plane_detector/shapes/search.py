@@ -26,7 +26,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from plane_detector.config import ShapesConfig
-from plane_detector.shapes.models import AXIS, HALF_ANGLE, RADIUS, ShapeModel, Surface
+from plane_detector.shapes.models import AXIS, HALF_ANGLE, RADIUS, ShapeModel, Surface, surface_of
 from plane_detector.shapes.surfels import Surfels
 
 # after: Schnabel 2007 takes samples from the cells of an octree of random level.
@@ -97,10 +97,10 @@ def _best_candidate(surfels: Surfels, among: np.ndarray, looked_at: np.ndarray,
     shapes, seeds = shapes[sane], samples[sane, 0]
     if not len(shapes):
         return None
-    agree = agreeing(surfels, model.surface(shapes, surfels.points_m[looked_at]), looked_at)
+    agree = agreeing(surfels, surface_of(shapes, surfels.points_m[looked_at]), looked_at)
     best = int((agree @ surfels.count[looked_at]).argmax())
     shape = shapes[best]
-    cells = among[agreeing(surfels, model.surface(shape, surfels.points_m[among]), among)]
+    cells = among[agreeing(surfels, surface_of(shape, surfels.points_m[among]), among)]
     members = connected(surfels.shape, cells, seeds[best])
     return Candidate(model, shape, members, float(surfels.count[members].sum()))
 
