@@ -3,9 +3,9 @@
 """
 DBSCAN (Ester et al. 1996) of points in space, in bounded memory.
 
-scikit-learn keeps the neighbours of all points at once: where everything is within the radius,
-20 000 points take 5 GB. Here pairs are looked at in parts, and what is kept is a component for
-each point. The clusters and their numbers are those of scikit-learn.
+scikit-learn is fast but keeps the neighbours of all points at once: where everything is within the
+radius, 20 000 points take 5 GB. Where there are that many pairs, they are looked at in parts, and
+what is kept is a component for each point. The clusters and their numbers are the same.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from sklearn.cluster import DBSCAN
 
 from plane_detector.stopping import raise_if_stopped
 
+# derived: scikit-learn takes 12 bytes each, 240 MB in all.
+MOST_PAIRS = 20_000_000
 # derived: 24 bytes each, so that a part takes 48 MB.
 PAIRS_AT_ONCE = 2_000_000
 
@@ -53,6 +56,8 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
         return labels
     tree = cKDTree(points_m)
     neighbours = tree.query_ball_point(points_m, eps_m, return_length=True)
+    if neighbours.sum() <= MOST_PAIRS:
+        return DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points_m)
     core = np.flatnonzero(neighbours >= min_samples)
     if not len(core):
         return labels
