@@ -5,6 +5,7 @@
 # make demo IMAGES=folder FX=..  the same on your own (FX FY CX CY in pixels, or FOV in degrees)
 # make test                      the tests
 # make lint                      ruff
+# make faults                    faults on purpose, as a table; SOAK_MINUTES=20 adds a long run
 # make benchmark                 the tables of docs/results.md (ARGS='segmentation --only rooms')
 # make defaults                  config/plane_detector.yaml and docs/parameters.md from config.py
 #
@@ -20,7 +21,7 @@ STAMP := $(VENV)/installed
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test lint benchmark defaults clean
+.PHONY: demo test lint faults benchmark defaults clean
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -32,6 +33,10 @@ test: $(STAMP)
 
 lint: $(STAMP)
 	@$(RUN) -m ruff check .
+
+faults: $(STAMP)
+	@PYTHONPATH=.:test/helpers $(RUN) test/faults/run.py $(ARGS) \
+	    $(if $(SOAK_MINUTES),--soak-minutes $(SOAK_MINUTES))
 
 benchmark: $(STAMP)
 	@$(RUN) -m plane_detector.evaluation.benchmark $(ARGS)
