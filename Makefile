@@ -39,7 +39,7 @@ faults: $(STAMP)
 	    $(if $(SOAK_MINUTES),--soak-minutes $(SOAK_MINUTES))
 
 benchmark: $(STAMP)
-	@$(RUN) -m plane_detector.evaluation.benchmark $(ARGS)
+	@$(RUN) -m plane_detector.evaluation.benchmark $(or $(ARGS),accuracy)
 
 defaults: $(STAMP)
 	@$(RUN) -m plane_detector.tools.defaults --write

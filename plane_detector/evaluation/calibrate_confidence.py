@@ -11,7 +11,7 @@ import numpy as np
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT, reliability
 from plane_detector.evaluation.metrics import overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -22,7 +22,6 @@ from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, confidence_fea
 SCENES = (random_room, living_room)
 FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(HELD_OUT, HELD_OUT + 50)
 NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
-BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
 
 def samples(make_scene: Callable[[np.random.Generator], Scene],
@@ -42,17 +41,6 @@ def samples(make_scene: Callable[[np.random.Generator], Scene],
             covariances = np.array([plane.covariance for plane in found.planes])
             features.append(confidence_features(shares, covariances.reshape(-1, 4, 4)))
     return np.concatenate(features), np.array(matched)
-
-
-def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
-    """Return a Markdown table: of the planes of each confidence, the share that is true."""
-    lines = ['| confidence | planes | mean confidence | true |', '|---|---|---|---|']
-    for low, high in zip(BINS[:-1], BINS[1:], strict=True):
-        inside = (confidence > low) & (confidence <= high)
-        if inside.any():
-            lines.append(f'| {low:g} to {high:g} | {inside.sum()} | '
-                         f'{confidence[inside].mean():.2f} | {matched[inside].mean():.2f} |')
-    return '\n'.join(lines)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Real pictures with the depth that a sensor measured.
+Real images with the depth that a sensor measured.
 
 A data folder holds sets, one folder each: ``<id>_rgb.png`` or ``.jpg``, ``<id>_depth.png``
-(uint16, registered to the picture, 0 invalid) and ``intrinsics.json`` with fx, fy, cx, cy, width,
+(uint16, registered to the image, 0 invalid) and ``intrinsics.json`` with fx, fy, cx, cy, width,
 height and depth_unit_m.
 """
 
@@ -28,7 +28,7 @@ STEPS = {'living_room': 10}
 @dataclass(frozen=True)
 class Frame:
     """
-    A picture with measured depth.
+    An image with measured depth.
 
     Attributes
     ----------
@@ -57,14 +57,14 @@ def frames(data: Path, sets: tuple[str, ...] | None = None, first: int = 0) -> I
     sets : tuple of str, optional
         Names of the sets, default all.
     first : int
-        Of long sequences, of which only some frames are taken, start with this one.
+        First frame to take from a long sequence, of which only every STEPS-th is taken.
 
     Raises
     ------
     FileNotFoundError
         The folder or a set is missing.
     ValueError
-        A picture cannot be read, or is of another size than its calibration says.
+        An image cannot be read, or its size differs from its calibration.
 
     """
     if not data.is_dir():
@@ -79,17 +79,17 @@ def frames(data: Path, sets: tuple[str, ...] | None = None, first: int = 0) -> I
 
 
 def read_frame(depth_path: Path) -> Frame:
-    """Read the frame that a depth picture belongs to; raises as :func:`frames` does."""
+    """Read the frame of a depth image; raises as :func:`frames` does."""
     folder, name = depth_path.parent, depth_path.name.removesuffix('_depth.png')
     about = json.loads((folder / 'intrinsics.json').read_text())
     intrinsics = CameraIntrinsics(
         *(about[key] for key in ('fx', 'fy', 'cx', 'cy', 'width', 'height')))
     raw = cv2.imread(str(depth_path), cv2.IMREAD_UNCHANGED)
-    pictures = sorted(folder.glob(f'{name}_rgb.*'))
-    bgr = cv2.imread(str(pictures[0])) if pictures else None
+    images = sorted(folder.glob(f'{name}_rgb.*'))
+    bgr = cv2.imread(str(images[0])) if images else None
     shape = (intrinsics.height, intrinsics.width)
     if raw is None or bgr is None or raw.shape != shape or bgr.shape[:2] != shape:
-        raise ValueError(f'{depth_path} and its picture must be readable and {shape[1]} x '
+        raise ValueError(f'{depth_path} and its image must be readable and {shape[1]} x '
                          f'{shape[0]}')
     depth_m = raw.astype(np.float32) * np.float32(about['depth_unit_m'])
     depth_m[raw == about.get('invalid', 0)] = np.nan
@@ -98,14 +98,14 @@ def read_frame(depth_path: Path) -> Frame:
 
 def library_frames() -> list[Frame]:
     """
-    Return the pictures of known depth that come inside libraries.
+    Return the images of known depth that come with libraries.
 
     Raises
     ------
     ImportError
-        scikit-image, or Pillow that reads its pictures, is not installed.
+        scikit-image, or Pillow that reads its images, is not installed.
 
     """
-    return [Frame('libraries', picture.name, picture.rgb, picture.true_depth_m,
-                  picture.intrinsics)
-            for picture in library_pictures() if picture.true_depth_m is not None]
+    return [Frame('libraries', photograph.name, photograph.rgb, photograph.true_depth_m,
+                  photograph.intrinsics)
+            for photograph in library_pictures() if photograph.true_depth_m is not None]

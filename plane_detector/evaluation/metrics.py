@@ -170,3 +170,60 @@ def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.n
     pixels_found = (shared.counts[:-1, :-1, None] * within).max(axis=1, initial=0)
     true_pixels = max(shared.counts[:-1].sum(), 1)
     return within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0) / true_pixels
+
+
+LARGE_PLANE_SHARE = 0.02
+"""A plane of the sensor over this share of the image is large."""
+PIECE_SHARE = 0.1
+"""A predicted plane that holds this share of a sensor's plane is one of its pieces."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """
+    How the sensor's large planes were found.
+
+    Attributes
+    ----------
+    planes : int
+        How many the sensor has over LARGE_PLANE_SHARE of the image.
+    share : float
+        Of their pixels, those that a predicted plane with IoU > 0.5 covers; NaN without any.
+    pieces : float
+        Mean number of predicted planes that each of them is cut into.
+
+    """
+
+    planes: int
+    share: float
+    pieces: float
+
+
+def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
+                   seen: np.ndarray) -> Coverage:
+    """
+    Measure how the large planes of the sensor's depth were found.
+
+    Parameters
+    ----------
+    sensor_labels, labels : (H, W) int
+        Planes of the sensor's depth and predicted planes, -1 none.
+    seen : (H, W) bool
+        Where the sensor measured; only these pixels count.
+
+    """
+    shared = overlap(sensor_labels, labels, seen)
+    pixels = shared.counts[:-1].sum(1)
+    large = pixels > LARGE_PLANE_SHARE * seen.size
+    if not large.any():
+        return Coverage(0, float('nan'), float('nan'))
+    both = shared.counts[:-1, :-1]
+    covered = (both * (shared.iou > 0.5)).sum(1)[large].sum()
+    pieces = (both > PIECE_SHARE * pixels[:, None]).sum(1)[large]
+    return Coverage(int(large.sum()), float(covered / pixels[large].sum()), float(pieces.mean()))
+
+
+def known_mean(values: np.ndarray) -> float:
+    """Return the mean of what is finite, NaN without any."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float('nan')

@@ -50,7 +50,7 @@ class Method:
     slow = False
 
     def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
-        """Return what :meth:`run` wants."""
+        """Return the input of :meth:`run`."""
         return depth_m, intrinsics
 
     def run(self, prepared: Any) -> Any:
@@ -58,7 +58,7 @@ class Method:
         raise NotImplementedError
 
     def result(self, raw: Any) -> Segments:
-        """Return what :meth:`run` gave as labels and planes."""
+        """Convert the output of :meth:`run` to labels and planes."""
         raise NotImplementedError
 
     def __call__(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Segments:
@@ -157,7 +157,7 @@ class OpenCv(Method):
 
 
 class Open3dCloud(Method):
-    """What the two methods of Open3D share: they take a point cloud of every valid pixel."""
+    """Base of the two methods of Open3D: a point cloud of every valid pixel."""
 
     slow = True
 

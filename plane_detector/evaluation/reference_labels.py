@@ -51,7 +51,7 @@ _LEAST_TO_FIT = WINDOW_PX**2 // 2
 @dataclass(frozen=True)
 class ExactLabels:
     """
-    The flat surfaces of a picture, largest first.
+    The flat surfaces of an image, largest first.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class ExactLabels:
 
 
 @dataclass(frozen=True)
-class _Picture:
+class _DepthRays:
     """Rays x/z and y/z, depth and its inverse, (H, W) float64; depth is 1 where not valid."""
 
     ray_x: np.ndarray
@@ -122,59 +122,59 @@ def label_exact_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
 
     """
     check_depth(depth_m, intrinsics)
-    picture = _picture(depth_m, intrinsics)
-    pieces, unclear = _grow_all(picture, min_pixels)
-    regions = sorted(_merged(picture, pieces), key=np.count_nonzero, reverse=True)
+    rays = _depth_rays(depth_m, intrinsics)
+    pieces, unclear = _grow_all(rays, min_pixels)
+    regions = sorted(_merged(rays, pieces), key=np.count_nonzero, reverse=True)
     labels = np.full(depth_m.shape, -1, np.int32)
     for k, region in enumerate(regions):
         labels[region] = k
-    planes = np.array([picture.fit(region) for region in regions]).reshape(-1, 3)
+    planes = np.array([rays.fit(region) for region in regions]).reshape(-1, 3)
     return ExactLabels(labels, _normal_and_offset(planes), unclear & (labels < 0))
 
 
-def _picture(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> _Picture:
+def _depth_rays(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> _DepthRays:
     valid = valid_depth(depth_m)
     ray_x, ray_y = (ray.astype(float) for ray in pixel_rays(intrinsics))
     depth_m = np.where(valid, depth_m, 1.0).astype(float)
-    return _Picture(np.broadcast_to(ray_x, depth_m.shape).copy(),
+    return _DepthRays(np.broadcast_to(ray_x, depth_m.shape).copy(),
                     np.broadcast_to(ray_y[:, None], depth_m.shape).copy(),
                     depth_m, 1 / depth_m, valid)
 
 
-def _grow_all(picture: _Picture, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
+def _grow_all(rays: _DepthRays, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
     """Return the regions (H, W) that are planes, and the pixels of those that may be."""
-    free = picture.valid.copy()
+    free = rays.valid.copy()
     regions, doubtful = [], []
-    for start, plane in _candidates(picture, free, min_pixels):
-        region, ratio, _ = _growth(picture, plane, start, free)
+    for start, plane in _candidates(rays, free, min_pixels):
+        region, ratio, _ = _growth(rays, plane, start, free)
         if ratio <= FLAT_RATIO:
             regions.append(region)
             free &= ~region
         else:
             doubtful.append((start, plane))
-    late, unclear = _second_look(picture, doubtful, free, min_pixels)
+    late, unclear = _second_look(rays, doubtful, free, min_pixels)
     return regions + late, unclear
 
 
-def _candidates(picture: _Picture, free: np.ndarray, min_pixels: int
+def _candidates(rays: _DepthRays, free: np.ndarray, min_pixels: int
                 ) -> Iterator[tuple[Pixel, np.ndarray]]:
     """Yield a pixel and the plane of each region, flattest first; free may change in between."""
-    planes, rms_m = _windows(picture)
+    planes, rms_m = _windows(rays)
     while (start := _flattest(rms_m)) is not None:
-        region, plane = _grown(picture, planes[start], start, free)
+        region, plane = _grown(rays, planes[start], start, free)
         rms_m[region] = np.inf
         rms_m[_window(start)] = np.inf
         if np.count_nonzero(region) >= min_pixels:
             yield start, plane
 
 
-def _second_look(picture: _Picture, doubtful: Sequence[tuple[Pixel, np.ndarray]],
+def _second_look(rays: _DepthRays, doubtful: Sequence[tuple[Pixel, np.ndarray]],
                  free: np.ndarray, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
     """Judge again, as :func:`_grow_all`, now that nothing grows into the planes beside it."""
     free, unclear = free.copy(), np.zeros(free.shape, bool)
     regions = []
     for start, plane in doubtful:
-        region, ratio, loose = _growth(picture, plane, start, free)
+        region, ratio, loose = _growth(rays, plane, start, free)
         if np.count_nonzero(region) < min_pixels:
             continue
         if ratio <= FLAT_RATIO:
@@ -185,15 +185,15 @@ def _second_look(picture: _Picture, doubtful: Sequence[tuple[Pixel, np.ndarray]]
     return regions, unclear
 
 
-def _growth(picture: _Picture, plane: np.ndarray, start: Pixel, free: np.ndarray
+def _growth(rays: _DepthRays, plane: np.ndarray, start: Pixel, free: np.ndarray
             ) -> tuple[np.ndarray, float, np.ndarray]:
     """Return a region, how much larger the loose tolerance makes it, and that larger region."""
-    region, loose = (_around(picture, plane, tolerance_m, start, free)
+    region, loose = (_around(rays, plane, tolerance_m, start, free)
                      for tolerance_m in (TOLERANCE_M, LOOSE_TOLERANCE_M))
     return region, np.count_nonzero(loose) / max(np.count_nonzero(region), 1), loose
 
 
-def _windows(picture: _Picture) -> tuple[np.ndarray, np.ndarray]:
+def _windows(rays: _DepthRays) -> tuple[np.ndarray, np.ndarray]:
     """
     Fit a plane to the window around each pixel, by least squares in disparity.
 
@@ -204,7 +204,7 @@ def _windows(picture: _Picture) -> tuple[np.ndarray, np.ndarray]:
         Root mean square depth error; inf where not all pixels of the window are valid.
 
     """
-    x, y, disparity = picture.ray_x, picture.ray_y, picture.disparity
+    x, y, disparity = rays.ray_x, rays.ray_y, rays.disparity
     mean = _mean(disparity)
     # Over a whole window x and y are a grid: their variances are known, and they are uncorrelated.
     variance_x, variance_y = (
@@ -213,8 +213,8 @@ def _windows(picture: _Picture) -> tuple[np.ndarray, np.ndarray]:
     slope_y = (_mean(y * disparity) - y * mean) / variance_y
     rest = (_mean(disparity**2) - mean**2
             - slope_x**2 * variance_x - slope_y**2 * variance_y)
-    rms_m = np.sqrt(np.maximum(rest, 0)) * picture.depth_m**2
-    whole = cv2.erode(picture.valid.astype(np.uint8), np.ones((WINDOW_PX, WINDOW_PX)),
+    rms_m = np.sqrt(np.maximum(rest, 0)) * rays.depth_m**2
+    whole = cv2.erode(rays.valid.astype(np.uint8), np.ones((WINDOW_PX, WINDOW_PX)),
                       borderType=cv2.BORDER_CONSTANT, borderValue=0) > 0
     return (np.stack([slope_x, slope_y, mean - slope_x * x - slope_y * y], axis=-1),
             np.where(whole, rms_m, np.inf))
@@ -237,36 +237,36 @@ def _window(pixel: Pixel) -> tuple[slice, slice]:
     return row, column
 
 
-def _grown(picture: _Picture, plane: np.ndarray, start: Pixel, free: np.ndarray
+def _grown(rays: _DepthRays, plane: np.ndarray, start: Pixel, free: np.ndarray
            ) -> tuple[np.ndarray, np.ndarray]:
     """Grow the region around a pixel and fit its plane, by turns; return both."""
-    region = _around(picture, plane, TOLERANCE_M, start, free)
+    region = _around(rays, plane, TOLERANCE_M, start, free)
     for _ in range(_MOST_REFITS):
         if np.count_nonzero(region) < _LEAST_TO_FIT:
             break
-        plane, before = picture.fit(region), region
-        region = _around(picture, plane, TOLERANCE_M, start, free)
+        plane, before = rays.fit(region), region
+        region = _around(rays, plane, TOLERANCE_M, start, free)
         if np.count_nonzero(region != before) <= _SETTLED_SHARE * np.count_nonzero(region):
             break
     return region, plane
 
 
-def _around(picture: _Picture, plane: np.ndarray, tolerance_m: float, start: Pixel,
+def _around(rays: _DepthRays, plane: np.ndarray, tolerance_m: float, start: Pixel,
             free: np.ndarray) -> np.ndarray:
     """Return the connected free pixels around one that are within a tolerance of a plane."""
-    near = (picture.error_m(plane) <= tolerance_m) & free
+    near = (rays.error_m(plane) <= tolerance_m) & free
     filled = near.astype(np.uint8)
     if near[start]:
         cv2.floodFill(filled, None, start[::-1], 2, flags=4)
     return filled == 2
 
 
-def _merged(picture: _Picture, pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _merged(rays: _DepthRays, pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Return the regions with those joined that lie on one plane, wherever they are."""
     regions: list[np.ndarray] = []
     for piece in sorted(pieces, key=np.count_nonzero, reverse=True):
         for k, region in enumerate(regions):
-            error_m = picture.error_m(picture.fit(region))[piece]
+            error_m = rays.error_m(rays.fit(region))[piece]
             if (error_m <= MERGE_M).mean() >= MERGE_SHARE:
                 regions[k] = region | piece
                 break

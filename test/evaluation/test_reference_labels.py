@@ -17,7 +17,7 @@ CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 
 
 def rounded(depth_m):
-    """Return depth in whole millimetres, as 16-bit pictures have it."""
+    """Return depth in whole millimetres, as 16-bit images have it."""
     return (np.round(1000 * depth_m) / 1000).astype(np.float32)
 
 

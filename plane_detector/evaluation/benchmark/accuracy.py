@@ -22,7 +22,7 @@ from plane_detector.evaluation.benchmark.real_images import collect_frames
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
 from plane_detector.evaluation.benchmark.tables import emit, table
-from plane_detector.evaluation.metrics import MIN_PIXELS
+from plane_detector.evaluation.metrics import MIN_PIXELS, known_mean
 from plane_detector.evaluation.peers import Ours, all_methods
 
 EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--rooms', type=shared.at_least_one, default=20, help='rooms of boxes')
     parser.add_argument('--living', type=shared.at_least_one, default=16, help='lived-in rooms')
     parser.add_argument('--curved', type=shared.at_least_one, default=36, help='curved scenes')
-    parser.add_argument('--slow', type=int, default=3,
+    parser.add_argument('--slow', type=int, default=5,
                         help='rooms of each kind for methods that take seconds')
     parser.add_argument('--first-seed', type=int, default=HELD_OUT)
     parser.add_argument('--only-ours', action='store_true', help='no other methods')
@@ -114,12 +114,6 @@ def grouped(samples: Sequence[Sample]) -> dict[tuple[str, float, str], list[Samp
 def column(group: Sequence[Sample], name: str) -> np.ndarray:
     """Return a number of each sample, (n,)."""
     return np.array([one.numbers[name] for one in group])
-
-
-def known_mean(values: np.ndarray) -> float:
-    """Return the mean of what is not NaN, NaN without any."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if known.size else float('nan')
 
 
 def _exact_cells(group: Sequence[Sample]) -> list[str]:

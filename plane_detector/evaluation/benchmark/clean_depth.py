@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables and a contact sheet of the benchmark: clean depth, with labels grown from it slowly."""
+"""Tables and a contact sheet of the benchmark: clean depth, with labels grown from that depth."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from plane_detector.segmentation.cells.labels import without
 SLOW_FRAMES = 2
 """A slow method is tried on the first frames only."""
 HELD_OUT_FRAME = 5
-"""Frames from this one on, as many apart as the others, were not looked at for tuning."""
+"""Frames from this one on, as many apart as the others, were not used for tuning."""
 _PANEL_WIDTH_PX = 400
 _VARIANTS = ('unclear pixels count as no plane', 'unclear pixels are left out of the count')
 
@@ -43,7 +43,7 @@ class LabelledFrame:
 
 
 def held_out_frames(data: Path) -> list[Frame]:
-    """Return frames that were not looked at while the method was made; none without the data."""
+    """Return frames that nothing was tuned on; without the data there are none."""
     try:
         return list(frames(data, RENDERED, HELD_OUT_FRAME))
     except FileNotFoundError:
@@ -97,7 +97,7 @@ def _tables(methods: Sequence[Method], labelled: Sequence[LabelledFrame]
 
 
 def frame_scores(method: Method, one: LabelledFrame, sigma: float) -> tuple[Score, Score]:
-    """Return how good a method is on a frame, with unclear pixels as no plane and without them."""
+    """Score a method on a frame, with unclear pixels as no plane and without them."""
     truth, seen = one.truth, np.isfinite(one.frame.depth_m)
     labels, planes = segmented(method, one.frame, sigma)
     clear = leave_out(labels, planes, truth.unclear)
@@ -106,26 +106,26 @@ def frame_scores(method: Method, one: LabelledFrame, sigma: float) -> tuple[Scor
 
 
 def segmented(method: Method, frame: Frame, sigma: float) -> Segments:
-    """Return what a method finds under noise that depends on the frame's number only."""
+    """Segment a frame with noise that depends on its number only."""
     return method(noisy_depth(frame, sigma, int(frame.name)), frame.intrinsics)
 
 
 def leave_out(labels: np.ndarray, planes: np.ndarray, unclear: np.ndarray) -> Segments:
-    """Return a segmentation without the planes that are for the greater part on some pixels."""
+    """Remove the planes that have more than half of their pixels in a mask."""
     pixels, pixels_there = (np.bincount(labels[(labels >= 0) & where], minlength=len(planes))
                             for where in (True, unclear))
     return without(labels, planes, np.flatnonzero(2 * pixels_there > pixels))
 
 
 def draw_frames(labelled: Sequence[LabelledFrame], output: Path) -> Path:
-    """Write a row for each frame: picture, labels, and ours at each noise; return where."""
+    """Write a row for each frame: image, labels, and ours at each noise; return where."""
     panels = [panel for one in labelled for panel in _panels(one)]
     return write_sheet(output / 'living_room_labels.png', panels, 2 + len(SIGMAS),
                        _PANEL_WIDTH_PX)
 
 
 def _panels(one: LabelledFrame) -> list[tuple[str, np.ndarray]]:
-    """Return the pictures of a frame with titles; planes are drawn on grey, to tell them apart."""
+    """Return titled images of a frame; planes are drawn on grey, to tell them apart."""
     rgb, truth = one.frame.rgb, one.truth
     grey = grey_of(rgb)
     drawn = overlay(grey, truth.labels + 1)

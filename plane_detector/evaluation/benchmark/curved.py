@@ -51,7 +51,7 @@ def curved_scene(index: int) -> Scene:
 
 
 def report_curved(methods: Sequence[Method]) -> None:
-    """Print how much of curved things each method takes for planes; slow methods are left out."""
+    """Print the share of curved surfaces that each quick method labels as planes."""
     scenes = list(curved_scenes())
     rows = []
     for method, sigma in product(methods, SIGMAS):

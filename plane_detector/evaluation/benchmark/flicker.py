@@ -116,7 +116,7 @@ def _cells(numbers: np.ndarray) -> list[str]:
 
 
 def report_real(frames: Sequence[Frame], estimate: DepthEstimator, keeps: Sequence[float]) -> None:
-    """Print how well the planes of consecutive images agree, set by set."""
+    """Print the agreement between planes of consecutive images, set by set."""
     sets = list(dict.fromkeys(frame.set_name for frame in frames))
     rows = []
     for name in sets:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Is a floor in pieces for the plane stage, or for the network whose depth it is?
+Does a floor break into pieces because of the plane stage, or because of the network's depth?
 
-Of each large plane that the sensor measured one predicted plane holds some share. Beside it stands
-the share that any one plane could hold: of all planes the one that most pixels of the network's
-depth there are near, found with the sensor's labels at hand.
+For each large plane that the sensor measured: the share of its pixels in one predicted plane, and
+the share that the best possible single plane would hold. The best plane is fitted to the network's
+depth within the sensor's label.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ def held_and_holdable(sensor_labels: np.ndarray, labels: np.ndarray, depth_m: np
                       intrinsics: CameraIntrinsics, noise: float,
                       rng: np.random.Generator) -> Iterator[tuple[float, float]]:
     """
-    Yield for each large plane of the sensor what one plane holds and what one could hold.
+    Yield, for each large plane of the sensor, the share in one plane and the best possible share.
 
     Parameters
     ----------
     sensor_labels, labels : (H, W) int
         Planes of the sensor's depth and predicted planes, -1 none.
     depth_m : (H, W) floating
-        That the predicted planes were found in.
+        The depth in which the predicted planes were found.
     intrinsics : CameraIntrinsics
     noise : float
         Of 1/depth, per metre.

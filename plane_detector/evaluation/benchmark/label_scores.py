@@ -14,6 +14,7 @@ from plane_detector.evaluation.metrics import (
     RECALL_ANGLES_DEG,
     RECALL_DEPTHS_M,
     depth_recall,
+    known_mean,
     normal_recall,
     score,
 )
@@ -104,8 +105,7 @@ def worst_table(rows: Mapping[str, Mapping[int, Numbers]], count: int) -> str:
 
 def mean(frames: Mapping[int, Numbers], name: str) -> float:
     """Return the mean of a metric over the frames where it is defined."""
-    values = [numbers[name] for numbers in frames.values() if np.isfinite(numbers[name])]
-    return float(np.mean(values)) if values else float('nan')
+    return known_mean(np.array([numbers[name] for numbers in frames.values()]))
 
 
 def pooled(frames: Mapping[int, Numbers], name: str, weight: str) -> float:

@@ -29,20 +29,20 @@ def furnished(seed: int) -> Scene:
 
 
 def report_living(methods: Sequence[Method], count: int, slow_count: int, output: Path) -> None:
-    """Print the tables of the living rooms and write a contact sheet of the first."""
+    """Print the tables of the living rooms and write a contact sheet of the first rooms."""
     report_sets('Rendered living rooms', furnished, methods, count, slow_count)
     emit('What is curved belongs to no plane, and its pixels count as that.',
          f'Contact sheet: `{draw_rooms(range(min(count, SHEET_ROOMS)), output)}`')
 
 
 def draw_rooms(seeds: Sequence[int], output: Path) -> Path:
-    """Write a row for each room: picture, depth, truth, and ours at each noise; return where."""
+    """Write a row for each room: image, depth, truth, and ours at each noise; return where."""
     panels = [panel for seed in seeds for panel in _panels(seed)]
     return write_sheet(output / 'living_rooms.png', panels, 3 + len(SIGMAS), _PANEL_WIDTH_PX)
 
 
 def _panels(seed: int) -> list[tuple[str, np.ndarray]]:
-    """Return the pictures of a room with titles; planes are drawn on grey, to tell them apart."""
+    """Return titled images of a room; planes are drawn on grey, to tell them apart."""
     scene = furnished(seed)
     grey = grey_of(scene.rgb)
     panels = [(f'seed {seed}', scene.rgb), ('depth', colour_depth(scene.depth_m)),

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the benchmark: the planes that ours misses, by how far they stand out of the noise."""
+"""Table of the benchmark: missed planes, by their distance from the plane found in the noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EDGES = (0.0, 0.5, 1.0, 2.0, np.inf)
 
 
 def report_misses(title: str, scene_of: SceneOfSeed, seeds: Sequence[int]) -> None:
-    """Print how far the missed planes of some scenes are from the planes they were taken for."""
+    """Print the distance of missed planes from the planes that hold their pixels."""
     rows = []
     for sigma in SIGMAS[1:]:
         found = np.array([deviation for seed in tqdm(seeds, 'misses', leave=False)
@@ -39,7 +39,7 @@ def report_misses(title: str, scene_of: SceneOfSeed, seeds: Sequence[int]) -> No
 
 def missed(scene: Scene, sigma: float, seed: int) -> Iterator[float]:
     """
-    Yield how far each plane that ours misses is from the one it was taken for.
+    Yield the distance of each missed plane from the plane that holds its pixels.
 
     Parameters
     ----------

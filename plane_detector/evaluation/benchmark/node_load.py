@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A camera of constant rate and subscribers that cost little, to see what the node can do."""
+"""A camera of constant rate and cheap subscribers, to measure the limits of the node."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _SPIN_S = 0.05
 @dataclass(frozen=True)
 class Load:
     """
-    What a node did while it was fed.
+    Measurements of a node under load.
 
     Attributes
     ----------
@@ -154,7 +154,7 @@ class CameraLoad:
 
 
 def input_messages(header: Header, scene: Scene) -> dict[str, CameraInfo | Image]:
-    """Return what a camera publishes of a scene, by topic; the picture comes last."""
+    """Return what a camera publishes of a scene, by topic; the image comes last."""
     return {'camera_info': camera_info_to_msg(header, scene.intrinsics),
             'depth': messages.depth_to_msg(header, scene.depth_m),
             'image': messages.rgb_to_msg(header, scene.rgb)}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables and contact sheets of the benchmark: real pictures, judged by the sensor's depth."""
+"""Tables and contact sheets of the benchmark: real images, judged by the sensor's depth."""
 
 from __future__ import annotations
 
@@ -21,11 +21,10 @@ from plane_detector.evaluation.benchmark.fragmentation import (
     NEAR_DEVIATIONS,
     held_and_holdable,
 )
-from plane_detector.evaluation.benchmark.judging import Coverage, judge_coverage
 from plane_detector.evaluation.benchmark.rooms import SIGMAS
 from plane_detector.evaluation.benchmark.tables import emit, table, write_sheet
 from plane_detector.evaluation.datasets import Frame, frames, library_frames
-from plane_detector.evaluation.metrics import score
+from plane_detector.evaluation.metrics import Coverage, coverage, score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.pipeline import PlaneDetector, segment_planes
@@ -67,13 +66,13 @@ def collect_frames(data: Path) -> list[Frame]:
 def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
     """Print the table of all frames and write a contact sheet of each set."""
     estimate, title = load_network(model)
-    emit(f'### Real pictures: planes of the sensor and of the network ({title})')
+    emit(f'### Real images: planes of the sensor and of the network ({title})')
     compared = [compare(frame, estimate) for frame in tqdm(found, 'real frames', leave=False)]
     emit(table(('frame', *_COLUMNS), _rows(compared)),
          'Purity and errors are means over the predicted planes of a frame, weighed by their '
          'pixels: purity is the share within max(3 cm, 1.5 % of z) of the best plane through '
          'the sensor\'s points there. Coverage: of the sensor\'s large planes, those over 2 % of '
-         'the picture, the share of pixels that a predicted plane with IoU > 0.5 covers; pieces: '
+         'the image, the share of pixels that a predicted plane with IoU > 0.5 covers; pieces: '
          'predicted planes that hold over a tenth of each of them.')
     emit(*(f'Contact sheet: `{path}`' for path in write_sheets(compared, output)))
     if estimate is not None:
@@ -81,7 +80,7 @@ def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
 
 
 def _report_pieces(compared: Sequence[Comparison], noise: float) -> None:
-    """Print how much of the large planes one plane holds, and how much one could hold."""
+    """Print which share of the large planes one plane holds, and which share one could hold."""
     rows = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         shares = np.array([pair for one in group if one.network for pair in held_and_holdable(
@@ -90,10 +89,10 @@ def _report_pieces(compared: Sequence[Comparison], noise: float) -> None:
         if len(shares):
             rows.append([name, str(len(shares)), *(
                 f'{value:.2f}' for value in (*shares.mean(0), *shares.min(0)))])
-    emit('### Real pictures: the floor and the large walls in the depth of the network',
+    emit('### Real images: the floor and the large walls in the depth of the network',
          table(('set', 'planes', 'one holds', 'one could hold', 'worst holds',
                 'worst could hold'), rows),
-         f'Planes of the sensor over {LARGE_PLANE_SHARE:.0%} of the picture: the share of their '
+         f'Planes of the sensor over {LARGE_PLANE_SHARE:.0%} of the image: the share of their '
          'pixels that the predicted plane with most of them holds, and the share within '
          f'{NEAR_DEVIATIONS:g} deviations of the noise ({noise:g} 1/m) of the best plane '
          'through the network\'s depth there, found with the sensor\'s labels at hand.')
@@ -106,7 +105,7 @@ def load_network(model: str) -> tuple[DepthEstimator | None, str]:
     Raises
     ------
     ValueError, FileNotFoundError
-        It is no network, or none that is known.
+        It is not a network, or its name is unknown.
 
     """
     try:
@@ -124,12 +123,12 @@ def compare(frame: Frame, estimate: Callable[[np.ndarray], np.ndarray] | None) -
     network = PlaneDetector(Config(), estimate).detect(frame.rgb, frame.intrinsics)
     judged = judge_planes(network.labels, plane_array(network), frame.depth_m, frame.intrinsics,
                           np.random.default_rng(0))
-    coverage = judge_coverage(sensor.labels, network.labels, np.isfinite(frame.depth_m))
-    return Comparison(frame, sensor, network, judged, coverage)
+    covered = coverage(sensor.labels, network.labels, np.isfinite(frame.depth_m))
+    return Comparison(frame, sensor, network, judged, covered)
 
 
 def _numbers(one: Comparison) -> np.ndarray:
-    """Return what the columns after the first say of a frame; NaN for what is not known."""
+    """Return the numbers of a frame for the columns after the first; NaN where unknown."""
     on_plane = (one.sensor.labels >= 0)[np.isfinite(one.frame.depth_m)].mean()
     numbers = [len(one.sensor.planes), on_plane]
     if one.network is None or one.coverage is None:
@@ -170,7 +169,7 @@ def _known_mean(numbers: np.ndarray) -> np.ndarray:
 
 
 def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
-    """Write one picture for each set: a row for each frame; return the paths."""
+    """Write one contact sheet for each set: a row for each frame; return the paths."""
     paths = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         panels = [panel for one in group for panel in _panels(one)]
@@ -179,7 +178,7 @@ def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
 
 
 def _panels(one: Comparison) -> list[tuple[str, np.ndarray]]:
-    """Return picture, planes by the sensor and planes by the network, with titles."""
+    """Return image, planes by the sensor and planes by the network, with titles."""
     name, rgb = f'{one.frame.set_name}/{one.frame.name}', one.frame.rgb
     panels = [(name, rgb), (f'sensor: {len(one.sensor.planes)} planes',
                             overlay(rgb, one.sensor.labels + 1))]
@@ -192,7 +191,7 @@ def _panels(one: Comparison) -> list[tuple[str, np.ndarray]]:
 
 
 def report_consistency(found: Sequence[Frame]) -> None:
-    """Print how little noise changes what is found in clean rendered depth."""
+    """Print the change of the result on clean rendered depth under noise."""
     clean = [frame for frame in found if frame.set_name in RENDERED]
     if not clean:
         return

@@ -20,6 +20,7 @@ from plane_detector.evaluation.metrics import (
     RECALL_DEPTHS_M,
     Score,
     depth_recall,
+    known_mean,
     normal_recall,
     overlap,
     score,
@@ -33,7 +34,7 @@ from plane_detector.pipeline import segment_planes
 SIGMAS = (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
 HELD_OUT = 9000
-"""Rooms from this seed on were not looked at while the method was made."""
+"""Scenes from this seed on are for reporting only; nothing is tuned on them."""
 SceneOfSeed = Callable[[int], Scene]
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
@@ -52,7 +53,7 @@ class RoomSet:
 
 
 def room_sets(count: int, slow_count: int) -> tuple[RoomSet, RoomSet]:
-    """Return the rooms that the settings were tuned on and the ones that they were not."""
+    """Return the rooms used for tuning and the held-out ones."""
     return (RoomSet('tuning', range(count), slow_count),
             RoomSet('held-out', range(HELD_OUT, HELD_OUT + count), slow_count))
 
@@ -78,7 +79,7 @@ def report_rooms(methods: Sequence[Method], count: int, slow_count: int) -> None
 
 def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], count: int,
                 slow_count: int) -> None:
-    """Print the tables of the scenes that some function makes of the seeds."""
+    """Print the tables of the scenes that a function makes from seeds."""
     for rooms in room_sets(count, slow_count):
         rows = [row(method, rooms.for_method(method), sigma, scene_of)
                 for method in tqdm(methods, f'{title}, {rooms.name}', leave=False)
@@ -93,7 +94,7 @@ def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], co
 
 
 def columns(counted: str, named: str) -> tuple[str, ...]:
-    """Return the header of a table of methods: what is counted, and what names the worst."""
+    """Return the header of a table of methods: what is counted, what names the worst one."""
     return ('method', 'noise (1/m)', counted, 'SC', f'worst SC ({named})', 'VOI', 'RI', 'recall',
             'worst recall', 'precision', 'worst precision', 'normal error (deg)',
             'offset error (cm)')
@@ -106,7 +107,7 @@ def row(method: Method, seeds: Sequence[int], sigma: float, scene_of: SceneOfSee
 
 
 def score_cells(scores: Sequence[Score], names: Sequence[object]) -> list[str]:
-    """Return what the columns after the second say of some pictures' scores."""
+    """Return the cells after the second column: statistics of some images' scores."""
     def column(name: str) -> np.ndarray:
         return np.array([getattr(one, name) for one in scores], float)
 
@@ -117,20 +118,20 @@ def score_cells(scores: Sequence[Score], names: Sequence[object]) -> list[str]:
              f'{column("variation_of_information").mean():.2f}',
              f'{column("rand_index").mean():.3f}']
     for values in (recall, precision):
-        cells += [f'{_mean(values):.3f}', f'{np.nanmin(values, initial=1):.2f}']
-    return [*cells, f'{_mean(column("normal_error_deg")):.2f}',
-            f'{100 * _mean(column("offset_error_m")):.1f}']
+        cells += [f'{known_mean(values):.3f}', f'{np.nanmin(values, initial=1):.2f}']
+    return [*cells, f'{known_mean(column("normal_error_deg")):.2f}',
+            f'{100 * known_mean(column("offset_error_m")):.1f}']
 
 
 def room_score(method: Method, seed: int, sigma: float, scene_of: SceneOfSeed) -> Score:
-    """Return how good a method is on one room."""
+    """Score a method on one room."""
     scene = scene_of(seed)
     labels, planes = method(noisy_depth(scene, sigma, seed), scene.intrinsics)
     return score(scene.labels, scene.planes, labels, planes, np.isfinite(scene.depth_m))
 
 
 def report_ours(count: int) -> None:
-    """Print what is measured on ours alone, over the held-out rooms."""
+    """Print what is measured for our method only, over the held-out rooms."""
     seeds = room_sets(count, 0)[1].seeds
     emit('### Ours on the held-out rooms: recall by depth error and by angle')
     rows = []
@@ -157,17 +158,21 @@ def _recalls(seed: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def report_confidence(seeds: Sequence[int]) -> None:
-    """Print how often planes of a confidence are true ones, over all noises."""
+    """Print how many planes of each confidence are true, over all noises."""
     pairs = np.array([pair for sigma in SIGMAS for seed in tqdm(seeds, 'confidence', leave=False)
                       for pair in _confidences(seed, sigma)]).reshape(-1, 2)
+    emit('### Ours on the held-out rooms: what the confidence says', reliability(*pairs.T))
+
+
+def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
+    """Return a Markdown table: for each range of confidence (n,), the share of true planes."""
     rows = []
     for low, high in zip(CONFIDENCE_EDGES[:-1], CONFIDENCE_EDGES[1:], strict=True):
-        inside = pairs[(pairs[:, 0] >= low) & ((pairs[:, 0] < high) | (high == 1.0))]
-        rows.append([f'{low:g} to {high:g}', str(len(inside)),
-                     *(f'{value:.2f}' if len(inside) else '-'
-                       for value in (inside.mean(0) if len(inside) else (0, 0)))])
-    emit('### Ours on the held-out rooms: what the confidence says',
-         table(('confidence', 'planes', 'mean confidence', 'share that match'), rows))
+        inside = (confidence > low) & (confidence <= high)
+        rows.append([f'{low:g} to {high:g}', str(inside.sum()),
+                     *(f'{known_mean(values[inside].astype(float)):.2f}'
+                       for values in (confidence, matched))])
+    return table(('confidence', 'planes', 'mean confidence', 'share that match'), rows)
 
 
 def _confidences(seed: int, sigma: float) -> Iterator[tuple[float, bool]]:
@@ -177,9 +182,3 @@ def _confidences(seed: int, sigma: float) -> Iterator[tuple[float, bool]]:
     shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
     for plane, iou in zip(found.planes, shared.iou.T, strict=True):
         yield plane.confidence, bool((iou > 0.5).any())
-
-
-def _mean(values: np.ndarray) -> float:
-    """Return the mean of what is known, NaN when nothing is."""
-    known = values[np.isfinite(values)]
-    return float(known.mean()) if len(known) else float('nan')

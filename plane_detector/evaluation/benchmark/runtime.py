@@ -3,9 +3,9 @@
 """
 Tables of the benchmark: time on one thread, ours and the peers side by side.
 
-The methods take turns, so that whatever else the machine does hits all of them alike. Points and
-calibration are made ready for the peers beforehand; ours is timed from the depth image to the
-labels of all pixels and the measured planes.
+The methods take turns, so that other load on the machine affects all of them equally. Points and
+calibration are prepared for the peers before the clock starts; ours is timed from the depth image
+to the labels of all pixels and the measured planes.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _report_sizes(methods: Sequence[Method], repeats: int) -> None:
         per_pixel_ns = 1e6 * ms.mean(1) / (width * height)
         rows.append([f'{width} x {height}', *_cells(ms),
                      *(f'{one:.0f}' for one in per_pixel_ns)])
-    header = [*_header('picture', methods),
+    header = [*_header('image', methods),
               *(f'{method.name} (ns a pixel)' for method in _quick(methods))]
     emit('### Time by resolution, clean rooms', table(header, rows))
 
@@ -142,7 +142,7 @@ def _header(first: str, methods: Sequence[Method]) -> list[str]:
 
 
 def _cells(ms: np.ndarray) -> list[str]:
-    """Return mean times over the cases and what the peers take compared with ours."""
+    """Return mean times over the cases, and the times of the peers divided by ours."""
     mean = ms.mean(axis=1)
     return [*(f'{one:.1f}' for one in mean), *(f'{one / mean[0]:.2f}' for one in mean[1:])]
 

@@ -11,18 +11,18 @@ and distances are compared with those of the true depth on the same pixels.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
+from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.datasets import frames
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.pipeline import segment_planes
@@ -37,7 +37,7 @@ SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
 NOISE_PER_M = 0.004
 MIN_PLANE_SHARE = 0.02
 CLASS_TOLERANCE_DEG = 8.0
-# What a user's knowledge may be off by.
+# Errors of what a user knows.
 GRAVITY_ERROR_DEG, HEIGHT_ERROR_SHARE = 1.0, 0.02
 COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG = 10.0, 20.0
 SPARSE_POINTS, WRONG_POINT_SHARE = 200, 0.1
@@ -73,7 +73,7 @@ class Errors:
     distance_share : (m,) float64
         Of each plane's distance along the ray of its middle.
     bend_deg : float
-        The most that scale and shift alone, without noise, change an angle between two planes.
+        Largest change of an angle between two planes by scale and shift alone, without noise.
 
     """
 
@@ -104,20 +104,17 @@ def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
 
 def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
     """Read a set of real images; gravity and height are those of the sensor's floor."""
-    facts = json.loads((folder / 'intrinsics.json').read_text())
-    intrinsics = CameraIntrinsics(*(facts[k] for k in ('fx', 'fy', 'cx', 'cy', 'width', 'height')))
-    for path in sorted(folder.glob('*_depth.png')):
-        raw = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
-        depth_m = np.where(raw == facts['invalid'], np.nan, raw * facts['depth_unit_m'])
-        planes = segment_planes(depth_m, intrinsics).planes
+    for frame in frames(folder.parent, (folder.name,)):
+        planes = segment_planes(frame.depth_m, frame.intrinsics).planes
         down_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
         floors = [plane for plane, kind in zip(planes, classify_planes(planes, down_camera),
                                                strict=True) if kind == PlaneClass.FLOOR]
         if not floors:
-            print(f'{path.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
+            print(f'{frame.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
             continue
         for _ in range(DRAWS_PER_IMAGE):
-            yield look(depth_m, intrinsics, -floors[0].normal, floors[0].offset_m, rng)
+            yield look(frame.depth_m, frame.intrinsics, -floors[0].normal, floors[0].offset_m,
+                       rng)
 
 
 def measure(view: View, estimate: ScaleEstimate) -> Errors:
@@ -162,7 +159,7 @@ def _angles_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _tilted(direction: np.ndarray, angle_deg: float, rng: np.random.Generator) -> np.ndarray:
-    """Return a unit vector the angle away, to a random side."""
+    """Return the unit vector turned by the angle, to a random side."""
     aside = np.cross(direction, rng.standard_normal(3))
     return (np.cos(np.radians(angle_deg)) * direction
             + np.sin(np.radians(angle_deg)) * aside / np.linalg.norm(aside))
@@ -214,43 +211,43 @@ WAYS: dict[str, Callable[[View], ScaleEstimate]] = {
 }
 
 
-def accuracy_table(title: str, views: list[View]) -> str:
+def accuracy_table(views: list[View]) -> str:
     """Return the Markdown table of all ways on some views."""
-    lines = [f'### {title}', '', '| scale by | answered | wall to floor, deg: median | worst '
-             '| distance, %: median | worst |', '|---|---|---|---|---|---|']
+    rows = []
     for name, way in WAYS.items():
         estimates = [(view, way(view)) for view in views]
         answered = [(view, estimate) for view, estimate in estimates
                     if estimate.has_true_angles or way is _none]
-        lines.append(f'| {name} | {len(answered)}/{len(views)} | {_accuracy(answered)} |')
-    return '\n'.join([*lines, ''])
+        rows.append([name, f'{len(answered)}/{len(views)}', *_accuracy(answered)])
+    return table(('scale by', 'answered', 'wall to floor, deg: median', 'worst',
+                  'distance, %: median', 'worst'), rows)
 
 
-def _accuracy(answered: list[tuple[View, ScaleEstimate]]) -> str:
+def _accuracy(answered: list[tuple[View, ScaleEstimate]]) -> list[str]:
     """Return the last four cells of a row; distances in metres where any estimate has them."""
     metric = any(estimate.is_metric for _, estimate in answered)
     errors = [(measure(view, estimate), estimate) for view, estimate in answered]
-    angles_deg = [error.angle_deg for error, _ in errors]
-    distances = [error.distance_share for error, estimate in errors
-                 if estimate.is_metric == metric]
-    return (f'{_summary(angles_deg, 1.0, 2)} | {_summary(distances, 100.0, 1)}'
-            f'{"" if metric else UP_TO_A_FACTOR}')
+    angles = _summary([error.angle_deg for error, _ in errors], 1.0, 2)
+    median, worst = _summary([error.distance_share for error, estimate in errors
+                              if estimate.is_metric == metric], 100.0, 1)
+    return [*angles, median, f'{worst}{"" if metric else UP_TO_A_FACTOR}']
 
 
-def _summary(values: list[np.ndarray], factor: float, digits: int) -> str:
+def _summary(values: list[np.ndarray], factor: float, digits: int) -> tuple[str, str]:
+    """Return median and largest of all values as text."""
     pooled = factor * np.concatenate([np.zeros(0), *values])
     if not len(pooled):
-        return '- | -'
-    return f'{np.median(pooled):.{digits}f} | {pooled.max():.{digits}f}'
+        return '-', '-'
+    return f'{np.median(pooled):.{digits}f}', f'{pooled.max():.{digits}f}'
 
 
-def refusal_row(name: str, views: Iterable[View]) -> str:
-    """Return the row of one kind of room: what the vote of right angles says of it."""
+def refusal_row(name: str, views: Iterable[View]) -> list[str]:
+    """Return the row of one kind of room: results of the right-angle vote."""
     estimates = [(view, _manhattan(view)) for view in views]
-    accepted = [(v, e) for v, e in estimates if e.has_true_angles]
-    bent = sum(measure(v, e).bend_deg > BENT_DEG for v, e in accepted)
-    return (f'| {name} | {len(estimates)} | {len(estimates) - len(accepted)} | '
-            f'{len(accepted) - bent} | {bent} |')
+    accepted = [(view, estimate) for view, estimate in estimates if estimate.has_true_angles]
+    bent = sum(measure(view, estimate).bend_deg > BENT_DEG for view, estimate in accepted)
+    counts = (len(estimates), len(estimates) - len(accepted), len(accepted) - bent, bent)
+    return [name, *map(str, counts)]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -264,17 +261,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print all tables."""
     seeds = range(options.first_seed, options.first_seed + options.rooms)
-    print(accuracy_table(f'{options.rooms} rendered rooms',
-                         list(rendered_views(scenes.random_room, seeds))))
+    emit(f'### {options.rooms} rendered rooms',
+         accuracy_table(list(rendered_views(scenes.random_room, seeds))))
     for name in ('kinect', 'nyu'):
         if (options.data / name).is_dir():
             views = list(real_views(options.data / name, np.random.default_rng(seeds.start)))
-            title = (f'Real images, {name}: {len(views) // DRAWS_PER_IMAGE} with a floor, '
-                     f'each seen by {DRAWS_PER_IMAGE} networks')
-            print(accuracy_table(title, views))
+            emit(f'### Real images, {name}: {len(views) // DRAWS_PER_IMAGE} with a floor, '
+                 f'each seen by {DRAWS_PER_IMAGE} networks', accuracy_table(views))
         else:
             print(f'{options.data / name} is not there: no table of it', file=sys.stderr)
-    print('### The vote of right angles\n\n| room | images | refused | right | bent by more '
-          f'than {BENT_DEG:.0f} deg |\n|---|---|---|---|---|')
-    for make in (scenes.random_room, scenes.attic, scenes.hexagon_room):
-        print(refusal_row(make.__name__, rendered_views(make, seeds)))
+    emit('### The vote of right angles',
+         table(('room', 'images', 'refused', 'right', f'bent by more than {BENT_DEG:.0f} deg'),
+               [refusal_row(make.__name__, rendered_views(make, seeds))
+                for make in (scenes.random_room, scenes.attic, scenes.hexagon_room)]))

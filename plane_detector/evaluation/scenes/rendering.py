@@ -3,9 +3,9 @@
 """
 Rendering of surfaces, with exact depth, labels and plane coefficients.
 
-A scene is a list of rectangles in a world with z up; each pixel's ray is cut with all of them
-and the nearest hit wins. Every rectangle is a plane of its own, also where two are coplanar.
-Curved surfaces can be added: they hide planes and are none.
+A scene is a list of rectangles in a world with z up; each pixel's ray is intersected with all of
+them and the nearest hit wins. Every rectangle is a plane of its own, also where two are coplanar.
+Curved surfaces can be added: they occlude planes and have no label.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ NEAREST_M = 0.05
 @dataclass(frozen=True)
 class Scene:
     """
-    A rendered picture and the truth about it.
+    A rendered image with its ground truth.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Scene:
         Direction of gravity in the camera frame.
     rectangles : (N,) int
         Index of each plane's rectangle in the list that was rendered: the same surface in
-        pictures from several places.
+        images from several places.
     height_m : float
         Of the camera above the world's z = 0, where rooms have their floor.
 
@@ -139,9 +139,9 @@ def render(rectangles: Sequence[Rectangle], world_from_camera: np.ndarray, posit
            intrinsics: CameraIntrinsics, rng: np.random.Generator,
            curved: Sequence[Surface] = ()) -> Scene:
     """
-    Cut every pixel's ray with every surface; the generator only colours the picture.
+    Intersect the ray of every pixel with every surface; the generator only colours the image.
 
-    What is curved has depth but no label: it is no plane.
+    Curved surfaces have depth but no label.
     """
     ray_x, ray_y = (slopes.astype(np.float64) for slopes in pixel_rays(intrinsics))
     shape = (intrinsics.height, intrinsics.width)

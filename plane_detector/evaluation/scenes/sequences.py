@@ -45,14 +45,14 @@ MOTIONS = (Motion('nothing moves'), Motion('a box moves 1 m/s', box_m_s=1.0),
 @dataclass(frozen=True)
 class View:
     """
-    A picture of a sequence.
+    An image of a sequence.
 
     Attributes
     ----------
     scene : Scene
         Its ``rgb`` has sensor noise of its own.
     moved : (H, W) bool
-        Where another surface, or another depth, was seen in a picture before, and a margin.
+        Where another surface, or another depth, was seen in an earlier image, with a margin.
 
     """
 
@@ -61,7 +61,7 @@ class View:
 
 
 def sequence(seed: int, motion: Motion) -> list[View]:
-    """Return the pictures of a room, the newest last."""
+    """Return the images of a room, the newest last."""
     rng = np.random.default_rng(seed)
     room, rotation, position = furnished_room(rng)
     palette = rng.uniform(60, 220, (len(room) + 6, 3)).astype(np.float32)
@@ -90,14 +90,14 @@ def _box_at(rotation: np.ndarray, position: np.ndarray, along_m: float) -> list[
 
 
 def _seen(scene: Scene, palette: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the picture with the same colour for a surface in all pictures, and sensor noise."""
+    """Return the image, with one colour for a surface in all images and with sensor noise."""
     colours = palette[np.append(scene.rectangles, 0)]
     noise = rng.normal(0, _GREY_NOISE, (*scene.labels.shape, 3)).astype(np.float32)
     return np.clip(colours[scene.labels] + noise, 0, 255).astype(np.uint8)
 
 
 def _with_moved(scenes: Sequence[Scene]) -> list[View]:
-    """Return with each picture where something has moved in or before it."""
+    """Return each image with the pixels where something has moved up to then."""
     views, moved = [], np.zeros(scenes[0].labels.shape, np.uint8)
     for before, scene in zip([scenes[0], *scenes], scenes, strict=False):
         ratio = scene.depth_m / before.depth_m

@@ -7,7 +7,7 @@ import pytest
 
 from plane_detector.evaluation import peers
 from plane_detector.evaluation.benchmark import samples as benchmark_samples
-from plane_detector.evaluation.benchmark.accuracy import grouped, known_mean, report
+from plane_detector.evaluation.benchmark.accuracy import grouped, report
 from plane_detector.evaluation.benchmark.plots import by_method, recall_by_size, write_plots
 from plane_detector.evaluation.benchmark.samples import Sample, plan, run_job, run_jobs
 from plane_detector.evaluation.datasets import Frame
@@ -87,11 +87,6 @@ def test_tables_compare_all_methods_and_show_the_first_in_detail(capsys):
     assert 'Columns' not in ' '.join(lines)
     assert list(grouped(found)) == [('rooms', sigma, method) for sigma in (0.004, 0.01)
                                     for method in ('ours', 'other')]
-
-
-def test_the_mean_is_over_what_is_known():
-    assert known_mean(np.array([1.0, np.nan, 2.0])) == 1.5
-    assert np.isnan(known_mean(np.array([np.nan])))
 
 
 def test_recall_by_size_by_hand():

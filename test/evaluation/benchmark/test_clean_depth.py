@@ -30,7 +30,7 @@ FRAME = Frame('living_room', '00007', WALL.rgb, WALL.depth_m, SMALL)
 
 
 class Fixed(peers.Method):
-    """Says the same of any picture, and keeps the depth that it was given."""
+    """Gives the same labels for any image, and keeps the depth that it was given."""
 
     def __init__(self, labels, planes):
         self.labels, self.planes, self.depth_m = labels, planes, None

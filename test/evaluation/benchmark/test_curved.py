@@ -13,7 +13,7 @@ SCENES = list(curved_scenes())
 
 
 class Fixed(peers.Method):
-    """Says the same of any picture."""
+    """Gives the same labels for any image."""
 
     name = 'fixed'
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from nyu_files import nyu_room, write_nyu
 
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.benchmark import nyu, nyu_frames
 from plane_detector.evaluation.benchmark.__main__ import main
 from plane_detector.evaluation.benchmark.label_scores import mean, numbers_of, pooled
@@ -165,21 +166,10 @@ def test_without_annotations_the_truth_must_be_another(tmp_path):
 
 
 def test_the_network_has_rows_and_a_figure_of_its_own(file, run, tmp_path, monkeypatch):
-    class Estimator:
-        """A network that knows the depth of frame 1 up to scale and shift."""
-
-        output, disparity_noise, focal_per_height = 'relative_disparity', 0.001, 0.0
-        depth_m = nyu_room(SEEDS[0]).depth_m[ROWS, COLUMNS]
-
-        def __init__(self, config):
-            pass
-
-        def input_size(self, width, height):
-            return width, height
-
-        def __call__(self, rgb):
-            return (3 / self.depth_m + 0.5).astype(np.float32)
-    monkeypatch.setattr(nyu_frames, 'DepthEstimator', Estimator)
+    depth_m = nyu_room(SEEDS[0]).depth_m[ROWS, COLUMNS]
+    network = DepthFunction(lambda rgb: (3 / depth_m + 0.5).astype(np.float32),
+                            'relative_disparity', disparity_noise=0.001)
+    monkeypatch.setattr(nyu_frames, 'DepthEstimator', lambda config: network)
     nyu_frames._detector.cache_clear()
     (tmp_path / 'frames.txt').write_text('1')
     (tmp_path / 'net').mkdir()

@@ -38,7 +38,7 @@ def room(seed):
 
 
 def seen(thing, position=(0, -3, 0), intrinsics=SMALL, yaw_deg=0.0):
-    """Return the picture of a thing from a level camera that looks along y."""
+    """Return the image of a thing from a level camera that looks along y."""
     return render(thing.flat, camera_rotation(yaw_deg, 0, 0), np.array(position, float),
                   intrinsics, np.random.default_rng(0), thing.curved_pieces())
 

@@ -94,7 +94,7 @@ def test_stairs_alternate_between_risers_and_treads():
     assert level.sum() == 5, 'four treads and the floor'
 
 
-def test_gravity_points_down_in_the_picture():
+def test_gravity_points_down_in_the_image():
     room = random_room(np.random.default_rng(5), SMALL)
     assert room.down_camera[1] > 0.8
     assert np.linalg.norm(room.down_camera) == pytest.approx(1)

@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Times are taken of every method on one thread."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector.evaluation import peers
+from plane_detector.evaluation.benchmark import runtime
+from plane_detector.evaluation.benchmark.parallel import one_thread
+from plane_detector.evaluation.scenes.rooms import single_wall
+from plane_detector.types import CameraIntrinsics
+
+SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
+WALL = single_wall(SMALL, yaw_deg=0, distance_m=2.0)
+
+
+@pytest.mark.parametrize('side', [1, 3])
+def test_a_mosaic_has_its_planes(side):
+    scene = runtime.mosaic(side)
+    assert len(scene.planes) == side**2
+    assert np.bincount(scene.labels[scene.labels >= 0]).min() > 0.5 * scene.labels.size / side**2
+
+
+def test_times_are_taken_of_every_method_and_case():
+    case = (WALL.depth_m, SMALL)
+    ms = runtime.median_ms([peers.Ours()], [case, case], repeats=2)
+    assert ms.shape == (1, 2)
+    assert (ms > 0).all()
+
+
+def test_one_thread_is_put_back():
+    before = cv2.getNumThreads()
+    with one_thread():
+        assert cv2.getNumThreads() == 1
+    assert cv2.getNumThreads() == before

@@ -1,0 +1,37 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Real frames are read in metres and RGB, and what is wrong with them is named."""
+
+import numpy as np
+import pytest
+from frame_files import write_frame
+
+from plane_detector.evaluation.datasets import frames, library_frames
+
+
+def test_frames_are_read_in_metres_and_rgb(tmp_path):
+    depth_mm = np.full((120, 160), 2500, np.uint16)
+    depth_mm[0] = 0
+    write_frame(tmp_path / 'living_room', depth_mm)
+    (frame,) = frames(tmp_path)
+    assert (frame.set_name, frame.name) == ('living_room', '7')
+    assert frame.depth_m[1, 0] == pytest.approx(2.5)
+    assert np.isnan(frame.depth_m[0]).all()
+    np.testing.assert_array_equal(frame.rgb[0, 0], [30, 20, 10])
+
+
+def test_frames_that_are_missing_or_of_another_size_are_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match='nowhere'):
+        list(frames(tmp_path / 'nowhere'))
+    write_frame(tmp_path / 'set', np.ones((60, 80), np.uint16))
+    with pytest.raises(FileNotFoundError, match='no set other, only set'):
+        list(frames(tmp_path, ('other',)))
+    with pytest.raises(ValueError, match='160 x 120'):
+        list(frames(tmp_path))
+
+
+def test_library_frames_have_known_depth():
+    pytest.importorskip('skimage', reason='scikit-image is not installed')
+    (frame,) = library_frames()
+    assert frame.rgb.shape[:2] == frame.depth_m.shape == (500, 741)
+    assert 2 < np.nanmedian(frame.depth_m) < 4
