@@ -143,6 +143,27 @@ class DiagnosticsPublisher:
         self._publisher.publish(msg)
 
 
+def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: str) -> list[str]:
+    """
+    Return what is logged at configure: where depth comes from, why, what goes in and out.
+
+    Parameters
+    ----------
+    facts : mapping of str to str
+        Of the source of depth.
+    topics : mapping of str to str
+        Of the inputs, ``image`` and ``camera_info`` among them.
+    planes : str
+        Topic of the planes.
+
+    """
+    runs_on = facts.get('execution_provider')
+    lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
+             facts.get('depth_model_reason', ''),
+             f'{topics["image"]}, {topics["camera_info"]} -> {planes} and the other outputs']
+    return [line for line in lines if line]
+
+
 def status_to_msg(name: str, level: bytes, message: str, report: Report,
                   facts: Mapping[str, str]) -> DiagnosticStatus:
     """

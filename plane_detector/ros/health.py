@@ -62,7 +62,7 @@ class Health:
             self._told.add(self._gap)
             self._logger.warning(self._gap)
 
-    def status(self, report: Report, silence: str) -> tuple[bytes, str]:
+    def status(self, report: Report, silence: str, is_idle: bool = False) -> tuple[bytes, str]:
         """
         Return level and message of an active node.
 
@@ -72,6 +72,8 @@ class Health:
             What was counted since the last time.
         silence : str
             Which input is silent and why; empty if none is.
+        is_idle : bool
+            Nobody listens to an output, so that no frame is processed.
 
         """
         if silence:
@@ -81,6 +83,8 @@ class Health:
         if report.unpaired_lately and not report.stage_seconds:
             return DiagnosticStatus.WARN, ('images arrive, but no depth image with their stamp, '
                                            'within stamp_slop')
+        if is_idle:
+            return DiagnosticStatus.OK, 'idle: nobody listens to an output'
         if self._gap:
             return DiagnosticStatus.WARN, self._gap
         return DiagnosticStatus.OK, 'active'

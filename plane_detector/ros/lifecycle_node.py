@@ -13,20 +13,22 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros import parameters, qos
 from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import (
     DiagnosticsPublisher,
     Report,
     Statistics,
+    introduction,
 )
 from plane_detector.ros.fault_log import FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
 from plane_detector.ros.inputs.subscriptions import Inputs
@@ -34,7 +36,8 @@ from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings
-from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.outputs.publishers import OutputPublishers
+from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.transitions import Transitions
 from plane_detector.stopping import current_stop, raise_if_stopped
 
@@ -73,11 +76,14 @@ class PlaneDetectorNode(LifecycleNode):
         self._worker: FrameWorker | None = None
         self._retired: FrameWorker | None = None
         self._inputs: Inputs | None = None
-        self._outputs: dict[str, Any] = {}
-        self._frame_requested = self._reset_requested = False
+        self._outputs: OutputPublishers | None = None
+        self._reset_requested = False
+        self._query: PointQuery | None = None
+        self._requests = FrameRequests(self._wake)
         self._faults = FaultLog(self.get_logger())
         self._health = Health(self.get_logger())
-        self.create_service(Trigger, '~/detect', self._on_detect)
+        self.create_service(Trigger, '~/detect', self._on_detect,
+                            callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         self._transitions = Transitions(self, self._load)
@@ -106,7 +112,7 @@ class PlaneDetectorNode(LifecycleNode):
         """Load the network and create the outputs; fail with the reason if one cannot."""
         try:
             detector = self._transitions.prepared()
-            self._create_outputs()
+            self._outputs, self._query = OutputPublishers(self), PointQuery(self)
             if self._transforms is None and (self._live.settings.base_frame
                                              or self._live.settings.target_frame):
                 self._transforms = listen_to_tf(self)
@@ -114,10 +120,12 @@ class PlaneDetectorNode(LifecycleNode):
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
-        image = input_topics(self, self._live.settings.image_transport)['image']
-        self._processor = FrameProcessor(detector, self._live.settings, image, self._transforms)
+        topics = input_topics(self, self._live.settings.image_transport)
+        self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
+                                         self._transforms)
         self._worker = FrameWorker(self._work_on)
-        for line in self._introduction():
+        for line in introduction(detector.source.facts, topics,
+                                 self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
         return super().on_configure(state)
 
@@ -154,12 +162,18 @@ class PlaneDetectorNode(LifecycleNode):
     # Frames
 
     def _accept(self, frame: Frame) -> None:
-        """Leave a frame to the worker; called in the executor's thread."""
-        if self._live.settings.mode == 'on_demand' and not self._frame_requested:
+        """Leave a frame to the worker, if anybody wants it; called in the executor's thread."""
+        if not self._is_wanted():
             return
-        self._frame_requested = False
+        self._requests.accept(frame)
         if self._worker.put(frame):
             self._statistics.add_dropped(1)
+
+    def _is_wanted(self) -> bool:
+        """Whether the next frame is asked for, or all are and somebody listens to an output."""
+        if self._requests.are_waiting or self._query.is_waiting:
+            return True
+        return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
     def _work_on(self, frame: Frame) -> None:
         """Convert, call, publish, or log why not; called in the worker's thread."""
@@ -167,33 +181,33 @@ class PlaneDetectorNode(LifecycleNode):
             self._process(frame)
         except Exception as error:  # one frame must not end the node
             if not current_stop().is_set:  # what is broken off may fail in any way
-                self._statistics.add_skipped(self._faults.tell(error))
+                reason = self._faults.tell(error)
+                self._statistics.add_skipped(reason)
+                self._requests.finish(frame, False, f'frame skipped: {reason}')
         finally:
             if current_stop().is_set:  # what is kept for the next frame may be half of this one
                 self._reset_requested = True
 
     def _process(self, frame: Frame) -> None:
         self._apply_changes()
-        wanted = [n for n, output in self._outputs.items() if output.get_subscription_count()]
+        wanted = self._outputs.wanted()
         processed = self._processor.process(frame, wanted)
         start_s = time.perf_counter()
         with current_stop().uncut():
-            for name, msg in processed.messages.items():
-                self._outputs[name].publish(msg)
+            self._outputs.publish(processed.messages)
+            self._query.answer(processed.result)
         self._health.note(processed.result.detection, wanted)
         self._statistics.add_processed({**processed.stage_seconds,
                                         'publish': time.perf_counter() - start_s})
+        planes = processed.result.detection.planes
+        self._requests.finish(frame, True, describe_frame(frame.image.header, len(planes)))
 
     def _apply_changes(self) -> None:
         """Take over, between two frames, what was asked for in the meantime."""
-        processor = self._processor
-        processor.settings = parameters.with_live(processor.settings, self._live.settings)
-        config = parameters.with_live(processor.detector.config, self._live.config)
-        if processor.detector.config != config:
-            processor.detector.config = config
+        self._live.apply_to(self._processor)
         if self._reset_requested:
             self._reset_requested = False
-            processor.reset()
+            self._processor.reset()
 
     # Parameters and services
 
@@ -202,11 +216,15 @@ class PlaneDetectorNode(LifecycleNode):
         if self._inputs is not None:
             self._inputs.set_stamp_slop(self._live.settings.stamp_slop)
 
-    def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
-        response.success = self._frame_requested = self._inputs is not None
-        response.message = ('the next frame will be processed' if response.success
-                            else 'the node is not active')
-        return response
+    async def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
+        if self._inputs is None:
+            response.success, response.message = False, 'the node is not active'
+            return response
+        return await answer_trigger(response, self._requests.add())
+
+    def _wake(self) -> None:
+        if self.executor is not None:
+            self.executor.wake()
 
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._reset_requested = self._processor is not None
@@ -226,18 +244,10 @@ class PlaneDetectorNode(LifecycleNode):
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
             return DiagnosticStatus.OK, facts['state'], facts
-        return *self._health.status(report, self._inputs.problem()), facts
-
-    def _introduction(self) -> list[str]:
-        """Return what is logged at configure: where depth comes from, why, what is waited for."""
-        facts = self._processor.detector.source.facts
-        runs_on = facts.get('execution_provider')
-        topics = input_topics(self, self._live.settings.image_transport)
-        lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
-                 facts.get('depth_model_reason', ''),
-                 f'{topics["image"]}, {topics["camera_info"]} -> '
-                 f'{self.resolve_topic_name("~/planes")} and the other outputs']
-        return [line for line in lines if line]
+        silence = self._inputs.problem()
+        self._requests.expire(silence)
+        is_idle = self._live.settings.mode == 'continuous' and not self._outputs.wanted()
+        return *self._health.status(report, silence, is_idle), facts
 
     # Parts of the transitions
 
@@ -246,12 +256,6 @@ class PlaneDetectorNode(LifecycleNode):
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could be more than the memory holds
         return PlaneDetector(self._live.config, self._depth_model)
-
-    def _create_outputs(self) -> None:
-        for name, output in OUTPUTS.items():
-            self._outputs[name] = self.create_lifecycle_publisher(
-                output.msg_type, f'~/{name}', qos.output_profile(),
-                qos_overriding_options=qos.overriding_options())
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
         reason = plain(reason)
@@ -264,15 +268,17 @@ class PlaneDetectorNode(LifecycleNode):
         if self._inputs is not None:
             self._inputs.destroy()
         self._inputs = None
+        self._requests.refuse_all('the node is not active')
 
     def _release(self) -> TransitionCallbackReturn:
         self._unsubscribe()
         if self._worker is not None:
             self._worker.stop()
             self._retired, self._worker = self._worker, None
-        for publisher in self._outputs.values():
-            self.destroy_lifecycle_publisher(publisher)
-        self._outputs = {}
+        for ends in (self._outputs, self._query):
+            if ends is not None:
+                ends.destroy()
+        self._outputs = self._query = None
         self._processor = None
         self._health.clear()
         return TransitionCallbackReturn.SUCCESS

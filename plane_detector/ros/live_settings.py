@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
+from plane_detector.ros.frame_processor import FrameProcessor
 
 
 class LiveSettings:
@@ -47,6 +48,13 @@ class LiveSettings:
         node.add_pre_set_parameters_callback(self._with_floats)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._take)
+
+    def apply_to(self, processor: FrameProcessor) -> None:
+        """Give the settings to what processes frames, except those that are read at configure."""
+        processor.settings = parameters.with_live(processor.settings, self.settings)
+        config = parameters.with_live(processor.detector.config, self.config)
+        if processor.detector.config != config:
+            processor.detector.config = config
 
     def _with_floats(self, changed: list[Parameter]) -> list[Parameter]:
         return parameters.with_floats(self.settings,

@@ -153,11 +153,15 @@ class Robot:
 
     def call(self, srv_type: Any, name: str, request: Any = None) -> Any:
         """Call a service and return its response."""
-        client = self.node.create_client(srv_type, name)
-        assert self.spin(client.service_is_ready), f'no service {name}'
-        future = client.call_async(request or srv_type.Request())
+        future = self.ask(srv_type, name, request)
         assert self.spin(future.done), f'no answer from {name}'
         return future.result()
+
+    def ask(self, srv_type: Any, name: str, request: Any = None) -> Any:
+        """Call a service and return the future of its response."""
+        client = self.node.create_client(srv_type, name)
+        assert self.spin(client.service_is_ready), f'no service {name}'
+        return client.call_async(request or srv_type.Request())
 
     def is_logged(self, text: str) -> bool:
         """Spin until the nodes' log holds the text."""

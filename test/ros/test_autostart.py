@@ -7,6 +7,7 @@ from lifecycle_msgs.msg import Transition
 from node_helpers import change_state, start
 
 from plane_detector.ros import autostart, lifecycle_node
+from plane_detector.ros.diagnostics import introduction
 
 
 @pytest.fixture
@@ -56,12 +57,17 @@ def test_with_exit_on_failure_the_spinning_ends_with_the_reason(robot, tries):
         robot.spin(timeout_s=5.0)
 
 
-def test_the_log_at_configure_is_three_lines(robot):
-    def estimate(rgb):
-        raise AssertionError('no frame comes')
+def test_the_log_at_configure_is_three_lines():
+    facts = {'depth_model': 'a network', 'depth_model_reason': 'as asked for',
+             'execution_provider': 'on a GPU'}
+    topics = {'image': '/image', 'camera_info': '/camera_info'}
+    assert introduction(facts, topics, '/plane_detector/planes') == [
+        'depth from a network, on a GPU', 'as asked for',
+        '/image, /camera_info -> /plane_detector/planes and the other outputs']
 
-    estimate.name, estimate.reason, estimate.provider = 'a network', 'as asked for', 'on a GPU'
-    start(robot, estimate)
+
+def test_what_is_not_known_is_left_out_of_the_log(robot):
+    start(robot, lambda rgb: None)
     lines = [line.split(']: ')[-1] for line in robot.log().splitlines() if 'INFO' in line]
-    assert lines == ['depth from a network, on a GPU', 'as asked for',
-                     '/image, /camera_info -> /plane_detector/planes and the other outputs']
+    assert len(lines) == 2
+    assert lines[0].startswith('depth from ')

@@ -13,7 +13,7 @@ from onnx_models import millimetres_as_rgb, write_depth_network
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from ros_helpers import camera_info_msg, cloud_array, header, image_msg
+from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
@@ -38,16 +38,57 @@ def test_an_estimator_that_fails_does_not_end_the_node(robot, room):
     assert robot.wait_for('planes')[0].header == header(2.0)
 
 
-def test_on_demand_one_frame_per_call(robot, room):
+def test_on_demand_one_frame_per_call_that_is_answered_when_it_is_done(robot, room):
     start(robot, lambda rgb: room.depth_m, mode='on_demand')
     send(robot, room, 1.0)
     robot.spin(timeout_s=0.5)
     assert not robot.received['planes']
-    assert robot.call(Trigger, 'plane_detector/detect').success
+    answer = robot.ask(Trigger, 'plane_detector/detect')
+    robot.spin(timeout_s=0.3)
+    assert not answer.done(), 'no frame has come since'
     for stamp_s in (2.0, 3.0):
         send(robot, room, stamp_s)
         robot.spin(timeout_s=0.5)
     assert [msg.header for msg in robot.received['planes']] == [header(2.0)]
+    assert robot.spin(answer.done)
+    assert answer.result().success
+    count = robot.received['planes'][0].width
+    assert answer.result().message == f'{count} planes in the image of 2.000000000'
+
+
+def test_a_call_is_answered_with_the_reason_where_no_frame_is_done(robot, room):
+    start(robot, lambda rgb: room.depth_m, mode='on_demand')
+    send(robot, room, 1.0)
+    answer = robot.ask(Trigger, 'plane_detector/detect')
+    robot.spin(timeout_s=0.2)
+    robot.publish('image', image_msg(room.rgb, 'rgb32', 2.0))
+    assert robot.spin(answer.done)
+    assert not answer.result().success
+    assert 'rgb32' in answer.result().message
+    answer = robot.ask(Trigger, 'plane_detector/detect')
+    robot.spin(timeout_s=0.2)
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert robot.spin(answer.done)
+    assert answer.result().message == 'the node is not active'
+
+
+def test_nothing_is_done_while_nobody_listens(room):
+    """But for calls; the diagnostics say so."""
+    calls = []
+    robot = Robot(outputs=())
+    try:
+        start(robot, lambda rgb: calls.append(1) or room.depth_m)
+        send(robot, room, 1.0)
+        robot.spin(timeout_s=0.5)
+        assert not calls
+        assert robot.diagnosis()[0].message == 'idle: nobody listens to an output'
+        answer = robot.ask(Trigger, 'plane_detector/detect')
+        robot.spin(timeout_s=0.2)
+        send(robot, room, 2.0)
+        assert robot.spin(answer.done)
+        assert len(calls) == 1
+    finally:
+        robot.shutdown()
 
 
 def labels_of(planes):

@@ -111,7 +111,7 @@ def test_the_next_network_waits_for_the_one_that_is_still_at_work(robot, room):
 def started(tmp_path):
     """Return a function: a node as a process with a network, and a robot that it hears."""
     domain, begun = random_domain(), []
-    robot = Robot(outputs=(), domain=domain)
+    robot = Robot(outputs=('planes',), domain=domain)
 
     def begin(**kind):
         values = parameters(write_slow_network(tmp_path / 'slow.onnx', **kind))

@@ -1,0 +1,124 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The plane at a point that somebody clicks: clicked_point to ~/clicked_plane."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import PointStamped, PoseStamped
+from rclpy.lifecycle import LifecycleNode
+
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros import qos
+from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.topics import Result
+
+# derived: a click is a few pixels off; a plane that is farther away is another one.
+REACH_PX = 8
+
+
+class PointQuery:
+    """
+    Answers clicks with the next frame.
+
+    Parameters
+    ----------
+    node : LifecycleNode
+        Publishes, subscribes and logs.
+
+    """
+
+    def __init__(self, node: LifecycleNode):
+        self._node = node
+        self._clicks: list[PointStamped] = []
+        self._publisher = node.create_lifecycle_publisher(
+            PoseStamped, '~/clicked_plane', qos.output_profile(),
+            qos_overriding_options=qos.overriding_options())
+        self._subscription = node.create_subscription(
+            PointStamped, 'clicked_point', self._on_click, 10,
+            qos_overriding_options=qos.overriding_options())
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a click waits for a frame."""
+        return bool(self._clicks)
+
+    def destroy(self) -> None:
+        """End publisher and subscription."""
+        self._node.destroy_subscription(self._subscription)
+        self._node.destroy_lifecycle_publisher(self._publisher)
+
+    def answer(self, result: Result) -> None:
+        """Publish and log the plane at each click."""
+        clicks, self._clicks = self._clicks, []
+        for click in clicks:
+            try:
+                index = plane_at(result, point_in_camera(result, click))
+            except ValueError as error:
+                self._node.get_logger().warning(f'clicked point: {error}')
+                continue
+            pose = messages.poses_to_msg(result.target_header,
+                                         result.target_detection.planes).poses[index]
+            self._publisher.publish(PoseStamped(header=result.target_header, pose=pose))
+            self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
+
+    def _on_click(self, msg: PointStamped) -> None:
+        self._clicks = [*self._clicks, msg]
+
+
+def point_in_camera(result: Result, click: PointStamped) -> np.ndarray:
+    """
+    Return a clicked point (3,) in the frame of the image.
+
+    Raises
+    ------
+    ValueError
+        It is in a frame that is neither that of the image nor that of the outputs.
+
+    """
+    point_m = np.array([click.point.x, click.point.y, click.point.z])
+    frame = click.header.frame_id
+    if frame == result.header.frame_id:
+        return point_m
+    if frame == result.target_header.frame_id:
+        return result.to_target.inverse().points(point_m)
+    raise ValueError(f'it is in the frame {frame}, the planes are in '
+                     f'{result.target_header.frame_id}: take that as fixed frame, or set '
+                     f'target_frame to {frame}')
+
+
+def plane_at(result: Result, point_m: np.ndarray) -> int:
+    """
+    Return the index of the plane of the pixel that shows a point, or of the nearest pixel.
+
+    Raises
+    ------
+    ValueError
+        The point is not in the image, or no plane is near it.
+
+    """
+    x, y, z = point_m
+    camera, labels = result.intrinsics, result.detection.labels
+    if z <= 0:
+        raise ValueError('it is behind the camera')
+    column, row = round(camera.fx * x / z + camera.cx), round(camera.fy * y / z + camera.cy)
+    if not (0 <= column < camera.width and 0 <= row < camera.height):
+        raise ValueError('it is not in the image')
+    top, left = max(row - REACH_PX, 0), max(column - REACH_PX, 0)
+    near = labels[top:row + REACH_PX + 1, left:column + REACH_PX + 1]
+    rows, columns = np.nonzero((near >= 0) & (near < len(result.detection.planes)))
+    if not rows.size:
+        raise ValueError('there is no plane')
+    nearest = np.argmin((rows + top - row)**2 + (columns + left - column)**2)
+    return int(near[rows[nearest], columns[nearest]])
+
+
+def describe_plane(result: Result, index: int) -> str:
+    """Return the row of a plane in words."""
+    detection = result.detection
+    plane, rectangle = detection.planes[index], result.rectangles[index]
+    label = messages.plane_labels(detection)[index]
+    kind = PlaneClass(detection.classes[index] if detection.classes else 0)
+    return (f'plane {label}, {kind.name.lower().replace("_", " ")}, distance '
+            f'{plane.offset_m:.2f}, {rectangle.width_m:.2f} x {rectangle.height_m:.2f}, area '
+            f'{plane.area_m2:.2f}, confidence {plane.confidence:.0%}')
