@@ -22,13 +22,15 @@ setup(
     ],
     python_requires='>=3.10',
     install_requires=[
-        'numpy>=1.26', 'onnxruntime>=1.22', 'opencv-python-headless>=4.6', 'pyyaml',
+        'joblib>=1.3', 'numpy>=1.26', 'onnxruntime>=1.22', 'opencv-python-headless>=4.6', 'pyyaml',
         'scikit-learn', 'scipy', 'setuptools', 'tqdm'],
     extras_require={
         'benchmark': ['h5py', 'matplotlib', 'pyransac3d'],
+        'dask': ['dask[distributed]'],
         'demo': ['scikit-image'],
         'export': ['onnx', 'torch', 'transformers'],
         'paper': ['pyransac3d'],
+        'ray': ['ray'],
         'replay': ['rosbags'],
         'test': ['onnx', 'pytest'],
     },

@@ -29,13 +29,16 @@ MOST_FILE_LINES, MOST_FUNCTION_LINES = 300, 40
 
 # Third-party imports of the package, and the rosdep key that brings each.
 ROSDEP_KEYS = {
-    'cv2': 'python3-opencv', 'numpy': 'python3-numpy',
+    'cv2': 'python3-opencv',
+    'joblib': 'python3-sklearn',  # which depends on it
+    'numpy': 'python3-numpy',
     'onnxruntime': 'python3-onnxruntime-pip', 'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy', 'skimage': 'python3-skimage', 'sklearn': 'python3-sklearn',
     'tf2_ros': 'tf2_ros_py', 'threadpoolctl': 'python3-sklearn',  # which depends on it
     'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
-EXTRAS = {'h5py', 'matplotlib', 'pyransac3d', 'onnx', 'torch', 'transformers', 'open3d'}
+EXTRAS = {'dask', 'h5py', 'matplotlib', 'onnx', 'open3d', 'pyransac3d', 'ray', 'torch',
+          'transformers'}
 
 
 def modules_imported(path: Path) -> set[str]:

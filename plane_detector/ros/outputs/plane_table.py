@@ -86,7 +86,11 @@ def boundaries_to_msg(header: Header, labels: Iterable[int],
             table['label'], table['hole'] = label, polygon.is_hole
             table['polygon'] = len(tables) - 1
             tables.append(table)
-    return _table_msg(header, np.concatenate(tables))
+    # Joined field by field: np.concatenate leaves the bytes between them as they are in memory.
+    joined = np.zeros(sum(map(len, tables)), CORNER_DTYPE)
+    for name in CORNER_DTYPE.names:
+        joined[name] = np.concatenate([table[name] for table in tables])
+    return _table_msg(header, joined)
 
 
 def _table_msg(header: Header, table: np.ndarray) -> PointCloud2:

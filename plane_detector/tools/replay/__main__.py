@@ -8,18 +8,23 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from plane_detector.config import Config
 from plane_detector.stopping import Stopped, leave
-from plane_detector.tools.replay.arguments import TOPICS, make_parser
+from plane_detector.tools.replay.arguments import TOPICS, parse
 from plane_detector.tools.replay.node_settings import load_settings
-from plane_detector.tools.replay.signals import stop_on_signal
+from plane_detector.tools.replay.signals import ShouldStop, stop_on_signal
+
+if TYPE_CHECKING:
+    from plane_detector.tools.replay.options import ReplayOptions
 
 _FAILED, _DAMAGED, _INTERRUPTED = 1, 3, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Replay a bag; return the exit code, see `--help`."""
-    options = make_parser().parse_args(arguments)
+    """Replay one bag or many; return the exit code, see `--help`."""
+    options = parse(sys.argv[1:] if arguments is None else arguments)
     try:
         # Imported here, so that a missing library is one line and no traceback.
         with stop_on_signal() as should_stop:
@@ -31,9 +36,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return leave(_FAILED)
 
 
-def _run(arguments: argparse.Namespace, should_stop) -> int:
+def _run(arguments: argparse.Namespace, should_stop: ShouldStop) -> int:
+    from plane_detector.tools.replay.find_bags import is_collection
+    paths, folder = list(arguments.paths), arguments.output_folder
+    if folder is None and (len(paths) > 2 or is_collection(paths[0])):
+        folder = Path(paths.pop() if len(paths) > 1 else f'{Path(paths[0]).name}_planes')
+    if folder is not None:
+        return _run_many(arguments, paths, folder, should_stop)
+    source = Path(paths[0])
+    target = Path(paths[1]) if len(paths) > 1 else Path(f'{source.stem}_planes')
+    return _run_one(_options(arguments, source, target), should_stop)
+
+
+def _run_one(options: ReplayOptions, should_stop: ShouldStop) -> int:
     from plane_detector.tools.replay.run import replay
-    options = _options(arguments)
     tally = replay(options, should_stop)
     print(tally.describe())
     if tally.processed:
@@ -46,13 +62,29 @@ def _run(arguments: argparse.Namespace, should_stop) -> int:
     return _DAMAGED if tally.damaged else 0
 
 
-def _options(arguments: argparse.Namespace):
+def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path,
+              should_stop: ShouldStop) -> int:
+    from plane_detector.tools.replay import many
+    from plane_detector.tools.replay.find_bags import find_bags
+    bags = find_bags(inputs, folder.resolve())
+    jobs = many.make_jobs(bags, folder, _options(arguments, Path(), folder))
+    pool = many.Pool(arguments.backend, arguments.jobs, arguments.scheduler)
+    summaries = many.replay_many(jobs, folder, pool, should_stop)
+    print(many.describe(summaries))
+    print(f'The planes are in {folder}, this table in {folder / many.SUMMARY_NAME}')
+    states = {one.state for one in summaries}
+    if should_stop():
+        return _INTERRUPTED
+    if not states <= {'finished', 'done before'}:
+        return _FAILED
+    return _DAMAGED if any(one.damaged for one in summaries) else 0
+
+
+def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:
     from plane_detector.tools.replay.options import ReplayOptions
     config, settings = load_settings(arguments.params_file, _assignments(arguments))
     return ReplayOptions(
-        source=arguments.input,
-        target=arguments.output or Path(f'{arguments.input.stem}_planes'),
-        config=config, settings=settings,
+        source=source, target=target, config=config, settings=settings,
         topics={role: name for role in TOPICS if (name := getattr(arguments, role))},
         depth_by_bag=_depth_is_open(arguments, config),
         start_s=arguments.start, duration_s=arguments.duration, every=arguments.every,
@@ -72,7 +104,7 @@ def _assignments(arguments: argparse.Namespace) -> list[str]:
     return [*by_depth, *arguments.parameter]
 
 
-def _depth_is_open(arguments: argparse.Namespace, config) -> bool:
+def _depth_is_open(arguments: argparse.Namespace, config: Config) -> bool:
     """Whether nobody said where depth comes from: neither a topic, nor a network, nor a use."""
     named = {text.partition(':=')[0] for text in arguments.parameter}
     return (not arguments.depth and arguments.network is None

@@ -26,7 +26,7 @@ except ModuleNotFoundError as error:
         f'{error}: bags are read and written by the library rosbags, which is installed by '
         'pip install rosbags', name=error.name) from error
 
-_FILES = ('.bag', '.mcap', '.db3')
+FILE_SUFFIXES = ('.bag', '.mcap', '.db3')
 # Where a bag is damaged, reading goes on after a pause of at least this, found by bisection.
 _FINEST_SKIP_NS = 1_000_000
 
@@ -250,12 +250,13 @@ def _storage(path: Path) -> Path:
     if not path.exists():
         raise FileNotFoundError(f'there is no bag {path}')
     if not path.is_dir():
-        if path.suffix not in _FILES:
-            raise BagError(f'{path} is no bag: a rosbag2 folder or a file {", ".join(_FILES)} is')
+        if path.suffix not in FILE_SUFFIXES:
+            raise BagError(f'{path} is no bag: a rosbag2 folder or a file '
+                           f'{", ".join(FILE_SUFFIXES)} is')
         return path
     if (path / 'metadata.yaml').exists():
         return path
-    files = [file for file in path.iterdir() if file.suffix in _FILES]
+    files = [file for file in path.iterdir() if file.suffix in FILE_SUFFIXES]
     if len(files) == 1:  # a recording that was killed
         return files[0]
     raise BagError(f'{path} is no bag: it has no metadata.yaml. {_listing(path)} Of a folder '

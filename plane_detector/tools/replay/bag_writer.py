@@ -56,6 +56,11 @@ class BagWriter:
     compressed : bool
         Whether messages are compressed by zstd.
 
+    Attributes
+    ----------
+    is_full : bool
+        Whether there was no room for what was written last, which was taken back.
+
     Raises
     ------
     FileExistsError
@@ -74,6 +79,7 @@ class BagWriter:
         self._connections: dict[str, Connection] = {}
         self._fields: dict[str, str] = {}
         self._pending_bytes, self._committed_s = 0, time.monotonic()
+        self.is_full = False
 
     def __enter__(self) -> BagWriter:
         return self
@@ -118,16 +124,24 @@ class BagWriter:
                 self._connections[topic] = self._copied(bag, bag.connection(topic))
 
     def write(self, topic: str, time_ns: int, msg: Any) -> None:
-        """Write a message of an announced topic."""
-        self._put(topic, time_ns, serialize_message(msg))
+        """Write a message of an announced topic; the same message is the same bytes."""
+        kind = self._connections[topic].msgtype
+        # The middleware leaves whatever was in memory between the fields; rosbags writes zeros.
+        plain = self._types.deserialize_cdr(serialize_message(msg), kind)
+        self._put(topic, time_ns, self._types.serialize_cdr(plain, kind))
 
     def copy(self, recorded: Recorded) -> None:
         """Write a recorded message of an announced topic."""
         self._put(recorded.topic, recorded.time_ns, recorded.cdr)
 
-    def end_frame(self) -> None:
+    def end_frame(self) -> bool:
         """
         Say that the messages of a frame are complete; once a second they go into the file.
+
+        Returns
+        -------
+        bool
+            Whether they are in the file now.
 
         Raises
         ------
@@ -138,12 +152,18 @@ class BagWriter:
         now_s = time.monotonic()
         if (self._pending_bytes >= _COMMIT_BYTES
                 or now_s - self._committed_s >= _COMMIT_PERIOD_S):
-            self._writer.commit()
-            self._pending_bytes, self._committed_s = 0, now_s
+            self.commit()
+            return True
+        return False
 
     def commit(self) -> None:
         """Bring all that was written into the file now; see `end_frame`."""
-        self._writer.commit()
+        try:
+            self._writer.commit()
+        except OSError:
+            self.is_full = True
+            raise
+        self._pending_bytes, self._committed_s = 0, time.monotonic()
 
     def _put(self, topic: str, time_ns: int, cdr: bytes | memoryview) -> None:
         self._writer.write(self._connections[topic], time_ns, cdr)

@@ -5,8 +5,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
-from plane_detector.config import Config
+from plane_detector.config import Config, DepthConfig
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.tools.replay.bag_reader import BagReader
 from plane_detector.tools.replay.bag_topics import InputTopics, registered_depth
@@ -64,3 +67,28 @@ def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) ->
         return DepthChoice(config, '', f'because {what}')
     measured = replace(config, depth=replace(config.depth, source='topic'))
     return DepthChoice(measured, topic, f'{what}; --network takes a network instead')
+
+
+def make_detector(config: Config, depth_model: ModelOrFunction | None,
+                  thread: int) -> PlaneDetector:
+    """
+    Return a pipeline; its network is the one that this thread has loaded before, if it is.
+
+    Parameters
+    ----------
+    config : Config
+    depth_model : DepthModel, callable or None
+        Takes the place of the network.
+    thread : int
+        Who will use it: two threads do not share a network.
+
+    """
+    if depth_model is None and config.depth.source == 'model':
+        depth_model = _network(config.depth, thread)
+    return PlaneDetector(config, depth_model)
+
+
+@lru_cache(maxsize=8)
+def _network(config: DepthConfig, _thread: int) -> DepthEstimator:
+    """Return a network, one for each thread: a worker loads it once for all its bags."""
+    return DepthEstimator(config)

@@ -5,16 +5,17 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from tqdm import tqdm
 
 from plane_detector.depth.observation import ModelOrFunction
-from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.frame_processor import FrameProcessor, Processed
 from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -28,7 +29,11 @@ from plane_detector.tools.replay.bag_topics import (
 )
 from plane_detector.tools.replay.bag_writer import BagWriter
 from plane_detector.tools.replay.copies import CopiedMessages
-from plane_detector.tools.replay.depth_choice import DepthChoice, choose_depth
+from plane_detector.tools.replay.depth_choice import (
+    DepthChoice,
+    choose_depth,
+    make_detector,
+)
 from plane_detector.tools.replay.exports import ReplayFiles
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.part_folder import PartFolder
@@ -45,8 +50,7 @@ NODE_NAME = '/plane_detector'
 
 
 def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
-           depth_model: ModelOrFunction | None = None,
-           tell: Callable[[str], None] = lambda line: print(line, file=sys.stderr)) -> Tally:
+           depth_model: ModelOrFunction | None = None, quiet: bool = False) -> Tally:
     """
     Replay a bag.
 
@@ -57,8 +61,8 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
         Asked before and during every frame; what is written stays whole.
     depth_model : DepthModel or callable, optional
         Takes the place of the network, as in :class:`PlaneDetector`.
-    tell : callable
-        Takes lines for people, before the first frame.
+    quiet : bool
+        Whether what is read and how far it is stays unsaid.
 
     Raises
     ------
@@ -81,19 +85,22 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
         part_ns = _part_asked_for(bag, camera.image, options)
         folder = opened.enter_context(PartFolder(options.target, options.leftover))
         choice = choose_depth(bag, camera, options)
-        detector = until_stopped(lambda: PlaneDetector(choice.config, depth_model), should_stop)
+        detector = until_stopped(partial(make_detector, choice.config, depth_model,
+                                         threading.get_ident()), should_stop)
         processor = FrameProcessor(detector, options.settings, camera.image)
         wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
         topics = with_companions(bag, camera, wanted, depth_use(choice.config, processor.output),
                                  options.settings.use_imu)
         depth = choice.describe(detector)
-        tell(f'Reading {", ".join(topics.names)} of {options.source}\nDepth: {depth}')
+        if not quiet:
+            print(f'Reading {", ".join(topics.names)} of {options.source}\nDepth: {depth}',
+                  file=sys.stderr)
         earlier = read_earlier(folder.before)
         files = opened.enter_context(ReplayFiles(options.figures, options.ply, options.table,
                                                  earlier.next_index))
         with BagWriter(folder.bag, options.storage, options.compressed) as writer:
             run = _Run(options, bag, part_ns, topics, choice, processor, writer, files)
-            tally = run.to_end(earlier, should_stop, depth)
+            tally = run.to_end(earlier, should_stop, depth, quiet)
         _keep(folder, tally)
         return tally
 
@@ -120,15 +127,17 @@ class _Run:
             depth_use(choice.config, processor.output), options.settings.stamp_slop,
             choice.config.scale.imu_to_camera)
         self._tally = Tally()
+        self._uncommitted: list[int] = []
         self._facts: dict[str, str] = {}
 
-    def to_end(self, earlier: Earlier, should_stop: ShouldStop, depth: str) -> Tally:
+    def to_end(self, earlier: Earlier, should_stop: ShouldStop, depth: str,
+               quiet: bool) -> Tally:
         """Process all frames; an error of a bag ends it, one of a frame or a message does not."""
         tally = self._tally
         tally.depth, self._facts = depth, {'depth': depth}
         try:
             self._announce(earlier)
-            self._process_all(should_stop)
+            self._process_all(should_stop, quiet)
         except Stopped:
             tally.interrupted = True
         except (BagError, OSError) as error:
@@ -151,9 +160,10 @@ class _Run:
         done = copy_earlier(earlier, writer, self._tally)
         self._copies = CopiedMessages(writer, copied, self._topics, options.every, done)
 
-    def _process_all(self, should_stop: ShouldStop) -> None:
+    def _process_all(self, should_stop: ShouldStop, quiet: bool) -> None:
         first = self._tally.resumed_at
-        with tqdm(total=self._expected_frames(), unit='frame', disable=None) as progress:
+        with tqdm(total=self._expected_frames(), unit='frame',
+                  disable=True if quiet else None) as progress:
             for index, (time_ns, frame) in enumerate(self._timed_frames()):
                 if should_stop():
                     raise Stopped
@@ -181,7 +191,8 @@ class _Run:
         start_s = time.perf_counter()
         self._writer.write(DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
             frame.image.header, index, tally, self._facts, stages, error))
-        self._writer.end_frame()
+        if self._writer.end_frame():
+            self._uncommitted.clear()
         tally.stage_seconds['write'] += time.perf_counter() - start_s
 
     def _write(self, index: int, time_ns: int, processed: Processed) -> None:
@@ -198,17 +209,22 @@ class _Run:
         tally.stage_seconds['write'] += time.perf_counter() - start_s
         tally.processed += 1
         tally.planes += len(detection.planes)
+        self._uncommitted.append(len(detection.planes))
         scale = scale_of(self._source, detection)
         tally.scales[scale] += 1
         self._facts['scale'] = scale
 
     def _close_books(self) -> None:
         """Bring all into the file, and how it ended into its metadata."""
+        tally = self._tally
         try:
             self._writer.commit()
         except OSError as error:
-            self._tally.failure = self._tally.failure or str(error)
-        self._writer.describe({**self._tally.to_fields(), 'replay.source': self._bag.path.name,
+            tally.failure = tally.failure or str(error)
+        if self._writer.is_full:
+            tally.processed -= len(self._uncommitted)
+            tally.planes -= sum(self._uncommitted)
+        self._writer.describe({**tally.to_fields(), 'replay.source': self._bag.path.name,
                                'replay.options': self._options.fingerprint})
 
     def _timed_frames(self) -> Iterator[tuple[int, Frame]]:
