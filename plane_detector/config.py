@@ -51,6 +51,9 @@ class DepthConfig(Settings, section='depth'):
     input_scale: float = setting(
         1.0 / 255.0, 'pixel values are multiplied by this first; ignored for networks of the '
         'zoo', low=1e-9, read_only=True)
+    noise_share: float = setting(
+        0.0, 'typical error of disparity as a share of its range in an image; 0: unknown; '
+        'ignored for networks of the zoo', '', 0.0, 1.0, read_only=True)
     max_depth: float = setting(
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
     damping: float = setting(

@@ -230,10 +230,16 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
 
 
 def _noise_floor(seen: Observation, config: Config) -> Noise:
-    """Return the least noise of the disparity in its own unit."""
-    if seen.output != 'relative_disparity':
-        return metric_noise_floor(config, seen.disparity_noise)
-    if config.segmentation.method == 'paper':
+    """
+    Return the least noise of the disparity in its own unit.
+
+    Where it goes with the disparities of the image, the unit says nothing, so that relative
+    disparity and metres of one scene give the same planes.
+    """
+    if seen.output != 'relative_disparity' and (
+            config.segmentation.disparity_noise or not seen.noise_share):
+        return metric_noise_floor(config)
+    if config.segmentation.method == 'paper' and seen.output == 'relative_disparity':
         raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
                          'relative_disparity')
     return unitless_noise_floor(seen.disparity, seen.disparity_noise)

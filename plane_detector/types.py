@@ -108,9 +108,9 @@ class DepthModel(Protocol):
     output : str
         What it predicts: ``metric_depth`` (metres), ``disparity`` (1/metres) or
         ``relative_disparity`` (unknown scale and shift).
-    disparity_noise : float
-        Typical error of 1/depth per metre, for relative disparity as a share of the range of the
-        image; 0: not known.
+    noise_share : float
+        Typical error of its disparity as a share of the disparities of the image, see
+        :func:`~plane_detector.geometry.disparity.noise_reference`; 0: not known.
     focal_per_height : float
         Focal length over image height that metres are right for; 0: not known.
     facts : mapping of str to str
@@ -119,7 +119,7 @@ class DepthModel(Protocol):
     """
 
     output: str
-    disparity_noise: float
+    noise_share: float
     focal_per_height: float
 
     @property

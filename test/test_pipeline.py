@@ -9,7 +9,9 @@ from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_plan
 from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.peers import plane_array
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
+from plane_detector.geometry.disparity import noise_reference
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)
@@ -17,12 +19,12 @@ SCALE, SHIFT = 0.02, 0.05
 TOPIC = Config(depth=DepthConfig(source='topic'))
 
 
-def network(output, disparity_noise=0.0):
+def network(output, noise_share=0.0):
     """Return a model that gives the truth in the unit that it is told to."""
     disparity = 1 / SCENE.depth_m
     values = {'metric_depth': SCENE.depth_m, 'disparity': disparity,
               'relative_disparity': (disparity - SHIFT) / SCALE}[output]
-    return DepthFunction(lambda rgb: values, output, disparity_noise)
+    return DepthFunction(lambda rgb: values, output, noise_share)
 
 
 def detect(model, config=None):
@@ -72,8 +74,59 @@ def test_relative_disparity_without_scale_says_so_and_has_labels_all_the_same():
 
 
 def test_the_noise_that_a_network_is_known_for_is_taken():
-    assert detect(network('metric_depth', 0.02)).disparity_noise >= 0.02
-    assert detect(network('metric_depth')).disparity_noise < 0.01
+    least = 0.05 * noise_reference(1 / SCENE.depth_m)
+    assert detect(network('metric_depth', 0.05)).disparity_noise >= least * (1 - 1e-6)
+    assert detect(network('metric_depth')).disparity_noise < 0.5 * least
+
+
+def labels_of(depth_m, output, noise_share, shift=0.0):
+    """Return the labels by a network that gives this depth in the unit that it is told to."""
+    disparity = (1 / depth_m + shift) / SCALE
+    values = depth_m if output == 'metric_depth' else disparity
+    config = Config(DepthConfig(max_depth=1e4), ScaleConfig(method='none'))
+    intrinsics = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, *depth_m.shape[::-1])
+    model = DepthFunction(lambda rgb: values.astype(np.float32), output, noise_share)
+    return PlaneDetector(config, model).detect(
+        np.zeros((*depth_m.shape, 3), np.uint8), intrinsics).labels
+
+
+@pytest.mark.parametrize('noise_share', [0.006, 0.0175])
+def test_metres_and_relative_disparity_of_one_scene_give_the_same_segments(noise_share):
+    depth_m = with_disparity_noise(SCENE.depth_m, 0.002, np.random.default_rng(0))
+    metric = labels_of(depth_m, 'metric_depth', noise_share)
+    assert metric.max() > 2
+    for shift in (0.0, -0.05, 0.02):
+        relative = labels_of(depth_m, 'relative_disparity', noise_share, shift)
+        assert np.mean(relative == metric) > 0.995
+
+
+def test_a_scene_ten_times_as_large_has_the_same_segments():
+    depth_m = with_disparity_noise(SCENE.depth_m, 0.002, np.random.default_rng(0))
+    room, hall = (labels_of(size * depth_m, 'metric_depth', 0.01) for size in (1, 10))
+    assert np.mean(room == hall) > 0.995
+
+
+def street_m(width=320, height=240):
+    """Return a street seen from above, 40 m, with two roofs at 25 and 30 m; and its parts."""
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    depth_m = 1 / (1 / 40 + 2e-6 * (y - 120) + 1e-6 * (x - 160))
+    parts = np.zeros((height, width), int)
+    for part, (rows, columns, roof_m) in enumerate(
+            ((slice(20, 100), slice(20, 120), 25.0), (slice(120, 220), slice(200, 300), 30.0)), 1):
+        depth_m[rows, columns], parts[rows, columns] = roof_m, part
+    return depth_m, parts
+
+
+def test_street_and_roofs_from_above_are_apart():
+    depth_m, parts = street_m()
+    depth_m = with_disparity_noise(depth_m, 0.0001, np.random.default_rng(0)).astype(float)
+    camera = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
+    assert len(segment_planes(depth_m, camera, disparity_noise=0.004).planes) < 3, 'as in a room'
+    labels = labels_of(depth_m, 'metric_depth', 0.009)
+    most = [np.bincount(labels[parts == part] + 1).argmax() - 1 for part in range(3)]
+    assert min(most) >= 0 and len(set(most)) == 3
+    for part, label in enumerate(most):
+        assert np.mean(labels[parts == part] == label) > 0.95
 
 
 def test_measured_depth_needs_no_network():

@@ -50,9 +50,9 @@ class DepthEstimator:
         Of the network: a name of the zoo or a path.
     reason : str
         Why this network and this execution provider were taken.
-    disparity_noise : float
-        Typical error of 1/depth per metre, for relative networks as a share of the image's
-        disparity range; 0 where it is not known.
+    noise_share : float
+        Typical error of its disparity as a share of the disparities of the image; 0 where it is
+        not known.
     focal_per_height : float
         Focal length over image height that the network assumes, 0 where it is not known.
     provider : str
@@ -73,7 +73,7 @@ class DepthEstimator:
         self.name = network.name if network else str(self._path)
         self._reader = _reader(config, network)
         self.output, self.needs_lens = self._reader.kind, self._reader.needs_lens
-        self.disparity_noise = network.disparity_noise if network else 0.0
+        self.noise_share = network.noise_share if network else config.noise_share
         self.focal_per_height = network.focal_per_height if network else 0.0
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)

@@ -18,7 +18,7 @@ from plane_detector.config import Config
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.focal_correction import lens_factor
 from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
-from plane_detector.geometry.disparity import disparity_range, to_depth, to_disparity, valid_depth
+from plane_detector.geometry.disparity import noise_reference, to_depth, to_disparity, valid_depth
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
 
@@ -37,9 +37,9 @@ class Observation:
         The prediction is the measurement of a sensor, so that its metres are metres.
     sensor_depth_m : (H, W) floating or None
         Measured depth that may fix the scale of the prediction.
-    typical_noise : float
-        Standard deviation of 1/depth that the source is known for, per metre; for relative
-        disparity as a share of its range; 0: not known.
+    noise_share : float
+        Standard deviation of the disparity that the source is known for, as a share of the
+        disparities of an image; 0: not known.
     edge_blur_px : float
         How far edges may be off, in pixels of this image; 0: they are sharp.
     depth_seconds : float
@@ -52,7 +52,7 @@ class Observation:
     prediction: Prediction
     is_measured: bool = False
     sensor_depth_m: np.ndarray | None = None
-    typical_noise: float = 0.0
+    noise_share: float = 0.0
     edge_blur_px: float = 0.0
     depth_seconds: float = 0.0
 
@@ -70,9 +70,7 @@ class Observation:
     @property
     def disparity_noise(self) -> float:
         """What the source is known for, in the unit of the disparity."""
-        if self.typical_noise and self.output == 'relative_disparity':
-            return self.typical_noise * disparity_range(self.disparity)
-        return self.typical_noise
+        return self.noise_share and self.noise_share * noise_reference(self.disparity)
 
     def restricted_to(self, covered: np.ndarray) -> Observation:
         """Return the observation, invalid where ``covered`` (H, W) bool is False."""
@@ -154,7 +152,7 @@ class ModelDepth:
             values = values * np.float32(factor if output == 'metric_depth' else 1 / factor)
         values = _without_the_far(values, output, config.depth.max_depth)
         seen = Observation(rgb, intrinsics, replace(prediction, values=values),
-                           sensor_depth_m=depth_m, typical_noise=self.model.disparity_noise,
+                           sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         return self._averaged(seen, config.depth.damping)
 
@@ -187,7 +185,7 @@ class DepthFunction:
         Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) floating, NaN invalid.
     output : str
         What it returns: ``metric_depth``, ``disparity`` or ``relative_disparity``.
-    disparity_noise, focal_per_height
+    noise_share, focal_per_height
         As in :class:`~plane_detector.types.DepthModel`.
     blur_px : float
         How far the edges of its depth may be off, in pixels.
@@ -203,7 +201,7 @@ class DepthFunction:
 
     function: Callable[[np.ndarray], np.ndarray]
     output: str = 'metric_depth'
-    disparity_noise: float = 0.0
+    noise_share: float = 0.0
     focal_per_height: float = 0.0
     blur_px: float = 0.0
 
@@ -251,7 +249,7 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
 
 def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> DepthFunction:
     """Return a plain function as a depth model."""
-    wanted = ('output', 'disparity_noise', 'focal_per_height', 'facts', 'edge_blur_px', 'predict')
+    wanted = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'predict')
     there = [name for name in wanted if hasattr(function, name)]
     if there:
         raise ValueError(f'the depth model has {", ".join(there)}, but not '

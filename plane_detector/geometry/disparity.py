@@ -15,6 +15,9 @@ import numpy as np
 MIN_DEPTH_M = 1e-3
 # A range that a few stray pixels do not widen.
 RANGE_QUANTILES = (0.02, 0.98)
+# derived: below what rooms and streets have, 0.5 to 2.7 times their median disparity, so that it
+# only acts where one surface fills the image.
+LEAST_RANGE_OF_LEVEL = 0.25
 
 
 def valid_depth(depth_m: np.ndarray) -> np.ndarray:
@@ -101,6 +104,40 @@ def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not valid.all():
         disparity = np.where(valid, disparity, 0)
     return disparity.astype(np.float32, copy=False), valid
+
+
+def noise_reference(disparity: np.ndarray) -> float:
+    """
+    Return what the noise of a network is a share of: the range of the disparities of an image.
+
+    The errors of networks go with the disparities that a scene has. A level per metre that is
+    right in a room, where they lie between 0.2 and 1, swallows a street, where they lie between
+    0.01 and 0.06. Their range goes with any unit and does not change with a shift. A surface that
+    fills the image has hardly any; a quarter of its median is the least.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        Affine in 1/z, in any unit; not finite where invalid.
+
+    Returns
+    -------
+    float
+        In the unit of the disparity, above 0.
+
+    Examples
+    --------
+    >>> street = np.linspace(0.01, 0.06, 100 * 100).reshape(100, 100)
+    >>> round(noise_reference(street), 3), round(noise_reference(20 * street), 2)
+    (0.048, 0.96)
+    >>> round(noise_reference(np.full((100, 100), 0.5)), 3)
+    0.125
+
+    """
+    sample = disparity[::4, ::4]
+    sample = sample[np.isfinite(sample)]
+    level = abs(float(np.median(sample))) if sample.size else 0.0
+    return max(disparity_range(disparity), LEAST_RANGE_OF_LEVEL * level)
 
 
 def disparity_range(disparity: np.ndarray) -> float:

@@ -120,7 +120,7 @@ def test_a_path_needs_the_meaning_of_its_output(tmp_path):
     with pytest.raises(ValueError, match=r'depth\.output must say'):
         DepthEstimator(config_for(path, output='auto'))
     estimate = DepthEstimator(config_for(path))
-    assert (estimate.name, estimate.disparity_noise, estimate.focal_per_height) == (
+    assert (estimate.name, estimate.noise_share, estimate.focal_per_height) == (
         str(path), 0.0, 0.0)
 
 
@@ -208,7 +208,7 @@ def test_fastdepth_brings_its_own_facts():
     fastdepth_path()
     estimate = DepthEstimator(DepthConfig(model='fastdepth'))
     assert estimate.output == 'metric_depth'
-    assert estimate.disparity_noise == NETWORKS['fastdepth'].disparity_noise
+    assert estimate.noise_share == NETWORKS['fastdepth'].noise_share
     assert estimate.input_size(640, 480) == (224, 224)
     with pytest.raises(ValueError, match='leave it at auto'):
         DepthEstimator(DepthConfig(model='fastdepth', output='relative_disparity'))

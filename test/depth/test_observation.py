@@ -59,26 +59,35 @@ def test_half_a_depth_model_is_refused_with_what_it_lacks():
     def wall(rgb):
         return VALUES
     wall.output = 'relative_disparity'
-    with pytest.raises(ValueError, match='has output, but not disparity_noise, focal_per_height'):
+    with pytest.raises(ValueError, match='has output, but not noise_share, focal_per_height'):
         make_source(Config(), wall)
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
 def test_a_prediction_has_disparity_whatever_it_is(output):
     values = VALUES if output == 'metric_depth' else 1 / VALUES.clip(0.1, 50)
-    source = ModelDepth(DepthFunction(lambda rgb: values, output, disparity_noise=0.01))
+    source = ModelDepth(DepthFunction(lambda rgb: values, output, noise_share=0.01))
     found = source.observe(RGB, CAMERA, None, Config())
     assert found.output == output and not found.is_measured
     np.testing.assert_allclose(found.disparity[1:], 0.5)
 
 
-def test_noise_of_relative_disparity_is_a_share_of_its_range():
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
+def test_noise_is_a_share_of_the_disparities_of_the_image_in_any_unit(output):
     ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
-    relative, metric = (Observation(RGB, CAMERA, Prediction(output, ramp), typical_noise=0.1)
-                        for output in ('relative_disparity', 'disparity'))
-    assert relative.disparity_noise == pytest.approx(2.0, rel=0.06)
-    assert metric.disparity_noise == 0.1
-    assert replace(relative, typical_noise=0.0).disparity_noise == 0.0
+    for unit in (1, 0.01):
+        values = 1 / (unit * ramp) if output == 'metric_depth' else unit * ramp
+        seen = Observation(RGB, CAMERA, Prediction(output, values), noise_share=0.1)
+        assert seen.disparity_noise == pytest.approx(2.0 * unit, rel=0.06)
+        assert replace(seen, noise_share=0.0).disparity_noise == 0.0
+
+
+def test_a_shift_does_not_change_the_noise_and_a_wall_that_fills_the_image_has_some():
+    ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
+    noise = [Observation(RGB, CAMERA, Prediction('relative_disparity', values),
+                         noise_share=0.1).disparity_noise for values in (
+                             ramp, ramp - 9, np.full((40, 40), 8.0), np.full((40, 40), np.nan))]
+    np.testing.assert_allclose(noise, [noise[0], noise[0], 0.1 * 2, 0], rtol=1e-5, atol=1e-30)
 
 
 @pytest.mark.parametrize('source', [
@@ -103,7 +112,7 @@ def test_no_depth_farther_than_the_largest_says_nothing_of_an_unknown_unit():
 
 def test_a_sensor_measures():
     found = SensorDepth().observe(RGB, CAMERA, VALUES, TOPIC)
-    assert found.is_measured and found.typical_noise == found.edge_blur_px == 0
+    assert found.is_measured and found.noise_share == found.edge_blur_px == 0
     with pytest.raises(ValueError, match='depth.source is topic'):
         SensorDepth().observe(RGB, CAMERA, None, TOPIC)
 

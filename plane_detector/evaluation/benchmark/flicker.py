@@ -27,7 +27,7 @@ from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.sequences import FRAMES, MOTIONS, View, sequence
-from plane_detector.geometry.disparity import disparity_range, to_disparity
+from plane_detector.geometry.disparity import noise_reference, to_disparity
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 SIGMAS = (0.004, 0.01)
@@ -145,7 +145,7 @@ def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
         if estimate.output == 'metric_depth':
             disparity = to_disparity(disparity)
         relative = estimate.output == 'relative_disparity'
-        known = estimate.disparity_noise * (disparity_range(disparity) if relative else 1.0)
+        known = estimate.noise_share * noise_reference(disparity)
         for k, keep in enumerate(keeps):
             states[k] = damp_flicker(states[k], disparity, noisy, keep, same_scale=not relative)
             if index >= FRAMES - _JUDGED:

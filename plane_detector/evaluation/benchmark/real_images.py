@@ -76,16 +76,16 @@ def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
          'predicted planes that hold over a tenth of each of them.')
     emit(*(f'Contact sheet: `{path}`' for path in write_sheets(compared, output)))
     if estimate is not None:
-        _report_pieces(compared, estimate.disparity_noise)
+        _report_pieces(compared)
 
 
-def _report_pieces(compared: Sequence[Comparison], noise: float) -> None:
+def _report_pieces(compared: Sequence[Comparison]) -> None:
     """Print which share of the large planes one plane holds, and which share one could hold."""
     rows = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         shares = np.array([pair for one in group if one.network for pair in held_and_holdable(
             one.sensor.labels, one.network.labels, one.network.depth_m, one.frame.intrinsics,
-            noise, np.random.default_rng(0))]).reshape(-1, 2)
+            one.network.disparity_noise, np.random.default_rng(0))]).reshape(-1, 2)
         if len(shares):
             rows.append([name, str(len(shares)), *(
                 f'{value:.2f}' for value in (*shares.mean(0), *shares.min(0)))])
@@ -94,7 +94,7 @@ def _report_pieces(compared: Sequence[Comparison], noise: float) -> None:
                 'worst could hold'), rows),
          f'Planes of the sensor over {LARGE_PLANE_SHARE:.0%} of the image: the share of their '
          'pixels that the predicted plane with most of them holds, and the share within '
-         f'{NEAR_DEVIATIONS:g} deviations of the noise ({noise:g} 1/m) of the best plane '
+         f'{NEAR_DEVIATIONS:g} deviations of the noise of the frame of the best plane '
          'through the network\'s depth there, found with the sensor\'s labels at hand.')
 
 

@@ -168,7 +168,7 @@ def test_without_annotations_the_truth_must_be_another(tmp_path):
 def test_the_network_has_rows_and_a_figure_of_its_own(file, run, tmp_path, monkeypatch):
     depth_m = nyu_room(SEEDS[0]).depth_m[ROWS, COLUMNS]
     network = DepthFunction(lambda rgb: (3 / depth_m + 0.5).astype(np.float32),
-                            'relative_disparity', disparity_noise=0.001)
+                            'relative_disparity', noise_share=0.001)
     monkeypatch.setattr(nyu_frames, 'DepthEstimator', lambda config: network)
     nyu_frames._detector.cache_clear()
     (tmp_path / 'frames.txt').write_text('1')

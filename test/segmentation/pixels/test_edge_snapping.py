@@ -107,7 +107,7 @@ def blurred_depth(rgb):
 def blurred_network(output):
     def values(rgb):
         return blurred_depth(rgb) if output == 'metric_depth' else 1 / blurred_depth(rgb)
-    return DepthFunction(values, output, disparity_noise=0.008, blur_px=10.5)
+    return DepthFunction(values, output, noise_share=0.03, blur_px=10.5)
 
 
 def border_column(detector, **given):
