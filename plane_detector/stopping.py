@@ -17,7 +17,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Generic, TypeVar
+from typing import Generic, NoReturn, TypeVar
 
 Result = TypeVar('Result')
 
@@ -185,7 +185,12 @@ def leave(exit_code: int) -> int:
     crashes. To be called last: files are closed, the middleware is shut down.
     """
     if Background.is_any_running():
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(exit_code)
+        end_process(exit_code)
     return exit_code
+
+
+def end_process(exit_code: int) -> NoReturn:
+    """End the process now, without the ordinary end of the interpreter."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(exit_code)

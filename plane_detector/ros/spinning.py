@@ -11,13 +11,14 @@ come, a thread that does nothing else ends the process.
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import sys
 import threading
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -26,7 +27,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plane_detector.ros.allocator import keep_freed_memory
-from plane_detector.stopping import leave
+from plane_detector.stopping import end_process
 
 _SPIN_TIMEOUT_S = 0.2
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
@@ -69,7 +70,7 @@ class _Ending:
         os._exit(128 + number)
 
 
-def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
+def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoReturn:
     """
     Run a node until SIGINT or SIGTERM; once in a process.
 
@@ -83,11 +84,11 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     args : list of str, optional
         The command line; sys.argv if not given.
 
-    Returns
-    -------
-    int
-        The exit code: 1 when the node cannot be made with these arguments, else 0. It does not
-        return where work goes on that cannot be stopped; then the process ends with this code.
+    Notes
+    -----
+    It does not return: the process ends with exit code 1 when the node cannot be made with these
+    arguments, else 0. The ordinary end of the interpreter would take a second or more, with all
+    the libraries that it unloads, and crash where one of them is still at work.
 
     """
     ending, exit_code = _Ending(), 0
@@ -102,9 +103,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         print(f'the node cannot start: {error}', file=sys.stderr)
         exit_code = 1
     finally:
-        rclpy.try_shutdown()
+        _close_middleware()
         ending.finish()
-    return leave(exit_code)
+    end_process(exit_code)
 
 
 def _init(args: list[str] | None) -> None:
@@ -113,6 +114,14 @@ def _init(args: list[str] | None) -> None:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # the base of rclpy's own, which it does not export
         raise ValueError(f'rclpy refuses the arguments: {error}') from error
+
+
+def _close_middleware() -> None:
+    """Shut rclpy down, and let go of what holds its shared memory."""
+    context = rclpy.get_default_context()
+    rclpy.try_shutdown()
+    context.destroy()
+    gc.collect()  # the node and its executor refer to each other
 
 
 def _spin(node: Node, ending: _Ending) -> None:

@@ -15,7 +15,7 @@ pytest.importorskip('rclpy')
 # The signal comes from the thread itself: one from os.kill may reach another thread, and so come
 # at a later line.
 PROGRAM = """
-import atexit, signal, sys, time
+import signal, sys, time
 import rclpy
 from rclpy.node import Node
 from plane_detector.ros import spinning
@@ -42,7 +42,7 @@ def make_node():
     node.create_timer(0.0, work)
     return node
 
-sys.exit(run(make_node, []))
+run(make_node, [])
 """
 STUCK_S = 20.0
 # Work in C++ that hears nothing, in a thread of its own or in that of the executor.
@@ -91,10 +91,8 @@ def test_a_second_signal_ends_the_node_at_once():
 
 @pytest.mark.parametrize('making', [
     'pass' + FAILING, 'end()' + FAILING, 'raise Told',
-    'rclpy.get_default_context().on_shutdown(end)' + FAILING,
-    'atexit.register(end)' + FAILING,
-    'sys.dying = Dying()' + FAILING],
-    ids=['no signal', 'before', 'while told', 'shutdown', 'exit', 'end of the interpreter'])
+    'rclpy.get_default_context().on_shutdown(end)' + FAILING],
+    ids=['no signal', 'before', 'while told', 'shutdown'])
 def test_wrong_settings_are_told_whenever_a_signal_comes(making):
     assert ended(making=making) == (1, 'the node cannot start: too large\n')
 
@@ -104,3 +102,26 @@ def test_other_errors_keep_their_traceback():
     assert code == 1
     assert 'Traceback' in text
     assert 'a bug' in text
+
+
+SHARED_MEMORY = """
+text = open('/proc/self/maps').read()
+names = {line.split()[-1] for line in text.splitlines() if '/dev/shm/fastrtps_' in line}
+print(*(name for name in names if '_port' not in name))
+sys.stdout.flush()
+end()
+"""
+
+
+def test_the_shared_memory_of_the_middleware_is_given_back():
+    """A segment may be 64 MB, and stays until the machine is started again."""
+    from ros_helpers import random_domain
+    program = PROGRAM.format(name='SIGTERM', making='    pass',
+                             work=textwrap.indent(SHARED_MEMORY, '    '))
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain()),
+                   'RMW_IMPLEMENTATION': 'rmw_fastrtps_cpp'}
+    done = subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
+                          text=True, timeout=STUCK_S, check=True)
+    segments = done.stdout.split()
+    assert segments
+    assert not [name for name in segments if os.path.exists(name)]
