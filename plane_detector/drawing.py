@@ -47,6 +47,15 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
     return PALETTE[(np.asarray(labels).astype(np.int64) - 1) % len(PALETTE)]
 
 
+def label_image(labels: np.ndarray) -> np.ndarray:
+    """Return the colours of :func:`label_colours`, black for label 0; (H, W, 3) uint8."""
+    colours = np.zeros((256, 1, 3), np.uint8)
+    colours[1:len(PALETTE) + 1, 0] = PALETTE
+    of_label = np.arange(-1, int(labels.max(initial=0)), dtype=np.int64) % len(PALETTE) + 1
+    of_label[0] = 0
+    return cv2.applyColorMap(of_label.astype(np.uint8)[labels], colours)
+
+
 def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """
     Return the picture with its planes coloured.
@@ -73,7 +82,7 @@ def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
         raise ValueError(f'the labels are {labels.shape}, the picture {rgb.shape[:2]}')
     on_plane = (labels > 0).astype(np.uint8)
     result = rgb.copy()
-    cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, _colour_image(labels), _COLOUR_SHARE, 0),
+    cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, label_image(labels), _COLOUR_SHARE, 0),
                on_plane, result)
     return result
 
@@ -153,15 +162,6 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
     framed += [np.full_like(framed[0], 255)] * missing
     return np.vstack([np.hstack(framed[start:start + columns])
                       for start in range(0, len(framed), columns)])
-
-
-def _colour_image(labels: np.ndarray) -> np.ndarray:
-    """Return the colours of all pixels, black for no plane; (H, W, 3) uint8."""
-    colours = np.zeros((256, 1, 3), np.uint8)
-    colours[1:len(PALETTE) + 1, 0] = PALETTE
-    of_label = np.arange(-1, int(labels.max(initial=0)), dtype=np.int64) % len(PALETTE) + 1
-    of_label[0] = 0
-    return cv2.applyColorMap(of_label.astype(np.uint8)[labels], colours)
 
 
 def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:

@@ -76,7 +76,8 @@ class PlaneDetector:
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
-               covered: np.ndarray | None = None) -> Detection:
+               covered: np.ndarray | None = None,
+               camera_height_m: float | None = None) -> Detection:
         """
         Find the planes of an image.
 
@@ -94,6 +95,8 @@ class PlaneDetector:
         covered : (H, W) bool, optional
             Where the image shows something; rectification leaves corners black, and a network
             has a depth for these too.
+        camera_height_m : float, optional
+            Measured height above the floor; default: ``config.scale.camera_height``.
 
         Returns
         -------
@@ -105,7 +108,8 @@ class PlaneDetector:
             Image, depth and intrinsics do not fit together.
 
         """
-        return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), down_camera)
+        seen = self.observe(rgb, intrinsics, depth_m, covered)
+        return self.find_planes(seen, down_camera, camera_height_m)
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                 depth_m: np.ndarray | None = None,
@@ -124,9 +128,10 @@ class PlaneDetector:
             check_depth(seen.prediction.values, intrinsics)
         return replace(seen, depth_seconds=stages.seconds['depth'])
 
-    def find_planes(self, seen: Observation, down_camera: np.ndarray | None = None) -> Detection:
+    def find_planes(self, seen: Observation, down_camera: np.ndarray | None = None,
+                    camera_height_m: float | None = None) -> Detection:
         """Take the second half of :meth:`detect`: the planes of an image with depth."""
-        config, stages = self.config, StageTimer()
+        config, stages = self.config.with_camera_height(camera_height_m), StageTimer()
         stages.seconds['depth'] = seen.depth_seconds
         down = unit_direction(config.scale.gravity if down_camera is None else down_camera)
         with stages('segmentation'):

@@ -16,7 +16,8 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
-LAYERS = (('stopping',), ('settings', 'stage_timer'), ('config', 'types'), ('geometry',),
+LAYERS = (('stopping',), ('settings', 'stage_timer'), ('node_config',), ('config', 'types'),
+          ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.

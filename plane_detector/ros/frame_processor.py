@@ -93,11 +93,13 @@ class FrameProcessor:
         converted_s = time.perf_counter()
         pose = self._transforms.camera_pose(frame.image.header, self.settings)
         detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m,
-                                         _down(frame, pose), picture.covered)
+                                         _down(frame, pose), picture.covered,
+                                         _height_m(pose))
         detected_s = time.perf_counter()
         result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
                         self.settings, self._shown,
-                        self._transforms.to_target(frame.image.header, self.settings))
+                        self._transforms.to_target(frame.image.header, self.settings),
+                        picture.lens)
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}
         self._remember_markers(detection, made)
@@ -120,3 +122,8 @@ def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:
     if frame.down_camera is not None or pose is None:
         return frame.down_camera
     return pose.down_camera
+
+
+def _height_m(pose: CameraPose | None) -> float | None:
+    """Return the height of the camera by TF; a base frame above it says nothing of the floor."""
+    return pose.height_m if pose is not None and pose.height_m > 0 else None

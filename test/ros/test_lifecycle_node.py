@@ -19,9 +19,10 @@ from ros_helpers import (
     image_array,
     image_msg,
 )
-from sensor_msgs.msg import Imu
+from sensor_msgs.msg import CameraInfo, Imu
 
 from plane_detector.depth.observation import DepthFunction
+from plane_detector.drawing import label_colours
 from plane_detector.planes.classification import PlaneClass
 
 
@@ -207,3 +208,39 @@ def test_markers_of_planes_gone_are_deleted(robot, room):
     second = robot.wait_for('markers', 2)[1]
     assert {(m.ns, m.id) for m in second.markers if m.action == m.DELETE} == shown
     assert all(m.header.frame_id == FRAME_ID for m in second.markers)
+
+
+def test_large_images_are_reduced_and_the_camera_info_fits(robot, room):
+    seen = []
+
+    def estimate(rgb):
+        seen.append(rgb.shape)
+        return np.ascontiguousarray(room.depth_m[::2, ::2])
+
+    start(robot, estimate, max_side=160)
+    robot.listen(CameraInfo, '/plane_detector/camera_info', 'camera_info')
+    robot.spin(timeout_s=0.3)
+    send(robot, room, 3.0)
+    (info,) = robot.wait_for('camera_info')
+    assert seen == [(120, 160, 3)]
+    assert info.header == header(3.0)
+    assert (info.width, info.height) == (160, 120)
+    assert info.k[0] == CAMERA.fx / 2
+    assert info.k[2] == info.p[2] == (CAMERA.cx + 0.5) / 2 - 0.5
+    for name, dtype in (('depth', '<f4'), ('labels', '<u2'), ('overlay', 'u1')):
+        assert image_array(robot.wait_for(name)[0], dtype, -1).shape[:2] == (120, 160)
+
+
+def test_the_cloud_can_have_the_colours_of_the_overlay(robot, room):
+    start(robot, lambda rgb: room.depth_m, points_color='label')
+    send(robot, room)
+    cloud = cloud_array(robot.wait_for('points')[0])
+    packed = np.ascontiguousarray(cloud['rgb']).view(np.uint32)
+    assert not packed[cloud['label'] == 0].any()
+    for label in np.unique(cloud['label'][cloud['label'] > 0]):
+        expected = int(label_colours(label) @ np.array([1 << 16, 1 << 8, 1]))
+        assert set(packed[cloud['label'] == label].tolist()) == {expected}
+    markers = robot.wait_for('markers')[0].markers
+    colours = {m.id: (m.color.r, m.color.g, m.color.b) for m in markers if m.ns == 'outline'}
+    for label, colour in colours.items():
+        np.testing.assert_allclose(colour, label_colours(label) / 255.0, atol=1e-6)

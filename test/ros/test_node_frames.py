@@ -33,6 +33,19 @@ def test_gravity_from_tf_tells_the_floor(robot):
     assert PlaneClass.FLOOR in cloud_array(robot.wait_for('planes')[0])[0]['class']
 
 
+def test_the_height_of_the_camera_from_tf_makes_a_relative_network_metric(robot):
+    def estimate(rgb):
+        return (0.4 / ROOM.depth_m).astype(np.float32)
+
+    start(robot, estimate, transforms=standing_transforms(), base_frame='base_footprint',
+          depth__output='relative_disparity')
+    send(robot, ROOM)
+    table = cloud_array(robot.wait_for('planes')[0])[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    assert abs(floor['d'] - ROOM.height_m) < 0.02
+    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] in ('camera_height', 'manhattan'))
+
+
 def test_outputs_in_the_target_frame(robot):
     start(robot, lambda rgb: ROOM.depth_m, transforms=standing_transforms(),
           base_frame='base_footprint', target_frame='base_footprint')

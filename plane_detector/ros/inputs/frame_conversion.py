@@ -14,9 +14,11 @@ from sensor_msgs.msg import CameraInfo, CompressedImage
 from plane_detector.config import NodeConfig
 from plane_detector.geometry.depth_resizing import resize_depth
 from plane_detector.geometry.rectification import Rectification, make_rectification
+from plane_detector.geometry.reduction import Reduction
 from plane_detector.ros.inputs import image_decoding as encodings
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.messages import NO_LENS, Lens
 from plane_detector.types import CameraIntrinsics
 
 _TRANSPORTS = ('compressed',)
@@ -39,6 +41,8 @@ class Picture:
         Measured depth, metres, NaN invalid.
     covered : (H, W) bool or None
         Where the original picture had pixels; None: everywhere.
+    lens : Lens
+        The distortion that is left in it.
 
     """
 
@@ -46,6 +50,7 @@ class Picture:
     intrinsics: CameraIntrinsics
     depth_m: np.ndarray | None
     covered: np.ndarray | None = None
+    lens: Lens = NO_LENS
 
 
 class PictureConverter:
@@ -79,12 +84,14 @@ class PictureConverter:
         rectify = self._is_to_rectify(info, settings.rectify)
         intrinsics = messages.intrinsics_from_msg(info, rectify or self._named_rectified)
         _check_size(rgb, intrinsics)
+        reduction = Reduction.to_side((intrinsics.width, intrinsics.height), settings.max_side)
+        rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
         depth_m = None
         if frame.depth is not None:
             depth_m = _fit_depth(encodings.depth_from_msg(frame.depth), intrinsics)
         if not rectify:
-            return Picture(rgb, intrinsics, depth_m)
-        rectification = self._rectification_of(info)
+            return Picture(rgb, intrinsics, depth_m, lens=self._lens_left(info))
+        rectification = self._rectification_of(info, reduction)
         depth_m = None if depth_m is None else rectification.depth(depth_m)
         return Picture(rectification.picture(rgb), intrinsics, depth_m, rectification.inside())
 
@@ -93,12 +100,18 @@ class PictureConverter:
             return bool(np.any(info.d)) and not self._named_rectified
         return rectify == 'true'
 
-    def _rectification_of(self, info: CameraInfo) -> Rectification:
-        calibration = (info.distortion_model, *info.d, *info.k, *info.r, *info.p,
+    def _lens_left(self, info: CameraInfo) -> Lens:
+        """Return the distortion of a picture that is not rectified here."""
+        if self._named_rectified or not np.any(info.d):
+            return NO_LENS
+        return Lens(info.distortion_model, tuple(info.d))
+
+    def _rectification_of(self, info: CameraInfo, reduction: Reduction) -> Rectification:
+        calibration = (reduction, info.distortion_model, *info.d, *info.k, *info.r, *info.p,
                        info.binning_x, info.binning_y, info.width, info.height, info.roi.x_offset,
                        info.roi.y_offset, info.roi.width, info.roi.height)
         if self._rectification is None or calibration != self._calibration:
-            self._rectification = _rectification_from_msg(info)
+            self._rectification = _rectification_from_msg(info, reduction)
             self._calibration = calibration
         return self._rectification
 
@@ -110,14 +123,24 @@ def is_rectified_name(topic: str) -> bool:
     return not _RECTIFIED_NAMES.isdisjoint(words)
 
 
-def _rectification_from_msg(info: CameraInfo) -> Rectification:
+def _reduced(intrinsics: CameraIntrinsics, reduction: Reduction) -> CameraIntrinsics:
+    if reduction.is_none:
+        return intrinsics
+    matrix = np.array([[intrinsics.fx, 0, intrinsics.cx], [0, intrinsics.fy, intrinsics.cy],
+                       [0, 0, 1]])
+    (fx, _, cx), (_, fy, cy), _ = reduction.matrix(matrix).tolist()
+    return CameraIntrinsics(fx, fy, cx, cy, *reduction.new_size)
+
+
+def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectification:
     model = info.distortion_model or 'plumb_bob'
     no_distortion = np.zeros(4 if model == 'equidistant' else 5)
     camera_matrix = messages.crop_and_bin(np.reshape(info.k, (3, 3)), info)
     rectified_matrix = messages.crop_and_bin(messages.projection_from_msg(info), info)
     return make_rectification(
-        model, np.asarray(info.d) if np.any(info.d) else no_distortion, camera_matrix,
-        np.reshape(info.r, (3, 3)), rectified_matrix, messages.picture_size(info))
+        model, np.asarray(info.d) if np.any(info.d) else no_distortion,
+        reduction.matrix(camera_matrix), np.reshape(info.r, (3, 3)),
+        reduction.matrix(rectified_matrix), reduction.new_size)
 
 
 def _decode(frame: Frame, most_pixels: int) -> np.ndarray:

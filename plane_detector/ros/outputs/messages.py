@@ -10,6 +10,7 @@ optical frame (REP-103) are those of the picture. Labels in messages are above 0
 from __future__ import annotations
 
 import array
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -26,6 +27,38 @@ POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4')
                         ('label', '<u4')])
 XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
 _FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
+
+
+class Lens(NamedTuple):
+    """Distortion of an image: model and coefficients as in sensor_msgs/CameraInfo."""
+
+    model: str
+    coefficients: tuple[float, ...]
+
+
+NO_LENS = Lens('plumb_bob', (0.0,) * 5)
+
+
+def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics, lens: Lens) -> CameraInfo:
+    """
+    Return the calibration that fits the images of the node.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image.
+    intrinsics : CameraIntrinsics
+        Of the images, rectified or not, reduced or not.
+    lens : Lens
+        The distortion that is left in them.
+
+    """
+    fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+    return CameraInfo(
+        header=header, width=intrinsics.width, height=intrinsics.height,
+        distortion_model=lens.model, d=list(lens.coefficients),
+        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], r=np.eye(3).ravel().tolist(),
+        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
 def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:

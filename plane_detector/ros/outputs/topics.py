@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
 from plane_detector.config import NodeConfig
-from plane_detector.drawing import overlay
+from plane_detector.drawing import label_image, overlay
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
@@ -59,6 +59,8 @@ class Result:
         Labels of the markers that were published last.
     to_target : RigidTransform or None
         From the frame of the image into the target frame; None: they are the same.
+    lens : Lens
+        The distortion that is left in the image.
 
     """
 
@@ -69,6 +71,7 @@ class Result:
     settings: NodeConfig
     shown: frozenset[int] = frozenset()
     to_target: RigidTransform | None = None
+    lens: messages.Lens = messages.NO_LENS
 
     @cached_property
     def target_header(self) -> Header:
@@ -133,9 +136,10 @@ class Output(NamedTuple):
 
 def _points(result: Result) -> PointCloud2:
     thinned = result.thinned
-    return messages.points_to_msg(result.target_header, result.points_m[thinned],
-                                  np.ascontiguousarray(result.rgb[thinned]),
-                                  result.labels[thinned])
+    labels, rgb = result.labels[thinned], np.ascontiguousarray(result.rgb[thinned])
+    if result.settings.points_color == 'label':
+        rgb = label_image(labels)
+    return messages.points_to_msg(result.target_header, result.points_m[thinned], rgb, labels)
 
 
 def _points_without_floor(result: Result) -> PointCloud2 | None:
@@ -188,6 +192,10 @@ def _shapes(result: Result) -> PointCloud2:
     return shapes_to_msg(result.target_header, result.target_detection)
 
 
+def _camera_info(result: Result) -> CameraInfo:
+    return messages.camera_info_to_msg(result.header, result.intrinsics, result.lens)
+
+
 OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, _points),
     'points_without_floor': Output(PointCloud2, _points_without_floor),
@@ -198,5 +206,6 @@ OUTPUTS: dict[str, Output] = {
     'labels': Output(Image, _labels),
     'depth': Output(Image, _depth),
     'overlay': Output(Image, _overlay),
+    'camera_info': Output(CameraInfo, _camera_info),
     'shapes': Output(PointCloud2, _shapes),
 }

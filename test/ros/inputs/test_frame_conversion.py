@@ -12,6 +12,7 @@ from plane_detector.config import NodeConfig
 from plane_detector.ros.inputs import frame_conversion as conversion
 from plane_detector.ros.inputs.frame_conversion import PictureConverter, is_rectified_name
 from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.outputs.messages import NO_LENS, Lens
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(60.0, 62.0, 39.5, 29.5, 80, 60)
@@ -151,3 +152,31 @@ def test_depth_is_rectified_with_its_picture():
     picture = convert(frame(DISTORTION['plumb_bob'], depth=depth_m))
     values = picture.depth_m[np.isfinite(picture.depth_m)]
     np.testing.assert_allclose(np.unique(values.round(5)), [2.0, 5.0])
+
+
+@pytest.mark.parametrize('distortion', [(), (-0.2, 0.05, 0.0, 0.0, 0.0)])
+def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
+    """The reduced image is the whole one made smaller, whether it is rectified or not."""
+    depth = np.linspace(1, 2, 80, dtype=np.float32)[None].repeat(60, axis=0)
+    whole = convert(frame(distortion, depth=depth))
+    small = PictureConverter('image_raw').convert(frame(distortion, depth=depth),
+                                                  NodeConfig(max_side=40))
+    assert small.rgb.shape == (30, 40, 3)
+    assert small.depth_m.shape == (30, 40)
+    ours, theirs = small.intrinsics, whole.intrinsics
+    assert (ours.width, ours.height) == (40, 30)
+    assert ours.fx == theirs.fx / 2
+    assert ours.cx == (theirs.cx + 0.5) / 2 - 0.5
+    expected = whole.rgb.reshape(30, 2, 40, 2, 3).mean(axis=(1, 3))
+    inside = np.s_[5:25, 5:35]
+    assert np.abs(small.rgb[inside] - expected[inside]).mean() < (30 if distortion else 1)
+    expected_m = whole.depth_m.reshape(30, 2, 40, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(small.depth_m[inside], expected_m[inside], atol=0.03)
+
+
+def test_the_lens_that_is_left_in_the_image_is_told():
+    distortion = DISTORTION['plumb_bob']
+    assert convert(frame(distortion)).lens == NO_LENS
+    assert convert(frame(distortion), 'camera/image_rect').lens == NO_LENS
+    left = convert(frame(distortion), rectify='false').lens
+    assert left == Lens('plumb_bob', tuple(distortion))

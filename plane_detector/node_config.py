@@ -1,0 +1,67 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Settings of the ROS node only; see :mod:`plane_detector.config`, which hands them out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from plane_detector.settings import Settings, setting
+
+
+@dataclass(frozen=True)
+class NodeConfig(Settings):
+    """Settings of the ROS node only."""
+
+    autostart: bool = setting(
+        True, 'configure and activate at start, without a lifecycle manager', read_only=True)
+    exit_on_failure: bool = setting(
+        False, 'with autostart: end with exit code 1 when the node cannot be configured or '
+        'activated, for supervisors; false: wait, and try again where that can help',
+        read_only=True)
+    input_reliability: str = setting(
+        'auto', 'reliability of the inputs; auto: what their publishers offer',
+        choices=('auto', 'reliable', 'best_effort'), read_only=True)
+    image_transport: str = setting(
+        'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
+        'image/compressed', choices=('raw', 'compressed'), read_only=True)
+    max_image_pixels: int = setting(
+        50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
+        2**30)
+    rectify: str = setting(
+        'auto', 'undo the lens distortion of CameraInfo; auto: where there is any and the name of '
+        'the topic does not say rectified', choices=('auto', 'true', 'false'))
+    stamp_slop: float = setting(
+        0.02, 'largest difference of the stamps of an image and its depth image, if none has '
+        'the same stamp', 's', 0.0, 10.0)
+    use_imu: bool = setting(
+        False, 'take the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
+        'scale.imu_to_camera', read_only=True)
+    max_side: int = setting(
+        0, 'images are first reduced to this longer side, which large ones gain time by; all '
+        'outputs have the reduced size; 0: off', 'px', 0, 65536)
+    base_frame: str = setting(
+        '', 'frame of the robot whose origin is on the floor, as base_footprint: direction of '
+        'gravity and height of the camera come from TF; empty: off', read_only=True)
+    base_up: tuple[float, ...] = setting(
+        (0.0, 0.0, 1.0), 'direction up in base_frame', '', -1e6, 1e6)
+    target_frame: str = setting(
+        '', 'frame of the clouds, planes, poses and markers, as base_link, odom or map, by TF; '
+        'empty: that of the image', read_only=True)
+    tf_timeout: float = setting(
+        0.2, 'how long a transform is waited for; then the frame is skipped', 's', 0.0, 10.0)
+    points_color: str = setting(
+        'image', 'colours of ~/points: those of the image, or one per plane as in the overlay and '
+        'the markers', choices=('image', 'label'))
+    mode: str = setting(
+        'continuous', 'continuous: the newest frame, again and again; on_demand: one frame per '
+        'call of ~/detect', choices=('continuous', 'on_demand'))
+    points_decimation: int = setting(
+        1, 'the clouds hold every n-th row and column; 1: all', '', 1, 64)
+    marker_lifetime: float = setting(
+        0.0, 'markers vanish after this time without new ones; 0: never', 's', 0.0, 1e6)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.base_up) != 3 or not any(self.base_up):
+            raise ValueError(f'base_up must be 3 numbers, not all zeros, not {self.base_up!r}')
