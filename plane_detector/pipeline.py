@@ -76,8 +76,7 @@ class PlaneDetector:
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
-               covered: np.ndarray | None = None,
-               camera_height_m: float | None = None) -> Detection:
+               covered: np.ndarray | None = None) -> Detection:
         """
         Find the planes of an image.
 
@@ -95,8 +94,6 @@ class PlaneDetector:
         covered : (H, W) bool, optional
             Where the image shows something; rectification leaves corners black, and a network
             has a depth for these too.
-        camera_height_m : float, optional
-            Measured height above the floor; default: ``config.scale.camera_height``.
 
         Returns
         -------
@@ -108,8 +105,7 @@ class PlaneDetector:
             Image, depth and intrinsics do not fit together.
 
         """
-        seen = self.observe(rgb, intrinsics, depth_m, covered)
-        return self.find_planes(seen, down_camera, camera_height_m)
+        return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), down_camera)
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                 depth_m: np.ndarray | None = None,
@@ -269,13 +265,11 @@ def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config
 def _update_scale(before: ScaleState | None, seen: Observation, labels: np.ndarray,
                   config: Config, down_camera: np.ndarray | None) -> ScaleState:
     """Return what fixes the unit of this image, given those before."""
-    scale, is_measured = config.scale, seen.is_measured
-    if is_measured:
-        scale = replace(scale, method='metric')
+    scale = replace(config.scale, method='metric') if seen.is_measured else config.scale
     found = estimate_scale(seen.disparity, labels, seen.intrinsics, scale,
                            output=seen.output, gravity_camera=down_camera,
                            sensor_depth_m=seen.sensor_depth_m)
-    found = replace(found, note='measured depth') if is_measured else found
+    found = replace(found, note='measured depth') if seen.is_measured else found
     return update_scale(before, found, scale)
 
 

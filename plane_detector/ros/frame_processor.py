@@ -92,9 +92,9 @@ class FrameProcessor:
         picture = self._converter.convert(frame, self.settings)
         converted_s = time.perf_counter()
         pose = self._transforms.camera_pose(frame.image.header, self.settings)
-        detection = self.detector.detect(picture.rgb, picture.intrinsics, picture.depth_m,
-                                         _down(frame, pose), picture.covered,
-                                         _height_m(pose))
+        seen = self.detector.observe(picture.rgb, picture.intrinsics, picture.depth_m,
+                                     picture.covered)
+        detection = self.detector.find_planes(seen, _down(frame, pose), _height_m(pose))
         detected_s = time.perf_counter()
         result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
                         self.settings, self._shown,
