@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.config import Config
+from plane_detector.config import Config, TrackingConfig
 from plane_detector.depth.observation import (
     DepthSource,
     ModelOrFunction,
@@ -127,7 +127,7 @@ class PlaneDetector:
     def find_planes(self, seen: Observation, down_camera: np.ndarray | None = None,
                     camera_height_m: float | None = None) -> Detection:
         """Take the second half of :meth:`detect`: the planes of an image with depth."""
-        config, stages = self.config.with_camera_height(camera_height_m), StageTimer()
+        config, stages = seen.config.with_camera_height(camera_height_m), StageTimer()
         stages.seconds['depth'] = seen.depth_seconds
         down = unit_direction(config.scale.gravity if down_camera is None else down_camera)
         with stages('segmentation'):
@@ -151,7 +151,7 @@ class PlaneDetector:
             classes = _classify(planes.planes, scale, config, down)
         with stages('tracking'):
             # 6. Labels that stay the same from image to image.
-            planes, track_labels = self._track(planes)
+            planes, track_labels = self._track(planes, config.tracking)
         return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
                          scale_event=self._scale.event, classes=classes,
@@ -173,11 +173,12 @@ class PlaneDetector:
         self._tracker.reset()
         self._shapes.reset()
 
-    def _track(self, planes: PlaneSegmentation) -> tuple[PlaneSegmentation, tuple[int, ...]]:
-        if not self.config.tracking.enabled:
+    def _track(self, planes: PlaneSegmentation, config: TrackingConfig
+               ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
+        if not config.enabled:
             self._tracker.reset()
             return planes, ()
-        return self._tracker.update(planes, self.config.tracking)
+        return self._tracker.update(planes, config)
 
 
 @one_blas_thread

@@ -31,6 +31,8 @@ class Observation:
     ----------
     rgb : (H, W, 3) uint8
     intrinsics : CameraIntrinsics
+    config : Config
+        The settings that this image is processed with.
     prediction : Prediction
         What is segmented.
     is_measured : bool
@@ -49,6 +51,7 @@ class Observation:
 
     rgb: np.ndarray
     intrinsics: CameraIntrinsics
+    config: Config
     prediction: Prediction
     is_measured: bool = False
     sensor_depth_m: np.ndarray | None = None
@@ -100,7 +103,7 @@ class SensorDepth:
         depth_m = np.asarray(depth_m, np.float32)
         prediction = Prediction(
             self.output, _without_the_far(depth_m, self.output, config.depth.max_depth))
-        return Observation(rgb, intrinsics, prediction, is_measured=True)
+        return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
     def reset(self) -> None:
         """Nothing is kept from frame to frame."""
@@ -151,7 +154,7 @@ class ModelDepth:
         if output != 'relative_disparity' and factor != 1.0:
             values = values * np.float32(factor if output == 'metric_depth' else 1 / factor)
         values = _without_the_far(values, output, config.depth.max_depth)
-        seen = Observation(rgb, intrinsics, replace(prediction, values=values),
+        seen = Observation(rgb, intrinsics, config, replace(prediction, values=values),
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         return self._averaged(seen, config.depth.damping)

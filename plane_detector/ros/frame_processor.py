@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""One frame from messages to messages: convert, call, and make what is wanted. No DDS."""
+"""One frame from messages to messages, in two halves: depth, and planes. No DDS."""
 
 from __future__ import annotations
 
@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from plane_detector.config import NodeConfig
+from plane_detector.depth.observation import Observation
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.inputs.frame_conversion import PictureConverter
+from plane_detector.ros.inputs.frame_conversion import Picture, PictureConverter
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
@@ -43,9 +44,45 @@ class Processed:
     stage_seconds: Mapping[str, float]
 
 
+@dataclass(frozen=True)
+class ObservedFrame:
+    """
+    A frame with its depth: what the first half of the work hands to the second.
+
+    Attributes
+    ----------
+    frame : Frame
+        The messages.
+    picture : Picture
+        What they are converted to.
+    pose : CameraPose or None
+    seen : Observation
+    settings : NodeConfig
+        Those that this frame is processed with.
+    past : tuple of int
+        Frames with another one have no common past with this one.
+    start_s, converted_s, end_s : float
+        By time.perf_counter: when the first half began, had converted, and ended.
+
+    """
+
+    frame: Frame
+    picture: Picture
+    pose: CameraPose | None
+    seen: Observation
+    settings: NodeConfig
+    past: tuple[int, int]
+    start_s: float
+    converted_s: float
+    end_s: float
+
+
 class FrameProcessor:
     """
     What the node does with a frame, and the replay too.
+
+    A thread may be in :meth:`finish` with one frame while another is in :meth:`observe` with the
+    next; each of the two takes the frames one by one and in order.
 
     Parameters
     ----------
@@ -54,7 +91,7 @@ class FrameProcessor:
     settings : NodeConfig
         Of the conversion and the outputs.
     image_topic : str
-        Where the pictures come from; a name that ends in rectified says that they are.
+        Where the images come from; a name that ends in rectified says that they are.
     transforms : FrameTransforms, optional
         TF, for the frames that the settings name; default: there are no transforms.
 
@@ -67,7 +104,8 @@ class FrameProcessor:
         self._converter = PictureConverter(image_topic)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
         self._shown: frozenset[int] = frozenset()
-        self._epoch = 0
+        self._resets = 0
+        self._observed_past = self._finished_past = (0, 0)
 
     @property
     def output(self) -> str:
@@ -85,31 +123,46 @@ class FrameProcessor:
             missing.
 
         """
-        start_s = time.perf_counter()
-        if frame.epoch != self._epoch:
-            self.reset()
-            self._epoch = frame.epoch
-        picture = self._converter.convert(frame, self.settings)
+        return self.finish(self.observe(frame), wanted)
+
+    def observe(self, frame: Frame) -> ObservedFrame:
+        """Take the first half of :meth:`process`: conversion and depth."""
+        start_s, settings, past = time.perf_counter(), self.settings, (frame.epoch, self._resets)
+        if past != self._observed_past:
+            self.detector.reset_depth()
+            self._observed_past = past
+        picture = self._converter.convert(frame, settings)
         converted_s = time.perf_counter()
-        pose = self._transforms.camera_pose(frame.image.header, self.settings)
+        pose = self._transforms.camera_pose(frame.image.header, settings)
         seen = self.detector.observe(picture.rgb, picture.intrinsics, picture.depth_m,
                                      picture.covered)
-        detection = self.detector.find_planes(seen, _down(frame, pose), _height_m(pose))
+        return ObservedFrame(frame, picture, pose, seen, settings, past, start_s, converted_s,
+                             time.perf_counter())
+
+    def finish(self, observed: ObservedFrame, wanted: Collection[str] = tuple(OUTPUTS)
+               ) -> Processed:
+        """Take the second half of :meth:`process`: planes and messages."""
+        start_s, seen = time.perf_counter(), observed.seen
+        header, settings = observed.frame.image.header, observed.settings
+        if observed.past != self._finished_past:
+            self.detector.reset_planes()
+            self._finished_past = observed.past
+        detection = self.detector.find_planes(seen, _down(observed.frame, observed.pose),
+                                              _height_m(observed.pose))
         detected_s = time.perf_counter()
-        result = Result(frame.image.header, picture.rgb, picture.intrinsics, detection,
-                        self.settings, self._shown,
-                        self._transforms.to_target(frame.image.header, self.settings),
-                        picture.lens)
+        result = Result(header, seen.rgb, seen.intrinsics, detection, settings,
+                        self._shown, self._transforms.to_target(header, settings),
+                        observed.picture.lens)
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}
         self._remember_markers(detection, made)
         return Processed(made, result, {
-            'convert': converted_s - start_s, **detection.stage_seconds,
-            'messages': time.perf_counter() - detected_s})
+            'convert': observed.converted_s - observed.start_s, **detection.stage_seconds,
+            'wait': start_s - observed.end_s, 'messages': time.perf_counter() - detected_s})
 
     def reset(self) -> None:
-        """Forget the past: what is held from picture to picture starts anew."""
-        self.detector.reset()
+        """Forget the past from the next frame on that is observed; any thread may call it."""
+        self._resets += 1
 
     def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
         if 'markers' in made:

@@ -1,84 +1,153 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The thread that works on frames, and the single place where the next one waits."""
+"""The two threads that work on frames, and the places where the next one waits."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable
+from typing import Any
 
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.stopping import Background, Stop, Stopped
 
+SKIPPED = None
+"""What the first half returns for a frame that has no second half."""
+
 
 class FrameWorker:
     """
-    Works on one frame at a time; the freshest one wins.
+    Works on two frames at a time, in the two halves of a pipeline; the freshest frame wins.
 
-    While a frame is worked on, one more may wait; a newer one takes its place. So a slow network
-    never queues, and receiving goes on.
+    While the second half works on a frame, the first half works on the next one. Each half takes
+    one frame at a time, and both take them in the same order. Before the first half one more frame
+    may wait; a newer one takes its place. The first half begins only when nothing waits for the
+    second, and where the second takes longer, so late that both end together as far as the frames
+    before tell: no work is thrown away, no queue grows, and what is worked on is fresh.
 
     Parameters
     ----------
-    work : callable
-        Called in the thread with each frame, under a stop of that frame; must not raise, but for
+    first : callable
+        Called in the first thread with each frame, under a stop of that frame; returns what the
+        second half takes, or SKIPPED. Must not raise, but for Stopped.
+    second : callable
+        Called in the second thread with that, under the same stop. Must not raise, but for
         Stopped.
 
     """
 
-    def __init__(self, work: Callable[[Frame], None]):
-        self._work = work
+    def __init__(self, first: Callable[[Frame], Any], second: Callable[[Any], None]):
+        self._halves = first, second
         self._changed = threading.Condition()
         self._waiting: Frame | None = None
-        self._frame_stop = Stop()
+        self._between: tuple[Any, Stop] | None = None
+        self._stops: list[Stop] = []
+        self._first_s = self._second_s = 0.0
+        self._second_since_s: float | None = None
         self._ended = False
-        self._thread = Background(self._run, 'frame_worker')
+        self._threads = (Background(self._run_first, 'frame_worker'),
+                         Background(self._run_second, 'frame_finisher'))
 
     def put(self, frame: Frame) -> bool:
         """Leave a frame; return whether it replaced one that still waited."""
         with self._changed:
             replaced = self._waiting is not None
             self._waiting = frame
-            self._changed.notify()
+            self._changed.notify_all()
             return replaced
 
     def drop(self) -> None:
         """
-        Give up the frame that waits and the one that is worked on, and return at once.
+        Give up the frames that wait and those that are worked on, and return at once.
 
-        The next frame is begun when the work on this one has come to its end or to where it looks
-        at its stop.
+        The next frame is begun when the work on the last one has come to its end or to where it
+        looks at its stop.
         """
         with self._changed:
-            self._waiting, stop = None, self._frame_stop
-        stop.set()
+            stops = tuple(self._stops)
+            if self._between is not None:
+                self._stops.remove(self._between[1])
+            self._waiting = self._between = None
+            self._changed.notify_all()
+        for stop in stops:
+            stop.set()
 
     def stop(self) -> None:
         """Drop what there is, take no more frames, and return at once."""
         with self._changed:
             self._ended = True
-            self._changed.notify()
         self.drop()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait, after `stop`, for the work to end; return whether it has."""
-        return self._thread.wait(timeout_s)
+        end_s = time.monotonic() + timeout_s
+        ended = [thread.wait(max(end_s - time.monotonic(), 0.0)) for thread in self._threads]
+        return all(ended)
 
-    def _run(self) -> None:
-        while (taken := self._take()) is not None:
-            frame, stop = taken
-            try:
-                with stop.applies():
-                    self._work(frame)
-            except Stopped:  # nobody waits for this frame any more
-                pass
-            del frame, taken  # nothing is kept while there is nothing to do
+    def _run_first(self) -> None:
+        first, _ = self._halves
+        while (taken := self._take_frame()) is not None:
+            (frame, stop), start_s = taken, time.monotonic()
+            observed = _called(first, frame, stop)
+            self._first_s = time.monotonic() - start_s
+            self._hand_over(observed, stop)
+            del frame, observed, taken  # nothing is kept while there is nothing to do
 
-    def _take(self) -> tuple[Frame, Stop] | None:
+    def _run_second(self) -> None:
+        _, second = self._halves
+        while (taken := self._take_observed()) is not None:
+            observed, stop = taken
+            _called(second, observed, stop)
+            with self._changed:
+                self._stops.remove(stop)
+                self._second_s = time.monotonic() - self._second_since_s
+                self._second_since_s = None
+                self._changed.notify_all()
+            del observed, taken
+
+    def _take_frame(self) -> tuple[Frame, Stop] | None:
         with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._waiting is not None)
+            while not self._ended and (delay_s := self._delay_s()) != 0:
+                self._changed.wait(delay_s)
             if self._ended:
                 return None
             frame, self._waiting = self._waiting, None
-            self._frame_stop = Stop()
-            return frame, self._frame_stop
+            self._stops.append(Stop())
+            return frame, self._stops[-1]
+
+    def _delay_s(self) -> float | None:
+        """Return how long the first half should wait, None: until something changes."""
+        if self._waiting is None or self._between is not None:
+            return None
+        if self._second_since_s is None:
+            return 0.0
+        expected_end_s = self._second_since_s + self._second_s
+        return max(expected_end_s - self._first_s - time.monotonic(), 0.0)
+
+    def _hand_over(self, observed: Any, stop: Stop) -> None:
+        with self._changed:
+            if observed is SKIPPED or stop.is_set:
+                self._stops.remove(stop)
+            else:
+                self._between = observed, stop
+                self._changed.notify_all()
+
+    def _take_observed(self) -> tuple[Any, Stop] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._ended or self._between is not None)
+            if self._ended:
+                return None
+            taken, self._between = self._between, None
+            self._second_since_s = time.monotonic()
+            self._changed.notify_all()  # the first half may begin the next frame
+            return taken
+
+
+def _called(half: Callable[[Any], Any], given: Any, stop: Stop) -> Any:
+    """Call one half of the pipeline; what is told to stop is skipped."""
+    try:
+        with stop.applies():
+            return half(given)
+    except Stopped:  # nobody waits for this frame any more
+        return SKIPPED

@@ -3,7 +3,7 @@
 """
 The lifecycle node: subscribe, convert, call, publish, log.
 
-The executor's thread receives messages and answers services, a worker thread processes frames:
+The executor's thread receives messages and answers services, two worker threads process frames:
 see frame_worker.py.
 """
 
@@ -27,7 +27,7 @@ from plane_detector.ros.diagnostics import (
     introduction,
 )
 from plane_detector.ros.fault_log import FaultLog, plain
-from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_processor import FrameProcessor, ObservedFrame
 from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
@@ -77,7 +77,6 @@ class PlaneDetectorNode(LifecycleNode):
         self._retired: FrameWorker | None = None
         self._inputs: Inputs | None = None
         self._outputs: OutputPublishers | None = None
-        self._reset_requested = False
         self._query: PointQuery | None = None
         self._requests = FrameRequests(self._wake)
         self._faults = FaultLog(self.get_logger())
@@ -123,7 +122,7 @@ class PlaneDetectorNode(LifecycleNode):
         topics = input_topics(self, self._live.settings.image_transport)
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
                                          self._transforms)
-        self._worker = FrameWorker(self._work_on)
+        self._worker = FrameWorker(self._observe, self._finish)
         for line in introduction(detector.source.facts, topics,
                                  self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
@@ -145,6 +144,7 @@ class PlaneDetectorNode(LifecycleNode):
         """End the subscriptions and throw away what is worked on."""
         self._unsubscribe()
         self._worker.drop()
+        self._processor.reset()  # what is kept for the next frame may be half of the last one
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -175,39 +175,38 @@ class PlaneDetectorNode(LifecycleNode):
             return True
         return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
-    def _work_on(self, frame: Frame) -> None:
-        """Convert, call, publish, or log why not; called in the worker's thread."""
+    def _observe(self, frame: Frame) -> ObservedFrame | None:
+        """Convert and estimate depth, or log why not; called in the first worker thread."""
         try:
-            self._process(frame)
+            self._live.apply_to(self._processor)
+            return self._processor.observe(frame)
         except Exception as error:  # one frame must not end the node
-            if not current_stop().is_set:  # what is broken off may fail in any way
-                reason = self._faults.tell(error)
-                self._statistics.add_skipped(reason)
-                self._requests.finish(frame, False, f'frame skipped: {reason}')
-        finally:
-            if current_stop().is_set:  # what is kept for the next frame may be half of this one
-                self._reset_requested = True
+            return self._skip(frame, error)
 
-    def _process(self, frame: Frame) -> None:
-        self._apply_changes()
-        wanted = self._outputs.wanted()
-        processed = self._processor.process(frame, wanted)
-        start_s = time.perf_counter()
-        with current_stop().uncut():
-            self._outputs.publish(processed.messages)
-            self._query.answer(processed.result)
-        self._health.note(processed.result.detection, wanted)
-        self._statistics.add_processed({**processed.stage_seconds,
-                                        'publish': time.perf_counter() - start_s})
-        planes = processed.result.detection.planes
-        self._requests.finish(frame, True, describe_frame(frame.image.header, len(planes)))
+    def _finish(self, observed: ObservedFrame) -> None:
+        """Find planes and publish, or log why not; called in the second worker thread."""
+        try:
+            wanted = self._outputs.wanted()
+            processed = self._processor.finish(observed, wanted)
+            start_s = time.perf_counter()
+            with current_stop().uncut():
+                self._outputs.publish(processed.messages)
+                self._query.answer(processed.result)
+            self._health.note(processed.result.detection, wanted)
+            self._statistics.add_processed({**processed.stage_seconds,
+                                            'publish': time.perf_counter() - start_s})
+            planes = processed.result.detection.planes
+            self._requests.finish(observed.frame, True,
+                                  describe_frame(observed.frame.image.header, len(planes)))
+        except Exception as error:  # one frame must not end the node
+            self._skip(observed.frame, error)
 
-    def _apply_changes(self) -> None:
-        """Take over, between two frames, what was asked for in the meantime."""
-        self._live.apply_to(self._processor)
-        if self._reset_requested:
-            self._reset_requested = False
-            self._processor.reset()
+    def _skip(self, frame: Frame, error: Exception) -> None:
+        """Count and log a frame that failed; what is broken off may fail in any way."""
+        if not current_stop().is_set:
+            reason = self._faults.tell(error)
+            self._statistics.add_skipped(reason)
+            self._requests.finish(frame, False, f'frame skipped: {reason}')
 
     # Parameters and services
 
@@ -227,7 +226,9 @@ class PlaneDetectorNode(LifecycleNode):
             self.executor.wake()
 
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
-        response.success = self._reset_requested = self._processor is not None
+        response.success = self._processor is not None
+        if response.success:
+            self._processor.reset()
         response.message = ('tracking starts anew with the next frame' if response.success
                             else 'the node is not configured')
         return response

@@ -77,14 +77,14 @@ def test_noise_is_a_share_of_the_disparities_of_the_image_in_any_unit(output):
     ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
     for unit in (1, 0.01):
         values = 1 / (unit * ramp) if output == 'metric_depth' else unit * ramp
-        seen = Observation(RGB, CAMERA, Prediction(output, values), noise_share=0.1)
+        seen = Observation(RGB, CAMERA, Config(), Prediction(output, values), noise_share=0.1)
         assert seen.disparity_noise == pytest.approx(2.0 * unit, rel=0.06)
         assert replace(seen, noise_share=0.0).disparity_noise == 0.0
 
 
 def test_a_shift_does_not_change_the_noise_and_a_wall_that_fills_the_image_has_some():
     ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
-    noise = [Observation(RGB, CAMERA, Prediction('relative_disparity', values),
+    noise = [Observation(RGB, CAMERA, Config(), Prediction('relative_disparity', values),
                          noise_share=0.1).disparity_noise for values in (
                              ramp, ramp - 9, np.full((40, 40), 8.0), np.full((40, 40), np.nan))]
     np.testing.assert_allclose(noise, [noise[0], noise[0], 0.1 * 2, 0], rtol=1e-5, atol=1e-30)
@@ -121,6 +121,6 @@ def test_restricted_to_what_the_image_covers():
     covered = np.ones(VALUES.shape, bool)
     covered[:, 0] = False
     prediction = Prediction('metric_depth', VALUES[1:2].repeat(6, 0))
-    found = Observation(RGB, CAMERA, prediction).restricted_to(covered)
+    found = Observation(RGB, CAMERA, Config(), prediction).restricted_to(covered)
     assert np.isnan(found.prediction.values[:, 0]).all() and np.isnan(found.disparity[:, 0]).all()
     assert np.isfinite(found.prediction.values[:, 1:]).all()

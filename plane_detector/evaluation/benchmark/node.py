@@ -37,8 +37,8 @@ from plane_detector.tools.demo.node_process import NodeProcess, use_private_doma
 
 SUBSCRIPTIONS = {'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}
-_STAGES = ('convert', 'depth', 'segmentation', 'scale', 'measurement', 'tracking', 'messages',
-           'publish', 'total')
+_STAGES = ('convert', 'depth', 'wait', 'segmentation', 'scale', 'measurement', 'tracking',
+           'messages', 'publish', 'total')
 _NODE_ALONE = ('convert', 'tracking', 'messages')
 _REPEATS = 50
 

@@ -38,7 +38,7 @@ def test_the_running_node_is_measured(monkeypatch, capsys):
     (row,) = rows(capsys.readouterr().out)
     assert row[:2] == ['depth topic', 'all']
     assert 0 < float(row[2]) < 6
-    *stages, total = map(float, row[3:12])
+    *stages, total = map(float, row[3:13])
     assert 0 < total == pytest.approx(sum(stages), abs=1 + 0.1 * total)
     on_a_core_ms, waiting_ms = float(row[13]), float(row[14])
     assert on_a_core_ms + waiting_ms > 0.3 * total, 'the threads of the process are found'
