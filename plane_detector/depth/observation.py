@@ -16,6 +16,7 @@ import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.far import knowable
 from plane_detector.depth.focal_correction import lens_factor
 from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
 from plane_detector.geometry.disparity import noise_reference, to_depth, to_disparity, valid_depth
@@ -77,6 +78,8 @@ class Observation:
 
     def restricted_to(self, covered: np.ndarray) -> Observation:
         """Return the observation, invalid where ``covered`` (H, W) bool is False."""
+        if covered.all():
+            return self
         values = np.where(covered, self.prediction.values, np.float32(np.nan))
         return replace(self, prediction=replace(self.prediction, values=values))
 
@@ -157,7 +160,8 @@ class ModelDepth:
         seen = Observation(rgb, intrinsics, config, replace(prediction, values=values),
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
-        return self._averaged(seen, config.depth.damping)
+        seen = self._averaged(seen, config.depth.damping)
+        return seen.restricted_to(knowable(seen.disparity, seen.disparity_noise, rgb))
 
     def reset(self) -> None:
         """Forget the frames before."""

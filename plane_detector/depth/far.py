@@ -1,0 +1,112 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+What a network puts farther away than it can know: no surface, and so no plane.
+
+Disparity within its noise of 0 may be anything from there to infinity. Sky is given some depth by
+networks that were trained in rooms, so it is told by the image: an even, bright and bluish region
+at the upper border, in the farther half of the depth, that gets whiter and not darker downwards.
+That is what Rayleigh scattering does to a clear sky; a wall keeps its colour where its brightness
+changes. A sky of clouds has texture, an overcast one no colour: these are not told.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+FAR_DEVIATIONS = 3.0
+"""Nearer to 0 than this many standard deviations, a disparity says no distance (3 sigma)."""
+_SMALL_WIDTH_PX = 160
+# Of a small image with values of 0 to 255.
+_TEXTURE_WINDOW_PX, _MOST_TEXTURE = 5, 6.0
+_LEAST_GREY, _LEAST_BLUE_MINUS_RED = 110.0, 4.0
+_LEAST_SHARE = 0.02  # of the image: less hardly makes a plane, and says little of its colours
+_LEAST_FAR_SHARE = 0.6
+# Of blue over red from the upper to the lower tenth of the region. Seen: 0.12 and 0.19 for skies
+# (KITTI, a photograph of a temple), 0.03 to 0.06 for a bluish wall in 60 images of a room.
+_LEAST_WHITENING = 0.09
+_MOST_DARKENING = 5.0
+_BORDER_PX = 3  # the texture window sees what is beside the region this far off
+
+
+def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray:
+    """
+    Return where a disparity says how far something is.
+
+    Parameters
+    ----------
+    disparity : (H, W) floating
+        0 is infinitely far; NaN invalid.
+    noise : float
+        Its standard deviation; 0: not known.
+    rgb : (H, W, 3) uint8
+        The image.
+
+    Returns
+    -------
+    (H, W) bool
+        False for what is too far for its noise, and for clear sky.
+
+    """
+    known = ~(disparity < FAR_DEVIATIONS * noise)
+    sky = find_sky(rgb, disparity)
+    return known & ~sky if sky is not None else known
+
+
+def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
+    """
+    Find clear sky.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+    disparity : (H, W) floating
+        Not finite where invalid, which counts as far.
+
+    Returns
+    -------
+    (H, W) bool or None
+        None where there is none.
+
+    """
+    height, width = rgb.shape[:2]
+    size = (_SMALL_WIDTH_PX, max(2, round(height * _SMALL_WIDTH_PX / width)))
+    small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
+    region = _even_region_at_the_top(small)
+    if region.mean() < _LEAST_SHARE or not _whitens_downwards(small, region):
+        return None
+    far = cv2.resize(np.nan_to_num(disparity, nan=0.0, posinf=0.0).astype(np.float32), size,
+                     interpolation=cv2.INTER_NEAREST)
+    if np.mean(far[region] <= np.median(far)) < _LEAST_FAR_SHARE:
+        return None
+    near_region = cv2.dilate(region.astype(np.uint8), np.ones((2 * _BORDER_PX + 1,) * 2))
+    wide = cv2.resize(near_region, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    return wide & _is_bright_blue(rgb.astype(np.float32))
+
+
+def _is_bright_blue(rgb: np.ndarray) -> np.ndarray:
+    grey = rgb.mean(axis=-1)
+    return (grey > _LEAST_GREY) & (rgb[..., 2] - rgb[..., 0] >= _LEAST_BLUE_MINUS_RED)
+
+
+def _even_region_at_the_top(small: np.ndarray) -> np.ndarray:
+    """Return the even, bright and bluish pixels that hang together with the upper border."""
+    grey, window = small.mean(axis=-1), (_TEXTURE_WINDOW_PX,) * 2
+    mean = cv2.blur(grey, window)
+    variance = cv2.blur(grey * grey, window) - mean * mean
+    even = (variance < _MOST_TEXTURE**2) & _is_bright_blue(small)
+    _, parts = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
+    at_top = np.unique(parts[0])
+    return np.isin(parts, at_top[at_top > 0])
+
+
+def _whitens_downwards(small: np.ndarray, region: np.ndarray) -> bool:
+    rows = np.nonzero(region)[0]
+    colours = small[region]
+    upper, lower = (colours[part] for part in (
+        rows <= np.quantile(rows, 0.1), rows >= np.quantile(rows, 0.9)))
+    blue_over_red = [np.median((part[:, 2] + 1) / (part[:, 0] + 1)) for part in (upper, lower)]
+    grey = [np.median(part.mean(axis=1)) for part in (upper, lower)]
+    return (blue_over_red[0] - blue_over_red[1] >= _LEAST_WHITENING
+            and grey[0] - grey[1] <= _MOST_DARKENING)

@@ -1,0 +1,73 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What is too far to be known, and clear sky, are no surface."""
+
+import numpy as np
+import pytest
+
+from plane_detector.config import Config
+from plane_detector.depth.far import find_sky, knowable
+from plane_detector.depth.observation import DepthFunction, ModelDepth
+from plane_detector.types import CameraIntrinsics
+
+HEIGHT, WIDTH = 240, 320
+HORIZON = 110
+CAMERA = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, WIDTH, HEIGHT)
+
+
+def landscape(top=(160, 195, 245), horizon=(225, 235, 245)):
+    """Return an image of a sky, whiter downwards, over textured ground, and a disparity of it."""
+    rgb = np.random.default_rng(0).integers(30, 120, (HEIGHT, WIDTH, 3)).astype(np.uint8)
+    weight = np.linspace(0, 1, HORIZON)[:, None, None]
+    rgb[:HORIZON] = np.rint((1 - weight) * top + weight * horizon)
+    disparity = np.full((HEIGHT, WIDTH), 0.3, np.float32)  # as by a network of rooms
+    disparity[HORIZON:] = np.linspace(0.31, 0.8, HEIGHT - HORIZON)[:, None]
+    return rgb, disparity
+
+
+def test_a_clear_sky_is_found_up_to_its_border():
+    rgb, disparity = landscape()
+    before = rgb.copy(), disparity.copy()
+    sky = find_sky(rgb, disparity)
+    assert sky[:HORIZON].all()
+    assert not sky[HORIZON + 9:].any()
+    assert sky[HORIZON:].mean() < 0.02, 'some bluish pixels of the ground beside it'
+    np.testing.assert_array_equal(rgb, before[0])
+    np.testing.assert_array_equal(disparity, before[1])
+
+
+@pytest.mark.parametrize('colours', [
+    {'top': (190, 200, 215), 'horizon': (160, 168, 181)},  # a bluish wall, darker downwards
+    {'top': (200, 210, 225), 'horizon': (200, 210, 225)},  # an even one
+    {'top': (225, 215, 200), 'horizon': (235, 230, 220)},  # a yellowish one
+    {'top': (200, 200, 200), 'horizon': (240, 240, 240)},  # white, as overcast sky
+    {'top': (20, 40, 90), 'horizon': (70, 80, 100)}])      # dark
+def test_a_wall_is_no_sky(colours):
+    assert find_sky(*landscape(**colours)) is None
+
+
+def test_what_is_near_or_not_at_the_top_or_small_or_textured_is_no_sky():
+    rgb, disparity = landscape()
+    assert find_sky(rgb, 1 / disparity) is None
+    assert find_sky(rgb[::-1], disparity) is None
+    assert find_sky(rgb[HORIZON - 4:], disparity[HORIZON - 4:]) is None
+    rough = np.clip(rgb + np.random.default_rng(1).normal(0, 60, rgb.shape), 0, 255)
+    assert find_sky(rough.astype(np.uint8), disparity) is None
+
+
+def test_a_disparity_within_its_noise_of_nothing_says_no_distance():
+    rgb = np.zeros((1, 4, 3), np.uint8)
+    disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
+    np.testing.assert_array_equal(knowable(disparity, 0.01, rgb), [[False, True, True, True]])
+    assert knowable(disparity, 0.0, rgb).all()
+
+
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
+def test_models_give_no_depth_there(output):
+    rgb, disparity = landscape()
+    disparity[HORIZON:HORIZON + 4] = 0.02  # farther than 3 * 0.0175 * 0.5 allows
+    values = 1 / disparity if output == 'metric_depth' else disparity
+    source = ModelDepth(DepthFunction(lambda rgb: values, output, noise_share=0.0175))
+    seen = source.observe(rgb, CAMERA, None, Config())
+    assert np.isnan(seen.prediction.values[:HORIZON + 4]).all()
+    np.testing.assert_array_equal(seen.prediction.values[HORIZON + 4:], values[HORIZON + 4:])
