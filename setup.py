@@ -45,6 +45,7 @@ setup(
         f'demo = {NAME}.tools.demo.__main__:main',
         f'fetch = {NAME}.tools.fetch:main',
         f'replay = {NAME}.tools.replay.__main__:main',
+        f'rviz = {NAME}.tools.rviz:main',
         f'show = {NAME}.tools.show:main',
     ]},
 )

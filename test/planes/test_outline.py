@@ -14,7 +14,7 @@ from plane_detector.ros.outputs.markers import markers_to_msg
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 CAMERA = CameraIntrinsics(100.0, 100.0, 49.5, 39.5, 100, 80)
-WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 10, 0.0, 1.0,
+WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 2500, 0.0, 1.0,
              np.eye(4), 1.0)
 
 
@@ -132,6 +132,14 @@ def test_captions():
     assert markers(classes=(PlaneClass.WALL,))[2].text == '1: wall 2.00 m'
     assert markers(classes=(PlaneClass.OTHER_HORIZONTAL,))[2].text == '1: other horizontal 2.00 m'
     assert markers(scale_method='relative')[2].text == '1: 2.00'
+
+
+def test_a_small_plane_has_no_caption_and_no_text_is_larger_than_its_plane():
+    small = markers(planes=(replace(WALL, inlier_count=79),))
+    assert [m.action for m in small] == [small[0].ADD, small[0].ADD, small[0].DELETE]
+    shelf = markers(planes=(replace(WALL, area_m2=0.01),))
+    assert shelf[2].scale.z == pytest.approx(0.2 * 0.1)
+    assert markers()[2].scale.z < 0.07, 'not as tall as a chair'
 
 
 def test_only_markers_of_planes_gone_are_deleted():

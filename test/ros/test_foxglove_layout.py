@@ -8,7 +8,7 @@ from pathlib import Path
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-TOPICS = {f'/plane_detector/{name}' for name in OUTPUTS} | {'/image', '/diagnostics'}
+TOPICS = {f'/plane_detector/{name}' for name in OUTPUTS} | {'/diagnostics'}
 
 
 def leaves(layout):
@@ -18,7 +18,7 @@ def leaves(layout):
     return leaves(layout['first']) | leaves(layout['second'])
 
 
-def test_the_layout_shows_picture_overlay_cloud_and_markers():
+def test_the_layout_shows_overlay_cloud_markers_and_state():
     text = (REPOSITORY / 'config' / 'foxglove_layout.json').read_text(encoding='utf-8')
     layout = json.loads(text)
     panels = layout['configById']
@@ -27,8 +27,16 @@ def test_the_layout_shows_picture_overlay_cloud_and_markers():
     for panel in panels.values():
         shown |= {topic for topic, view in panel.get('topics', {}).items() if view['visible']}
         assert set(panel.get('topics', {})) <= TOPICS
-        shown |= {panel.get('imageMode', {}).get('imageTopic'), panel.get('topicToRender')}
+        shown |= {panel.get('imageMode', {}).get('imageTopic'), panel.get('topicToRender'),
+                  panel.get('topicPath', '').partition('.')[0] or None}
     shown.discard(None)
     assert shown <= TOPICS
-    assert shown >= {'/image', '/plane_detector/overlay', '/plane_detector/points',
+    assert shown >= {'/plane_detector/overlay', '/diagnostics', '/plane_detector/points',
                      '/plane_detector/markers'}
+
+
+def test_the_cloud_has_its_own_colours():
+    """As in the overlay: one palette everywhere, with points_color label."""
+    layout = json.loads((REPOSITORY / 'config' / 'foxglove_layout.json').read_text('utf-8'))
+    points = layout['configById']['3D!planes']['topics']['/plane_detector/points']
+    assert (points['colorMode'], points['colorField']) == ('rgb', 'rgb')

@@ -203,10 +203,11 @@ def test_markers_of_planes_gone_are_deleted(robot, room):
     (first,) = robot.wait_for('markers')
     shown = {(m.ns, m.id) for m in first.markers if m.action == m.ADD}
     labels = set(cloud_array(robot.wait_for('planes')[0])[0]['label'].tolist())
-    assert shown == {(ns, label) for ns in ('outline', 'normal', 'caption') for label in labels}
+    assert {(ns, label) for ns in ('outline', 'normal') for label in labels} <= shown
+    assert any(ns == 'caption' for ns, _ in shown)
     send(robot, room, 2.0)
     second = robot.wait_for('markers', 2)[1]
-    assert {(m.ns, m.id) for m in second.markers if m.action == m.DELETE} == shown
+    assert {(m.ns, m.id) for m in second.markers if m.action == m.DELETE} >= shown
     assert all(m.header.frame_id == FRAME_ID for m in second.markers)
 
 

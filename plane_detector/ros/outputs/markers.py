@@ -25,7 +25,11 @@ from plane_detector.types import CameraIntrinsics, Detection, Plane
 _NAMESPACES = ('outline', 'normal', 'caption')
 # Sizes as a share of the distance from the camera: they look alike near and far, and need no
 # unit where the scale is not known.
-_LINE_WIDTH, _ARROW_LENGTH, _TEXT_HEIGHT = 0.006, 0.15, 0.05
+_LINE_WIDTH, _ARROW_LENGTH, _TEXT_HEIGHT, _TEXT_LIFT = 0.006, 0.15, 0.03, 0.02
+# derived: and no larger than this share of the plane's own side, so that neighbours stay apart.
+_LARGEST_ARROW, _LARGEST_TEXT = 0.5, 0.2
+# derived: a plane of a smaller share of the pixels has no room for a caption.
+_CAPTION_MIN_SHARE = 0.01
 
 
 def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntrinsics,
@@ -58,7 +62,10 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
         corners_m = plane_outline(detection.labels == index, detection.depth_m, intrinsics, plane)
         caption = f'{label}: {_description(detection, index)}'
         colour = ColorRGBA(**dict(zip('rgb', share, strict=True)), a=1.0)
-        for marker in _plane_markers(header, plane, corners_m, caption):
+        outline, normal, text = _plane_markers(header, plane, corners_m, caption)
+        if plane.inlier_count < _CAPTION_MIN_SHARE * detection.labels.size:
+            text = _delete(header, 'caption', label)
+        for marker in (outline, normal, text):
             marker.id, marker.color, marker.lifetime = int(label), colour, lifetime
             markers.append(marker)
     for marker in shape_markers(header, detection):
@@ -86,15 +93,16 @@ def moved(markers: MarkerArray, to_target: RigidTransform) -> MarkerArray:
 
 def _plane_markers(header: Header, plane: Plane, corners_m: np.ndarray,
                    caption: str) -> Iterable[Marker]:
-    distance = float(np.linalg.norm(plane.centroid_m))
-    tip_m = plane.centroid_m + _ARROW_LENGTH * distance * plane.normal
+    distance, side = float(np.linalg.norm(plane.centroid_m)), float(np.sqrt(plane.area_m2))
+    length = min(_ARROW_LENGTH * distance, _LARGEST_ARROW * side)
     outline = _marker(header, 'outline', Marker.LINE_STRIP, [*corners_m, corners_m[0]])
     outline.scale.x = _LINE_WIDTH * distance
-    normal = _marker(header, 'normal', Marker.ARROW, [plane.centroid_m, tip_m])
+    normal = _marker(header, 'normal', Marker.ARROW,
+                     [plane.centroid_m, plane.centroid_m + length * plane.normal])
     normal.scale.x, normal.scale.y = _LINE_WIDTH * distance, 3 * _LINE_WIDTH * distance
     text = _marker(header, 'caption', Marker.TEXT_VIEW_FACING, [])
-    text.text, text.scale.z = caption, _TEXT_HEIGHT * distance
-    text.pose.position = _point(tip_m)
+    text.text, text.scale.z = caption, min(_TEXT_HEIGHT * distance, _LARGEST_TEXT * side)
+    text.pose.position = _point(plane.centroid_m + _TEXT_LIFT * distance * plane.normal)
     return outline, normal, text
 
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from plane_detector.types import CameraIntrinsics, Detection, Plane
@@ -194,6 +194,13 @@ def depth_to_msg(header: Header, depth_m: np.ndarray) -> Image:
 def rgb_to_msg(header: Header, rgb: np.ndarray) -> Image:
     """Return the picture (H, W, 3) uint8 as rgb8."""
     return _image_msg(header, 'rgb8', rgb)
+
+
+def jpeg_to_msg(header: Header, rgb: np.ndarray) -> CompressedImage:
+    """Return the image (H, W, 3) uint8 as JPEG, in the form of compressed_image_transport."""
+    _, data = cv2.imencode('.jpg', cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
+    return CompressedImage(header=header, format='rgb8; jpeg compressed bgr8',
+                           data=array.array('B', data.tobytes()))
 
 
 def _named(names: str, values: np.ndarray) -> dict[str, float]:

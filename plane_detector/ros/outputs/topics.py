@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseArray
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
@@ -121,6 +121,11 @@ class Result:
         points_m = depth_to_points(self.detection.depth_m, self.intrinsics)
         return points_m if self.to_target is None else self.to_target.points(points_m)
 
+    @cached_property
+    def overlay(self) -> np.ndarray:
+        """The image with its planes, (H, W, 3) uint8."""
+        return overlay(self.rgb, self.labels)
+
     @property
     def thinned(self) -> tuple[slice, slice]:
         """The rows and columns that the clouds hold."""
@@ -185,7 +190,11 @@ def _depth(result: Result) -> Image:
 
 
 def _overlay(result: Result) -> Image:
-    return messages.rgb_to_msg(result.header, overlay(result.rgb, result.labels))
+    return messages.rgb_to_msg(result.header, result.overlay)
+
+
+def _compressed_overlay(result: Result) -> CompressedImage:
+    return messages.jpeg_to_msg(result.header, result.overlay)
 
 
 def _shapes(result: Result) -> PointCloud2:
@@ -206,6 +215,7 @@ OUTPUTS: dict[str, Output] = {
     'labels': Output(Image, _labels),
     'depth': Output(Image, _depth),
     'overlay': Output(Image, _overlay),
+    'overlay/compressed': Output(CompressedImage, _compressed_overlay),
     'camera_info': Output(CameraInfo, _camera_info),
     'shapes': Output(PointCloud2, _shapes),
 }

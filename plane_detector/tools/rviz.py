@@ -1,0 +1,102 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Start RViz with the frame of the camera as fixed frame.
+
+    ros2 run plane_detector rviz --ros-args -r image:=/camera/color/image_raw
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import rclpy
+from rclpy.executors import Executor
+from rclpy.node import Node
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo
+
+from plane_detector.ros.inputs.topic_names import input_topics
+
+_FILE = 'plane_detector.rviz'
+_NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
+
+
+def with_frame(config: str, frame: str, node_name: str) -> str:
+    """Return the text of an RViz configuration with another fixed frame and name of the node."""
+    return (config.replace(_FRAME, f'Fixed Frame: {frame}')
+            .replace(f'Value: {_NODE}', f'Value: {node_name}/'))
+
+
+def wait_for_frame(node: Node, timeout_s: float, executor: Executor | None = None) -> str:
+    """
+    Return the frame of the camera, as its CameraInfo says.
+
+    Raises
+    ------
+    TimeoutError
+        There is no CameraInfo within this time.
+
+    """
+    topic, frames = input_topics(node, 'raw')['camera_info'], []
+    node.create_subscription(CameraInfo, topic, lambda msg: frames.append(msg.header.frame_id),
+                             qos_profile_sensor_data)
+    end_s = time.monotonic() + timeout_s
+    while not frames:
+        if time.monotonic() > end_s:
+            raise TimeoutError(f'nothing on {topic} within {timeout_s:g} s: remap image, or give '
+                               'the frame by --frame')
+        rclpy.spin_once(node, executor=executor, timeout_sec=0.1)
+    return frames[0]
+
+
+def find_config() -> Path:
+    """Return the configuration: beside the sources, or where colcon installs it."""
+    beside = Path(__file__).resolve().parents[2] / 'config' / _FILE
+    if beside.is_file():
+        return beside
+    from ament_index_python.packages import get_package_share_directory
+    return Path(get_package_share_directory('plane_detector')) / 'config' / _FILE
+
+
+def main(args: list[str] | None = None) -> int:
+    """Wait for the camera and become RViz; return an exit code where that is not possible."""
+    parser = argparse.ArgumentParser(prog='rviz', description=__doc__.strip().splitlines()[0])
+    parser.add_argument('--frame', default='', help='fixed frame (default: of the camera)')
+    parser.add_argument('--node', default='plane_detector', help='name of the detector')
+    parser.add_argument('--timeout', type=float, default=60.0, metavar='S',
+                        help='how long a camera is waited for (default: %(default)s)')
+    options, of_ros = parser.parse_known_args(args)
+    program = shutil.which('rviz2')
+    if program is None:
+        print('rviz2 is not installed: apt install ros-jazzy-rviz2', file=sys.stderr)
+        return 1
+    try:
+        frame = options.frame or _frame_of_camera(of_ros, options.timeout)
+    except TimeoutError as error:
+        print(error, file=sys.stderr)
+        return 1
+    folder = Path(tempfile.mkdtemp(prefix='plane_detector_'))
+    file = folder / _FILE
+    file.write_text(with_frame(find_config().read_text('utf-8'), frame, options.node), 'utf-8')
+    return os.execv(program, [program, '-d', str(file), *of_ros])
+
+
+def _frame_of_camera(of_ros: list[str], timeout_s: float) -> str:
+    rclpy.init(args=of_ros)
+    node = Node('plane_detector_rviz')
+    try:
+        return wait_for_frame(node, timeout_s)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == '__main__':
+    sys.exit(main())
