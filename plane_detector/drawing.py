@@ -56,7 +56,7 @@ def label_image(labels: np.ndarray) -> np.ndarray:
     return cv2.applyColorMap(of_label.astype(np.uint8)[labels], colours)
 
 
-def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None) -> np.ndarray:
     """
     Return the picture with its planes coloured.
 
@@ -66,6 +66,8 @@ def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
         The picture; it is not changed.
     labels : (H, W) integer
         Label of each pixel, 0 for no plane.
+    colours : (N, 3) uint8, optional
+        Of labels 0 to N - 1, RGB; default: those of the palette.
 
     Returns
     -------
@@ -82,12 +84,14 @@ def tint(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
         raise ValueError(f'the labels are {labels.shape}, the picture {rgb.shape[:2]}')
     on_plane = (labels > 0).astype(np.uint8)
     result = rgb.copy()
-    cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, label_image(labels), _COLOUR_SHARE, 0),
+    coloured = label_image(labels) if colours is None else colours[labels]
+    cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, coloured, _COLOUR_SHARE, 0),
                on_plane, result)
     return result
 
 
-def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
+def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None
+            ) -> np.ndarray:
     """
     Return the image with its planes coloured, outlined and numbered; as :func:`tint`.
 
@@ -98,7 +102,7 @@ def overlay(rgb: np.ndarray, labels: np.ndarray) -> np.ndarray:
     ((40, 60, 3), 'uint8', True)
 
     """
-    result = tint(rgb, labels)
+    result = tint(rgb, labels, colours)
     _draw_outlines(result, labels)
     _draw_numbers(result, labels)
     return result

@@ -3,19 +3,23 @@
 """
 Planes on real pictures through the real node: starts it, feeds it, draws what it publishes.
 
-Without --images: two photographs that come inside libraries. One has a true depth; it is shown
-a second time with that depth on the depth topic, as a depth camera would give it.
+Without --images: two photographs that come inside libraries. The first one, a workshop, is of
+the kind that indoor networks know and has a true depth: it says which planes are right, and is
+shown again with that depth on the depth topic, as a depth camera would give it. The second one
+is outdoors, where they do badly.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 import rclpy
+from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
 from plane_detector.depth.model_zoo import choose, fetch
@@ -39,6 +43,7 @@ _FRAME_TIMEOUT_S = 60.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo; return the exit code."""
     options = _parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
     try:
         _run(options)
     except KeyboardInterrupt:
@@ -47,6 +52,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f'\ndemo: {error}', file=sys.stderr)
         return 1
     return 0
+
+
+def _interrupt(_number: int, _stack: object) -> None:
+    """End as Ctrl-C does: the node is ended too, and nothing is printed."""
+    raise KeyboardInterrupt
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -59,12 +69,12 @@ def _run(options: argparse.Namespace) -> None:
     photographs = (folder_pictures(options.images, lens) if options.images
                    else library_pictures())
     options.output.mkdir(parents=True, exist_ok=True)
-    network = '' if options.without_network else _fetched(options.model)
+    network = {} if options.without_network else _network(options)
     use_private_domain()
-    rclpy.init()
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:
         if network:
-            _show(photographs, {'depth.model': network}, network, options.output)
+            _show(photographs, network, Path(network['depth.model']).stem, options.output)
         measured = [photograph for photograph in photographs
                     if photograph.true_depth_m is not None]
         if measured:
@@ -74,14 +84,23 @@ def _run(options: argparse.Namespace) -> None:
     print(f'\nThe pictures are in {options.output}/')
 
 
-def _fetched(model: str) -> str:
-    """Return the name of the depth network, its file in the cache now."""
+def _network(options: argparse.Namespace) -> dict[str, str]:
+    """Return the parameters that name the depth network, its file in the cache now."""
+    model, path = options.model, Path(options.model).expanduser()
+    if model not in ('auto', *NETWORKS):
+        if not path.is_file():
+            raise FileNotFoundError(f'--model {model} is neither a file nor one of auto, '
+                                    f'{", ".join(NETWORKS)}')
+        if not options.model_output:
+            raise ValueError('--model-output must say what the network of a file gives')
+        print(f'Depth network: {path}, {options.model_output}')
+        return {'depth.model': str(path.absolute()), 'depth.output': options.model_output}
     if model == 'auto':
         network, path, reason = choose()
     else:
         network, path, reason = NETWORKS[model], fetch(model), f'{model} as asked for'
-    print(f'Depth network: {reason}.\n  {path}\n  {network.output}, {network.trained_on}')
-    return network.name
+    print(f'Depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
+    return {'depth.model': network.name}
 
 
 def _show(photographs: Sequence[Photograph], parameters: dict[str, str], source: str,
@@ -118,20 +137,24 @@ def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[], object]]:
     """Show what is going on and for how long, on a line that vanishes in the end."""
-    with tqdm(desc=what, bar_format='{desc} {n_fmt} [{elapsed}]', leave=False) as bar:
+    with tqdm(desc=what, bar_format='{desc} {n_fmt} [{elapsed}]', leave=False,
+              disable=None) as bar:
         yield bar.update
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument('--images', type=Path, help='folder of your own pictures')
+    parser.add_argument('--images', type=Path, help='folder of your own images')
     for name in ('fx', 'fy', 'cx', 'cy'):
         parser.add_argument(f'--{name}', type=float, help='calibration of these pictures, pixels')
     parser.add_argument('--fov', type=float,
                         help='horizontal field of view in degrees, instead of a calibration')
-    parser.add_argument('--model', default='auto', choices=['auto', *NETWORKS],
-                        help='depth network (default: %(default)s)')
+    parser.add_argument('--model', default='auto', metavar='NAME|FILE', help=(
+        f'depth network: auto, {", ".join(NETWORKS)}, or an .onnx file (default: %(default)s)'))
+    parser.add_argument('--model-output', choices=['metric_depth', 'disparity',
+                                                   'relative_disparity'],
+                        help='what the network of a file gives')
     parser.add_argument('--without-network', action='store_true',
                         help='only show pictures with measured depth')
     parser.add_argument('--output', type=Path, default=Path('demo_output'),

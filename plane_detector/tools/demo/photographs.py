@@ -87,6 +87,8 @@ class Photograph:
         Where the intrinsics come from, for people.
     true_depth_m : (H, W) float32 or None
         NaN where it is not known.
+    remark : str
+        What must be known to judge the result.
 
     """
 
@@ -95,6 +97,7 @@ class Photograph:
     intrinsics: CameraIntrinsics
     calibration: str
     true_depth_m: np.ndarray | None = None
+    remark: str = ''
 
 
 def library_pictures() -> list[Photograph]:
@@ -107,7 +110,7 @@ def library_pictures() -> list[Photograph]:
         scikit-image is not installed.
 
     """
-    return [_temple(), _motorcycle()]
+    return [_motorcycle(), _temple()]
 
 
 def folder_pictures(folder: Path, lens: Lens) -> list[Photograph]:
@@ -164,7 +167,9 @@ def _temple() -> Photograph:
     from sklearn.datasets import load_sample_image
     rgb = np.ascontiguousarray(load_sample_image('china.jpg'))
     lens = Lens()
-    return Photograph('china', rgb, lens.intrinsics(rgb.shape[1], rgb.shape[0]), str(lens))
+    return Photograph('china', rgb, lens.intrinsics(rgb.shape[1], rgb.shape[0]), str(lens),
+                      remark='Outdoors, far from what indoor networks were trained on: planes in '
+                      'the sky, the lake\n  and the trees mean nothing, and metres are wrong.')
 
 
 def _motorcycle() -> Photograph:

@@ -14,10 +14,13 @@ import numpy as np
 from plane_detector import drawing
 from plane_detector.tools.demo.node_client import Received, Timing
 from plane_detector.tools.demo.photographs import Photograph
+from plane_detector.tools.demo.scene_table import class_colours, legend, scene_table
 from plane_detector.tools.demo.sensor_comparison import JudgedPlane, depth_error, judge_planes
 from plane_detector.tools.ply import write_ply
 
 _ROWS_SHOWN = 12
+# A plane is called right where this share of its pixels is one real plane, turned by no more.
+_PURE, _RIGHT_DEG = 0.8, 10.0
 
 
 @dataclass(frozen=True)
@@ -82,27 +85,32 @@ def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
     size = photograph.intrinsics
     print(f'\n{outcome.name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
           f'{photograph.calibration}')
-    _print_planes(outcome.received.planes, outcome.unit)
+    print(scene_table(outcome.received.planes, outcome.unit))
     stages = ', '.join(f'{stage} {ms:.1f}' for stage, ms in timing.stage_ms().items())
     print(f'  {timing.rate_hz:.1f} frames per second through the topics; ms per frame in the '
           f'node: {stages or "not told"}')
     if photograph.true_depth_m is not None:
         _print_truth(outcome)
+    if photograph.remark:
+        print(f'  {photograph.remark}')
     print('  ' + ', '.join(str(path) for path in paths))
 
 
 def _figure(outcome: Outcome) -> np.ndarray:
-    """Return the paper's Figure 2: picture, depth, planes of RANSAC alone, planes in the end."""
+    """Return image, depth, planes of RANSAC alone, and planes by class."""
     received = outcome.received
+    classes = legend(received.planes)
     near, far = drawing.depth_range(received.depth_m)
     alone = len(np.unique(outcome.ransac_labels[outcome.ransac_labels > 0]))
     return drawing.figure([
-        ('picture', outcome.photograph.rgb),
+        ('image', outcome.photograph.rgb),
         (f'{outcome.depth_title}, red {near:.1f} {outcome.unit} to blue {far:.1f} '
          f'{outcome.unit}', drawing.colour_depth(received.depth_m)),
         (f'RANSAC alone: {alone} planes',
          drawing.overlay(outcome.photograph.rgb, outcome.ransac_labels)),
-        (f'after clustering: {len(received.planes)} planes', received.overlay),
+        (f'{len(received.planes)} planes{f": {classes}" if classes else ""}',
+         drawing.overlay(outcome.photograph.rgb, received.points['label'],
+                         class_colours(received.planes))),
     ])
 
 
@@ -113,22 +121,6 @@ def _write_csv(path: Path, planes: np.ndarray) -> None:
         for plane in planes:
             writer.writerow([f'{value:.6g}' if isinstance(value, np.floating) else value
                              for value in plane])
-
-
-def _print_planes(planes: np.ndarray, unit: str) -> None:
-    if not len(planes):
-        print('  no plane found')
-        return
-    columns = ('label', 'normal x', 'y', 'z', f'd [{unit}]', 'pixels', f'rms [{unit}]',
-               f'area [{unit}2]')
-    print('  ' + ''.join(f'{column:>12}' for column in columns))
-    for plane in planes[:_ROWS_SHOWN]:
-        print(f'  {plane["label"]:12d}' + ''.join(
-            f'{plane[name]:12.{digits}f}' for name, digits in (
-                ('normal_x', 3), ('normal_y', 3), ('normal_z', 3), ('d', 3), ('num_inliers', 0),
-                ('rms', 4), ('area', 3))))
-    if len(planes) > _ROWS_SHOWN:
-        print(f'  {"...":>12}  and {len(planes) - _ROWS_SHOWN} smaller ones, in the table')
 
 
 def _print_truth(outcome: Outcome) -> None:
@@ -146,9 +138,22 @@ def _print_truth(outcome: Outcome) -> None:
         print(f'  {received.planes["label"][one.index]:12d}{100 * one.distance_m:12.1f}'
               f'{one.normal_error_deg:12.1f}{100 * one.offset_error_m:12.1f}'
               f'{100 * one.purity:12.0f}')
+    _print_verdict(judged, received.planes)
     print('  (distance: median from the true points of its pixels; normal and d: against the '
           'best plane\n  through these points; purity: share of them within max(3 cm, 1.5 % of '
           'z) of that plane)')
+
+
+def _print_verdict(judged: list[JudgedPlane], planes: np.ndarray) -> None:
+    """Say plainly which planes are right."""
+    right = [one for one in judged if one.purity >= _PURE and one.normal_error_deg <= _RIGHT_DEG]
+    wrong = [one for one in judged if one not in right]
+    share = sum(one.pixels for one in right) / max(sum(one.pixels for one in judged), 1)
+    named = [', '.join(str(planes['label'][one.index]) for one in some[:_ROWS_SHOWN]) or 'none'
+             for some in (right, wrong)]
+    print(f'  right, that is one real plane, turned by {_RIGHT_DEG:g} degrees at most: '
+          f'{named[0]}; wrong: {named[1]}\n'
+          f'  ({len(right)} of {len(judged)} planes, {share:.0%} of their pixels)')
 
 
 def _judged(received: Received, photograph: Photograph) -> list[JudgedPlane]:

@@ -73,10 +73,6 @@ class Tally:
             return 'interrupted'
         return 'broken off' if self.failure else 'finished'
 
-    def add_scale(self, depth_source: str, detection: Detection) -> None:
-        """Count where the unit of a frame's depth came from."""
-        self.scales[scale_of(depth_source, detection)] += 1
-
     def describe(self) -> str:
         """Return counts, rate and times for people."""
         frames = max(self.processed, 1)

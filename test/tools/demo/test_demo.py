@@ -7,8 +7,10 @@ from __future__ import annotations
 import array
 import csv
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -169,6 +171,8 @@ def test_demo_runs_the_node_over_dds(tmp_path, pictures):
          str(tmp_path)], cwd=ROOT, capture_output=True, text=True, timeout=240)
     assert run.returncode == 0, run.stderr
     assert 'frames per second' in run.stdout
+    assert 'angle to' in run.stdout
+    assert 'wrong: none' in run.stdout, 'measured depth is the truth here'
     assert 'segmentation' in run.stdout
     name = 'stereo_motorcycle_depth_topic'
     rgb = pictures['stereo_motorcycle'].rgb
@@ -185,8 +189,28 @@ def test_demo_runs_the_node_over_dds(tmp_path, pictures):
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
 
 
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_demo_is_quiet_when_it_is_ended(tmp_path, number):
+    pytest.importorskip('rclpy')
+    with subprocess.Popen(
+            [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
+             str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True) as process:
+        deadline_s = time.monotonic() + 120
+        while not (tmp_path / 'node_depth_topic.log').exists():
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+        process.send_signal(number)
+        printed = process.communicate(timeout=120)
+    assert process.returncode == 130, printed
+    assert 'Traceback' not in ''.join(printed)
+    assert printed[1].strip() == ''
+
+
 @pytest.mark.parametrize('arguments, reason', [
-    (['--images', '.'], 'demo: no picture in'), (['--fx', '525'], 'demo: a calibration')])
+    (['--images', '.'], 'demo: no picture in'), (['--fx', '525'], 'demo: a calibration'),
+    (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of auto'),
+    (['--model', __file__], 'demo: --model-output must say what the network of a file gives')])
 def test_demo_says_what_is_wrong(tmp_path, arguments, reason):
     pytest.importorskip('rclpy')
     run = subprocess.run(
