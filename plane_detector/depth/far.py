@@ -7,7 +7,8 @@ Disparity within its noise of 0 may be anything from there to infinity. Sky is g
 networks that were trained in rooms, so it is told by the image: an even, bright and bluish region
 at the upper border, in the farther half of the depth, that gets whiter and not darker downwards.
 That is what Rayleigh scattering does to a clear sky; a wall keeps its colour where its brightness
-changes. A sky of clouds has texture, an overcast one no colour: these are not told.
+changes. What is even and white below it, down to the horizon, belongs to it. A sky of clouds has
+texture, an overcast one no colour: these are not told.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ _LEAST_FAR_SHARE = 0.6
 # (KITTI, a photograph of a temple), 0.03 to 0.06 for a bluish wall in 60 images of a room.
 _LEAST_WHITENING = 0.09
 _MOST_DARKENING = 5.0
+# The white above the horizon is hardly darker than the blue, and hardly redder than blue.
+_HORIZON_DARKER, _HORIZON_REDDER = 15.0, 5.0
 _BORDER_PX = 3  # the texture window sees what is beside the region this far off
 
 
@@ -80,25 +83,37 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
                      interpolation=cv2.INTER_NEAREST)
     if np.mean(far[region] <= np.median(far)) < _LEAST_FAR_SHARE:
         return None
+    least_grey = float(np.quantile(small[region].mean(axis=-1), 0.1)) - _HORIZON_DARKER
+    region = _touching(_is_even(small) & _is_bright(small, least_grey, -_HORIZON_REDDER), region)
     near_region = cv2.dilate(region.astype(np.uint8), np.ones((2 * _BORDER_PX + 1,) * 2))
     wide = cv2.resize(near_region, (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    return wide & _is_bright_blue(rgb.astype(np.float32))
+    return wide & _is_bright(rgb.astype(np.float32), least_grey, -_HORIZON_REDDER)
 
 
-def _is_bright_blue(rgb: np.ndarray) -> np.ndarray:
-    grey = rgb.mean(axis=-1)
-    return (grey > _LEAST_GREY) & (rgb[..., 2] - rgb[..., 0] >= _LEAST_BLUE_MINUS_RED)
+def _is_bright(rgb: np.ndarray, least_grey: float, least_blue_minus_red: float) -> np.ndarray:
+    return ((rgb.mean(axis=-1) > least_grey)
+            & (rgb[..., 2] - rgb[..., 0] >= least_blue_minus_red))
+
+
+def _is_even(small: np.ndarray) -> np.ndarray:
+    grey, window = small.mean(axis=-1), (_TEXTURE_WINDOW_PX,) * 2
+    mean = cv2.blur(grey, window)
+    return cv2.blur(grey * grey, window) - mean * mean < _MOST_TEXTURE**2
 
 
 def _even_region_at_the_top(small: np.ndarray) -> np.ndarray:
     """Return the even, bright and bluish pixels that hang together with the upper border."""
-    grey, window = small.mean(axis=-1), (_TEXTURE_WINDOW_PX,) * 2
-    mean = cv2.blur(grey, window)
-    variance = cv2.blur(grey * grey, window) - mean * mean
-    even = (variance < _MOST_TEXTURE**2) & _is_bright_blue(small)
-    _, parts = cv2.connectedComponents(even.astype(np.uint8), connectivity=4)
-    at_top = np.unique(parts[0])
-    return np.isin(parts, at_top[at_top > 0])
+    candidates = _is_even(small) & _is_bright(small, _LEAST_GREY, _LEAST_BLUE_MINUS_RED)
+    top = np.zeros_like(candidates)
+    top[0] = candidates[0]
+    return _touching(candidates, top)
+
+
+def _touching(candidates: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Return the candidates that hang together with a seed."""
+    _, parts = cv2.connectedComponents((candidates | seeds).astype(np.uint8), connectivity=4)
+    found = np.unique(parts[seeds])
+    return np.isin(parts, found[found > 0])
 
 
 def _whitens_downwards(small: np.ndarray, region: np.ndarray) -> bool:

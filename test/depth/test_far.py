@@ -36,6 +36,14 @@ def test_a_clear_sky_is_found_up_to_its_border():
     np.testing.assert_array_equal(disparity, before[1])
 
 
+def test_the_white_above_the_horizon_is_sky_too():
+    rgb, disparity = landscape()
+    rgb[HORIZON - 30:HORIZON] = (236, 236, 237)
+    sky = find_sky(rgb, disparity)
+    assert sky[:HORIZON].all()
+    assert not sky[HORIZON + 9:].any()
+
+
 @pytest.mark.parametrize('colours', [
     {'top': (190, 200, 215), 'horizon': (160, 168, 181)},  # a bluish wall, darker downwards
     {'top': (200, 210, 225), 'horizon': (200, 210, 225)},  # an even one
