@@ -1,0 +1,101 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The recipes and the messages that the docs explain are those of the code."""
+
+import re
+import runpy
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+import rclpy
+import yaml
+from rclpy.node import Node
+
+from plane_detector.config import Config, NodeConfig
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.parameters import declare, updated, warn_of_unknown
+from plane_detector.tools.replay.node_settings import load_settings
+
+ROOT = Path(__file__).resolve().parents[1]
+RECIPES = sorted((ROOT / 'config').glob('recipe_*.yaml'))
+PARAMETER_FILES = [path for path in RECIPES if 'nav2' not in path.name]
+PAGE = (ROOT / 'docs' / 'recipes.md').read_text('utf-8')
+
+
+def test_every_recipe_is_on_the_page():
+    assert len(RECIPES) >= 4
+    for path in RECIPES:
+        assert f'](../config/{path.name})' in PAGE
+
+
+@pytest.mark.parametrize('path', PARAMETER_FILES, ids=lambda path: path.name)
+def test_the_node_and_the_replay_take_the_parameters(path, monkeypatch):
+    context = rclpy.Context()
+    rclpy.init(context=context, args=['--ros-args', '--params-file', str(path)], domain_id=79)
+    node = Node('plane_detector', context=context)
+    told = []
+    monkeypatch.setattr(node.get_logger(), 'warning', told.append)
+    try:
+        config, settings = declare(node, Config()), declare(node, NodeConfig())
+        warn_of_unknown(node)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    assert told == []
+    assert (config, settings) == load_settings(path, ())
+    assert (config, settings) != (updated(Config(), []), updated(NodeConfig(), []))
+
+
+def test_the_costmap_reads_an_output_that_there_is():
+    text = (ROOT / 'config' / 'recipe_nav2_costmap.yaml').read_text('utf-8')
+    layers = yaml.safe_load(text)['local_costmap']['local_costmap']['ros__parameters']
+    for name in layers['plugins']:
+        assert layers[name]['plugin'].startswith('nav2_costmap_2d::')
+    layer = layers['voxel_layer']
+    source = layer[layer['observation_sources']]
+    assert source['topic'].removeprefix('/plane_detector/') in OUTPUTS
+    assert OUTPUTS['points_without_floor'].msg_type.__name__ == source['data_type']
+    assert source['obstacle_max_range'] <= source['raytrace_max_range']
+    assert layer['z_voxels'] <= 16, 'the most that a voxel layer has'
+    assert source['max_obstacle_height'] <= layer['z_voxels'] * layer['z_resolution']
+
+
+def test_the_lifecycle_manager_starts_the_node_without_autostart(monkeypatch):
+    modules = {name: ModuleType(name) for name in (
+        'launch', 'launch.actions', 'launch.launch_description_sources', 'launch_ros',
+        'launch_ros.actions', 'ament_index_python.packages')}
+    modules['launch'].LaunchDescription = list
+    modules['launch.actions'].IncludeLaunchDescription = lambda source, **rest: (source, rest)
+    modules['launch.launch_description_sources'].PythonLaunchDescriptionSource = str
+    modules['launch_ros.actions'].Node = lambda **keywords: keywords
+    modules['ament_index_python.packages'].get_package_share_directory = lambda _: str(ROOT)
+    for name, module in modules.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    file = runpy.run_path(str(ROOT / 'launch' / 'with_lifecycle_manager.launch.py'))
+    (included, arguments), manager = file['generate_launch_description']()
+    assert Path(included).is_file()
+    assert dict(arguments['launch_arguments']) == {'autostart': 'false'}
+    assert manager['parameters'][0]['node_names'] == ['plane_detector']
+
+
+def messages():
+    page = (ROOT / 'docs' / 'troubleshooting.md').read_text('utf-8')
+    return re.findall(r'^\| `([^`]+)` \|', page, re.MULTILINE)
+
+
+@pytest.fixture(scope='module')
+def strings_of_the_code():
+    """Return the sources with what joins strings over lines taken out."""
+    text = '\n'.join(path.read_text('utf-8') for path in (ROOT / 'plane_detector').rglob('*.py'))
+    return re.sub(r"'\s*\n\s*(?:\+ )?f?'", '', text)
+
+
+def test_there_are_messages():
+    assert len(messages()) > 15
+
+
+@pytest.mark.parametrize('message', messages())
+def test_a_message_that_is_explained_is_one_of_the_code(message, strings_of_the_code):
+    assert message in strings_of_the_code
