@@ -18,7 +18,9 @@ from plane_detector.shapes.refinement import (
 from plane_detector.shapes.views import DepthView, FoundShape
 
 # A plane is a facet of a shape that explains this share of its pixels, or it stays a plane.
+# tuned: benchmark shapes --first-seed 100 --scenes 10; flat from 0.7 to 1.4 times.
 _MIN_FACET_SHARE = 0.7
+# Enough to tell a share.
 _FACET_PIXELS = 300
 
 

@@ -9,14 +9,15 @@ import numpy as np
 
 from plane_detector.geometry.robust import dilated
 from plane_detector.shapes.models import AXIS, depth_on_rays_m, surface_of
-from plane_detector.shapes.refinement import DEVIATIONS, FittedShape, shape_residuals
-from plane_detector.shapes.surfels import depth_sigma_m
+from plane_detector.shapes.refinement import FittedShape, shape_residuals
+from plane_detector.shapes.surfels import DEVIATIONS, depth_sigma_m
 from plane_detector.shapes.views import DepthView, FoundShape, Window
 
 # derived: cells that the silhouette cuts are no members; a border is up to two of them wide.
 _BORDER_CELLS = 2
 # The pixels of a silhouette are mixtures; what is looked at lies so many pixels outside.
 _RING_PX = 3
+# Rays are looked at in steps of this many pixels, to save time.
 _THROUGH_STEP_PX = 3
 # derived: over as many pixels a surface at 45 degrees to the ray goes as far in depth.
 _MAX_GAP_PX = _RING_PX + 1.0

@@ -16,8 +16,10 @@ from plane_detector.shapes.refinement import explained_share, fit_shape
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
 
+# A few outliers do not lengthen a shape.
 _LENGTH_QUANTILES = (0.01, 0.99)
 # Of the pixels of both pieces, what one shape must explain for them to be one.
+# tuned: benchmark shapes --first-seed 100 --scenes 10; flat from 0.7 to 1.4 times.
 _MIN_JOINT_SHARE = 0.9
 
 
@@ -88,7 +90,8 @@ def _measured(view: DepthView, found: FoundShape, window: tuple[slice, slice],
     """Return the result for a shape with its pixels (h, w) of a window."""
     fit, pixels = found.fit, view.pixels(window, mask)
     surface = surface_of(fit.shape, pixels.points_m)
-    low_m, high_m = (float(end) for end in np.quantile(surface.along_m, _LENGTH_QUANTILES))
+    low_m, high_m = (float(end) for end in np.quantile(surface.along_m, # A few outliers do not lengthen a shape.
+_LENGTH_QUANTILES))
     share = explained_share(fit, view.free_pixels(found.members))
     shape = Shape(
         fit.model.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),

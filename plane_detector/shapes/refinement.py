@@ -19,12 +19,12 @@ from plane_detector.shapes.models import (
     moved,
     surface_of,
 )
+from plane_detector.shapes.surfels import DEVIATIONS
 from plane_detector.types import Plane
 
-# after: the usual three deviations of a normal distribution.
-DEVIATIONS = 3.0
 # A shape is fitted, then its inliers are chosen anew.
 _ROUNDS = 2
+# Bounds of the time of a fit.
 _MOST_PIXELS = 500
 _MOST_EVALUATIONS = 12
 

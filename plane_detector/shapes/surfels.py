@@ -17,7 +17,7 @@ from plane_detector.types import CameraIntrinsics
 # by less than half the distance of the centres; a larger gap in depth is a step.
 _MAX_GAP_SHARE = 0.5
 # after: the usual three deviations of a normal distribution.
-_DEVIATIONS = 3.0
+DEVIATIONS = 3.0
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
     width_m = grid.size_px / intrinsics.fx * z_m
     grain_m = depth_sigma_m(z_m, noise.grain, noise.depth_floor_m)
     # A step within a cell bends it by more than any curved surface that the cell can show.
-    usable &= grid.inner_rms * z_m**2 < np.hypot(_DEVIATIONS * grain_m, _MAX_GAP_SHARE * width_m)
+    usable &= grid.inner_rms * z_m**2 < np.hypot(DEVIATIONS * grain_m, _MAX_GAP_SHARE * width_m)
     return Surfels(
         grid.shape, rays * z_m[:, None], -plane / length[:, None], rays, grid.moments[:, N],
         width_m, depth_sigma_m(z_m, noise.mean, noise.depth_floor_m),
@@ -117,6 +117,6 @@ def smooth_links(surfels: Surfels) -> tuple[np.ndarray, np.ndarray]:
     gap_m = np.maximum(np.abs((apart * surfels.normals[first]).sum(axis=1)),
                        np.abs((apart * surfels.normals[second]).sum(axis=1)))
     distance_m = np.linalg.norm(apart, axis=1)
-    allowed_m = np.hypot(_DEVIATIONS * surfels.depth_sigma_m[first], _MAX_GAP_SHARE * distance_m)
+    allowed_m = np.hypot(DEVIATIONS * surfels.depth_sigma_m[first], _MAX_GAP_SHARE * distance_m)
     joined = gap_m < allowed_m
     return first[joined], second[joined]
