@@ -90,8 +90,7 @@ def _measured(view: DepthView, found: FoundShape, window: tuple[slice, slice],
     """Return the result for a shape with its pixels (h, w) of a window."""
     fit, pixels = found.fit, view.pixels(window, mask)
     surface = surface_of(fit.shape, pixels.points_m)
-    low_m, high_m = (float(end) for end in np.quantile(surface.along_m, # A few outliers do not lengthen a shape.
-_LENGTH_QUANTILES))
+    low_m, high_m = (float(end) for end in np.quantile(surface.along_m, _LENGTH_QUANTILES))
     share = explained_share(fit, view.free_pixels(found.members))
     shape = Shape(
         fit.model.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),
