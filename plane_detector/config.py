@@ -43,6 +43,10 @@ class DepthConfig(Settings, section='depth'):
     short_side: int = setting(
         0, 'short side of a network input of free size, the other side keeps the aspect of the '
         'image; 0: the network\'s own', 'px', 0, 8192, read_only=True)
+    target_rate: float = setting(
+        0.0, 'rate to keep on this machine: at configure the network is timed beside the plane '
+        'stage and the largest input of free size that keeps this rate is taken; 0: best quality',
+        'Hz', 0.0, 1000.0, read_only=True)
     side_multiple: int = setting(
         14, 'the sides of a network input of free size are multiples of this; ignored for '
         'networks of the zoo', 'px', 1, 1024, read_only=True)

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol, runtime_checkable
@@ -128,6 +128,12 @@ class DepthModel(Protocol):
 
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return how far edges of depth may be off, in pixels of an image of this size."""
+
+    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+        """Become as large as the rate allows while the plane stage runs beside; 0: stay."""
+
+    def advise(self, share: float) -> str:
+        """Return what would bring its time to this share of what it is; empty: not known."""
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
         """Return the depth of an image (H, W, 3) uint8, of the size of the image."""

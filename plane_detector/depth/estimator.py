@@ -4,13 +4,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
+from plane_detector.depth.input_rate import (
+    LOAD,
+    beside,
+    largest_within,
+    median_seconds,
+    side_for,
+)
 from plane_detector.depth.model_zoo import choose, fetch
 from plane_detector.depth.networks import NETWORKS, Network
 from plane_detector.depth.onnx_file import check_external_data
@@ -77,6 +84,7 @@ class DepthEstimator:
         self.focal_per_height = network.focal_per_height if network else 0.0
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)
+        self._input_reason = ''
         check_external_data(self._path)
         self._session, self.provider, passed_over, arrays = _first_that_runs(
             self._path, config, _interface(config, network, self._reader), self._recipe)
@@ -121,11 +129,60 @@ class DepthEstimator:
         arrays = self._session.run(prepare_input(rgb, input_size, self._recipe))
         return self._read(arrays, rgb, intrinsics)
 
+    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+        """
+        Take the largest input of free size that keeps a rate beside the plane stage.
+
+        Parameters
+        ----------
+        rate_hz : float
+            0: the input stays as it is.
+        plane_stage : callable
+            The rest of the work on a frame; runs once a period while the network is timed.
+
+        """
+        session, width_height = self._session, plausibility.CORRIDOR_SIZE
+        if rate_hz == 0:
+            return
+        if not session.short_sides:
+            self._input_reason = f'depth.target_rate {rate_hz:g} Hz: its input has a fixed size'
+            return
+        rgb, lens = plausibility.corridor()[0], plausibility.CORRIDOR_LENS
+
+        def seconds_of(short_side: int) -> float:
+            self._session = session.resized(short_side)
+            return median_seconds(lambda: self.predict(rgb, lens))
+        plane_stage()  # compiles what is compiled on the first call
+        with beside(plane_stage, 1 / rate_hz):
+            side, seconds = largest_within(session.short_sides, seconds_of, LOAD / rate_hz)
+        self._session = session.resized(side)
+        measured = ', '.join('{} x {} {:.0f} ms'.format(
+            *session.resized(one).input_size(*width_height), 1e3 * seconds[one])
+            for one in sorted(seconds))
+        kept = 'kept' if seconds[side] <= LOAD / rate_hz else 'not kept by the smallest input'
+        self._input_reason = (f'depth.target_rate {rate_hz:g} Hz is {kept}; beside the plane '
+                              f'stage: {measured}')
+
+    def advise(self, share: float) -> str:
+        """Return which setting would bring the time of the network to a share of what it is."""
+        sides = self._session.short_sides
+        if not sides:
+            return 'its input has a fixed size: a smaller network or a GPU would be faster'
+        side = side_for(self._session.short_side, share, sides)
+        if side is None:
+            return 'no input of it is small enough: a smaller network or a GPU would be'
+        return (f'depth.short_side {side} (now {self._session.short_side}) would keep up, or '
+                'depth.target_rate finds it')
+
     @property
     def facts(self) -> Mapping[str, str]:
         """What the log and the diagnostics say of it."""
-        return {'depth_model': self.name, 'depth_model_reason': self.reason,
-                'execution_provider': self.provider}
+        width, height = self.input_size(*plausibility.CORRIDOR_SIZE)
+        facts = {'depth_model': self.name, 'depth_model_reason': self.reason,
+                 'execution_provider': self.provider, 'network_input': f'{width} x {height}'}
+        if self._input_reason:
+            facts['network_input_reason'] = self._input_reason
+        return facts
 
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return how far edges of depth may be off, in pixels of an image of this size."""

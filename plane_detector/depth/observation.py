@@ -108,6 +108,13 @@ class SensorDepth:
             self.output, _without_the_far(depth_m, self.output, config.depth.max_depth))
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
+    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+        """A sensor has its own rate."""
+
+    def advise(self, share: float) -> str:
+        """A sensor cannot be made faster."""
+        return ''
+
     def reset(self) -> None:
         """Nothing is kept from frame to frame."""
 
@@ -162,6 +169,14 @@ class ModelDepth:
                            edge_blur_px=self.model.edge_blur_px(width, height))
         seen = self._averaged(seen, config.depth.damping)
         return seen.restricted_to(knowable(seen.disparity, seen.disparity_noise, rgb))
+
+    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+        """Let the model become as large as the rate allows, see :class:`DepthModel`."""
+        self.model.fit_to_rate(rate_hz, plane_stage)
+
+    def advise(self, share: float) -> str:
+        """Return what would make the model faster, see :class:`DepthModel`."""
+        return self.model.advise(share)
 
     def reset(self) -> None:
         """Forget the frames before."""
@@ -221,6 +236,13 @@ class DepthFunction:
         """Return how far edges may be off."""
         return self.blur_px
 
+    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+        """A function has one speed."""
+
+    def advise(self, share: float) -> str:
+        """Nothing is known of what would make a function faster."""
+        return ''
+
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
         """Call the function, which does not look at the lens."""
         return Prediction(self.output, self.function(rgb))
@@ -256,7 +278,8 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
 
 def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> DepthFunction:
     """Return a plain function as a depth model."""
-    wanted = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'predict')
+    wanted = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'fit_to_rate',
+              'advise', 'predict')
     there = [name for name in wanted if hasattr(function, name)]
     if there:
         raise ValueError(f'the depth model has {", ".join(there)}, but not '

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,8 @@ _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
 # Where the tensors of an accelerator live. A provider that is not named here takes them from the
 # memory of the host and leaves them there.
 _DEVICES = {'CUDAExecutionProvider': 'cuda', 'TensorrtExecutionProvider': 'cuda'}
+# Smaller inputs of free size show a network nothing; none is tried.
+LEAST_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
 
 
@@ -94,6 +97,28 @@ class OnnxSession:
         free = lower_bound_size(width, height, self._interface.short_side,
                                 self._interface.side_multiple)
         return self._fixed_size[0] or free[0], self._fixed_size[1] or free[1]
+
+    @property
+    def short_sides(self) -> tuple[int, ...]:
+        """The short sides that an input of free size may have, ascending; of a fixed one none."""
+        interface = self._interface
+        if all(interface.input_size) or any(self._fixed_size):
+            return ()
+        least = -(-LEAST_SIDE_PX // interface.side_multiple) * interface.side_multiple
+        return (*range(least, interface.short_side, interface.side_multiple),
+                interface.short_side)
+
+    @property
+    def short_side(self) -> int:
+        """The short side of an input of free size."""
+        return self._interface.short_side
+
+    def resized(self, short_side: int) -> OnnxSession:
+        """Return the same network, loaded once, with another short side of its free input."""
+        other = copy(self)
+        other._interface = replace(self._interface, short_side=short_side)
+        other._input_on_device = None
+        return other
 
     def run(self, planes: np.ndarray) -> list[np.ndarray]:
         """Run on (3, H, W) float32; return the wanted outputs as the network gives them."""

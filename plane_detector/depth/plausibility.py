@@ -25,7 +25,7 @@ LEAST_OPPOSITE_CORRELATION = 0.4
 _LEAST_CONTRAST = 2.0
 _SAMPLED_SIDE = 96
 # Smaller inputs cannot show the checkerboard.
-_LEAST_SIDE_PX = 64
+LEAST_SIDE_PX = 64
 # A network that sees less of the corridor than this is not judged by it.
 _LEAST_SEEN = 0.5
 
@@ -141,7 +141,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def shows_corridor(input_size: tuple[int, int]) -> bool:
     """Say whether an input of (width, height) is large enough for the corridor."""
-    return min(input_size) >= _LEAST_SIDE_PX
+    return min(input_size) >= LEAST_SIDE_PX
 
 
 def _sample(image: np.ndarray) -> np.ndarray:

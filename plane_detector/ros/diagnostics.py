@@ -28,8 +28,8 @@ class Report:
     ----------
     processed, dropped, skipped : int
         Frames in total: worked on; replaced by a newer one or without partner; not usable.
-    rate_hz : float
-        Frames worked on per second since the report before.
+    rate_hz, arrival_hz : float
+        Frames worked on, and frames that came to be worked on, per second since the report before.
     stage_seconds : mapping of str to float
         Mean time of each stage since the report before; empty without a frame.
     skipped_lately, unpaired_lately : bool
@@ -47,6 +47,7 @@ class Report:
     skipped_lately: bool = False
     unpaired_lately: bool = False
     last_error: str = ''
+    arrival_hz: float = 0.0
 
 
 class Statistics:
@@ -70,6 +71,7 @@ class Statistics:
         """Count frames that were never looked at."""
         with self._lock:
             self._dropped += count
+            self._window_dropped += count
 
     def add_unpaired(self, count: int) -> None:
         """Count images that were dropped because calibration or depth did not come."""
@@ -97,13 +99,15 @@ class Statistics:
             result = Report(
                 self._processed, self._dropped, self._skipped, count / elapsed_s,
                 {stage: seconds / count for stage, seconds in self._window_seconds.items()},
-                self._window_skipped > 0, self._window_unpaired > 0, self._last_error)
+                self._window_skipped > 0, self._window_unpaired > 0, self._last_error,
+                (count + self._window_dropped + self._window_skipped) / elapsed_s)
             self._start_window()
             return result
 
     def _start_window(self) -> None:
         self._window_start_s = time.monotonic()
         self._window_processed = self._window_skipped = self._window_unpaired = 0
+        self._window_dropped = 0
         self._window_seconds: defaultdict[str, float] = defaultdict(float)
 
 
@@ -159,7 +163,7 @@ def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: st
     """
     runs_on = facts.get('execution_provider')
     lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
-             facts.get('depth_model_reason', ''),
+             facts.get('depth_model_reason', ''), facts.get('network_input_reason', ''),
              f'{topics["image"]}, {topics["camera_info"]} -> {planes} and the other outputs']
     return [line for line in lines if line]
 

@@ -62,6 +62,12 @@ class Health:
             self._told.add(self._gap)
             self._logger.warning(self._gap)
 
+    def tell_once(self, key: str, warning: str) -> None:
+        """Log a warning whose wording may change, but only the first of its kind."""
+        if key not in self._told:
+            self._told.add(key)
+            self._logger.warning(warning)
+
     def status(self, report: Report, silence: str, is_idle: bool = False) -> tuple[bytes, str]:
         """
         Return level and message of an active node.

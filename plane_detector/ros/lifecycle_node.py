@@ -36,6 +36,7 @@ from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings
+from plane_detector.ros.network_pace import fit_to_rate, slow_network
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.transitions import Transitions
@@ -241,6 +242,9 @@ class PlaneDetectorNode(LifecycleNode):
         if self._processor is not None:
             detector = self._processor.detector
             facts.update(detector.source.facts)
+            if pace := slow_network(report, detector.source.advise):
+                facts['network_pace'] = pace
+                self._health.tell_once('network_pace', pace)
         if self._health.failure:
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
@@ -256,7 +260,9 @@ class PlaneDetectorNode(LifecycleNode):
         """Make the pipeline, whose network may have to be fetched; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could be more than the memory holds
-        return PlaneDetector(self._live.config, self._depth_model)
+        detector = PlaneDetector(self._live.config, self._depth_model)
+        fit_to_rate(detector)
+        return detector
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
         reason = plain(reason)

@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The largest input of a network that keeps a rate on this machine, found by timing it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+
+from plane_detector.stopping import Background, raise_if_stopped
+
+# The first run of an input size allocates; the median of these after it counts.
+REPEATS = 3
+# What is asked of the network at most, so that a frame that takes longer than usual is not late.
+LOAD = 0.9
+
+
+def largest_within(sizes: Sequence[int], seconds_of: Callable[[int], float],
+                   limit_s: float) -> tuple[int, Mapping[int, float]]:
+    """
+    Find the largest size that takes no longer than a limit, by bisection.
+
+    Parameters
+    ----------
+    sizes : sequence of int
+        Ascending; at least one.
+    seconds_of : callable
+        Times a size; larger ones take longer.
+    limit_s : float
+
+    Returns
+    -------
+    size : int
+        The smallest one when all take longer.
+    seconds : mapping of int to float
+        What was measured.
+
+    Examples
+    --------
+    >>> largest_within((98, 112, 126, 140), lambda side: side**2 / 1e5, 0.16)
+    (126, {140: 0.196, 112: 0.12544, 126: 0.15876})
+
+    """
+    seconds = {sizes[-1]: seconds_of(sizes[-1])}
+    if seconds[sizes[-1]] <= limit_s:
+        return sizes[-1], seconds
+    fits, too_slow = -1, len(sizes) - 1
+    while too_slow - fits > 1:
+        middle = (fits + too_slow) // 2
+        seconds[sizes[middle]] = seconds_of(sizes[middle])
+        if seconds[sizes[middle]] <= limit_s:
+            fits = middle
+        else:
+            too_slow = middle
+    return sizes[max(fits, 0)], seconds
+
+
+def median_seconds(run: Callable[[], object]) -> float:
+    """Return the median time of a few calls, after one that does not count."""
+    run()
+    times = []
+    for _ in range(REPEATS):
+        raise_if_stopped()
+        start_s = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start_s)
+    return float(np.median(times))
+
+
+@contextmanager
+def beside(work: Callable[[], object], period_s: float) -> Iterator[None]:
+    """Let other work run once a period in a thread of its own, while this block runs."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.is_set():
+            start_s = time.perf_counter()
+            work()
+            ended.wait(max(period_s - (time.perf_counter() - start_s), 0.0))
+    thread = Background(repeat, 'plane_stage')
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.result()
+
+
+def side_for(short_side: int, share: float, sizes: Sequence[int]) -> int | None:
+    """
+    Return the largest size expected to take a share of the time of the present one, or None.
+
+    The time of a network goes with the pixels of its input.
+
+    Examples
+    --------
+    >>> side_for(280, 0.25, range(98, 281, 14))
+    140
+    >>> side_for(280, 0.01, range(98, 281, 14)) is None
+    True
+
+    """
+    fitting = [side for side in sizes if (side / short_side) ** 2 <= share]
+    return max(fitting, default=None)

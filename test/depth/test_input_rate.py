@@ -1,0 +1,141 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The input of a network that keeps a rate: by made-up times, and on ONNX Runtime."""
+
+import threading
+import time
+
+import pytest
+from onnx_models import write_depth_network
+
+from plane_detector.config import DepthConfig
+from plane_detector.depth import estimator as estimators
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.input_rate import (
+    LOAD,
+    REPEATS,
+    beside,
+    largest_within,
+    median_seconds,
+    side_for,
+)
+from plane_detector.stopping import Stop, Stopped
+
+SIDES = tuple(range(98, 281, 14))
+PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0),
+         'output': 'metric_depth'}
+
+
+def seconds_of(side):
+    return side**2 / 1e6
+
+
+@pytest.mark.parametrize('limit_s', [0.0, seconds_of(98), 0.03, seconds_of(280), 1.0])
+def test_the_largest_that_fits_is_found_and_its_time_was_measured(limit_s):
+    size, seconds = largest_within(SIDES, seconds_of, limit_s)
+    assert size == max((s for s in SIDES if seconds_of(s) <= limit_s), default=SIDES[0])
+    assert seconds[size] == seconds_of(size)
+    assert len(seconds) <= 5, 'bisection'
+
+
+def test_one_size_needs_no_search():
+    assert largest_within((42,), seconds_of, 0.0) == (42, {42: seconds_of(42)})
+
+
+def test_the_first_run_does_not_count():
+    calls = []
+
+    def run():
+        calls.append(1)
+        if len(calls) == 1:
+            time.sleep(0.2)
+    assert median_seconds(run) < 0.1
+    assert len(calls) == 1 + REPEATS
+
+
+def test_timing_can_be_stopped():
+    stop = Stop()
+    with stop.applies(), pytest.raises(Stopped):
+        median_seconds(stop.set)
+
+
+def test_the_other_work_runs_beside_and_ends():
+    ran = threading.Event()
+    before = threading.active_count()
+    with beside(ran.set, 0.001):
+        assert ran.wait(20.0)
+    assert threading.active_count() == before
+
+
+def test_what_fails_beside_is_told():
+    def fail():
+        raise ValueError('no planes')
+    with pytest.raises(ValueError, match='no planes'), beside(fail, 0.001):
+        pass
+
+
+@pytest.mark.parametrize(('share', 'side'), [(1.0, 280), (0.999, 266), (0.25, 140), (0.1, None)])
+def test_time_goes_with_the_pixels_of_the_input(share, side):
+    assert side_for(280, share, SIDES) == side
+
+
+@pytest.fixture
+def free(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx')
+    return DepthEstimator(DepthConfig(model=str(path), short_side=280, **PLAIN))
+
+
+@pytest.fixture
+def timed(monkeypatch):
+    """Let the time of a network go with the pixels of its input."""
+    def pretend(run):
+        run()
+        return seconds_of(pretend.estimator.input_size(640, 480)[1])
+    monkeypatch.setattr(estimators, 'median_seconds', pretend)
+    return pretend
+
+
+def test_the_network_becomes_as_large_as_the_rate_allows(free, timed):
+    timed.estimator, stages = free, []
+    free.fit_to_rate(20.0, lambda: stages.append(1))
+    side = max(s for s in range(70, 281, 14) if seconds_of(s) <= LOAD / 20.0)
+    assert free.input_size(640, 480)[1] == side < 280
+    assert stages, 'the plane stage runs beside'
+    facts = free.facts
+    assert facts['network_input'].endswith(f' x {side}')
+    assert 'depth.target_rate 20 Hz is kept' in facts['network_input_reason']
+    assert f'x {side} {1e3 * seconds_of(side):.0f} ms' in facts['network_input_reason']
+    assert 'x 280 78 ms' in facts['network_input_reason'], 'the size that is too slow too'
+
+
+def test_a_rate_that_nothing_keeps_is_said(free, timed):
+    timed.estimator = free
+    free.fit_to_rate(900.0, lambda: None)
+    assert free.input_size(640, 480)[1] == 70
+    assert 'not kept by the smallest input' in free.facts['network_input_reason']
+
+
+def test_best_quality_is_not_timed(free, timed):
+    free.fit_to_rate(0.0, lambda: pytest.fail('nothing is timed'))
+    assert free.input_size(640, 480)[1] == 280
+    assert 'network_input_reason' not in free.facts
+
+
+def test_a_fixed_size_stays(tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64)
+    estimate = DepthEstimator(DepthConfig(model=str(path), **PLAIN))
+    estimate.fit_to_rate(900.0, lambda: pytest.fail('nothing is timed'))
+    assert estimate.facts['network_input'] == '64 x 48'
+    assert 'fixed size' in estimate.facts['network_input_reason']
+    assert 'fixed size' in estimate.advise(0.5)
+
+
+def test_advice_names_a_size_that_keeps_up(free):
+    assert 'depth.short_side 196 (now 280)' in free.advise(0.5)
+    assert 'no input of it is small enough' in free.advise(0.01)
+
+
+def test_real_times_find_an_input(free):
+    free.fit_to_rate(1000.0, lambda: None)
+    assert free.input_size(640, 480)[1] in range(70, 281, 14)
+    assert 'depth.target_rate 1000 Hz' in free.facts['network_input_reason']

@@ -1,0 +1,85 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The node says when the network is slower than the camera, and what would not be."""
+
+import pytest
+
+pytest.importorskip('rclpy')
+
+from node_helpers import small_room, start
+from onnx_models import write_depth_network
+from ros_helpers import Robot
+
+from plane_detector import Config, PlaneDetector
+from plane_detector.config import DepthConfig
+from plane_detector.ros.diagnostics import Report, Statistics
+from plane_detector.ros.health import Health
+from plane_detector.ros.network_pace import fit_to_rate, slow_network
+
+
+def report(depth_s, arrival_hz):
+    return Report(10, 0, 0, 1.0, {'depth': depth_s}, arrival_hz=arrival_hz)
+
+
+def advise(share):
+    return f'a share of {share:.2f}'
+
+
+@pytest.mark.parametrize(('depth_s', 'arrival_hz'), [
+    (0.1, 9.0), (0.1, 10.5), (0.1, 0.0), (0.0, 30.0)])
+def test_a_network_that_keeps_up_is_no_subject(depth_s, arrival_hz):
+    assert slow_network(report(depth_s, arrival_hz), advise) == ''
+
+
+def test_a_slow_network_is_told_with_what_would_keep_up():
+    assert slow_network(report(0.2, 10.0), advise) == (
+        'the network takes 200 ms, the camera sends an image every 100 ms: a share of 0.50')
+    assert slow_network(report(0.2, 10.0), lambda share: '') == '', 'no network, no advice'
+    assert slow_network(Report(0, 0, 0, 0.0), advise) == ''
+
+
+def test_frames_that_came_are_counted_whatever_became_of_them():
+    statistics = Statistics()
+    statistics.report()
+    statistics.add_processed({'depth': 0.1})
+    statistics.add_dropped(3)
+    found = statistics.report()
+    assert found.arrival_hz == pytest.approx(4 * found.rate_hz)
+    assert statistics.report().arrival_hz == 0
+
+
+def test_the_warning_is_logged_once():
+    class Logger(list):
+        warning = list.append
+    logger = Logger()
+    health = Health(logger)
+    for text in ('takes 200 ms', 'takes 210 ms'):
+        health.tell_once('network_pace', text)
+    assert logger == ['takes 200 ms']
+
+
+def test_the_plane_stage_that_runs_beside_finds_planes():
+    stages = []
+    detector = PlaneDetector(Config(depth=DepthConfig(target_rate=5.0)),
+                             lambda rgb: small_room().depth_m)
+    detector.source.fit_to_rate = lambda rate_hz, stage: stages.append((rate_hz, stage()))
+    fit_to_rate(detector)
+    ((rate_hz, found),) = stages
+    assert rate_hz == 5.0
+    assert len(found.planes) >= 3, 'four faces of the corridor and its end'
+    assert found.disparity_noise > 0.001
+
+
+def test_log_and_diagnostics_say_what_was_chosen(capfd, tmp_path):
+    robot = Robot(capfd=capfd)
+    try:
+        path = write_depth_network(tmp_path / 'n.onnx')
+        start(robot, depth__model=str(path), depth__output='metric_depth', depth__short_side=140,
+              depth__target_rate=1000.0, depth__input_scale=1.0, depth__mean=[0.0] * 3,
+              depth__std=[1.0] * 3)
+        values = robot.diagnosis()[1]
+        assert 'depth.target_rate 1000 Hz' in values['network_input_reason']
+        assert ' x ' in values['network_input']
+        assert values['network_input_reason'] in robot.log()
+    finally:
+        robot.shutdown()
