@@ -138,6 +138,18 @@ class ScaleConfig(Settings, section='scale'):
 
 
 @dataclass(frozen=True)
+class DirectionsConfig(Settings, section='directions'):
+    """What the straight lines of the image are used for."""
+
+    gravity: bool = setting(
+        True, 'where no IMU, TF or scale.gravity tells it, the direction down is that of the '
+        'upright lines of the image, if they are sure')
+    orient_planes: bool = setting(
+        True, 'planes in the depth of a network are turned to the orientation that their lines '
+        'and the axes of the scene make most likely; measured depth is left alone')
+
+
+@dataclass(frozen=True)
 class SegmentationConfig(Settings, section='segmentation'):
     """Which planes are searched for."""
 
@@ -248,6 +260,7 @@ class Config(Settings):
 
     depth: DepthConfig = field(default_factory=DepthConfig)
     scale: ScaleConfig = field(default_factory=ScaleConfig)
+    directions: DirectionsConfig = field(default_factory=DirectionsConfig)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     ransac: RansacConfig = field(default_factory=RansacConfig)
     dbscan: DbscanConfig = field(default_factory=DbscanConfig)

@@ -9,19 +9,15 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.config import Config, TrackingConfig
-from plane_detector.depth.observation import (
-    DepthSource,
-    ModelOrFunction,
-    Observation,
-    make_source,
-)
+from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
+from plane_detector.directions.finder import DirectionFinder, ImageDirections, Surroundings
+from plane_detector.directions.gravity_choice import UNKNOWN_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
-from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.projection import check_depth
-from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
-from plane_detector.planes.measurement import measure_planes
+from plane_detector.planes.classification import classify_by_gravity
+from plane_detector.planes.reorientation import measure_turned
 from plane_detector.scale.estimate import ScaleEstimate, apply_scale
-from plane_detector.scale.methods import COARSE_GRAVITY_DEG, estimate_scale
+from plane_detector.scale.methods import estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
 from plane_detector.segmentation.cells.noise import Noise
@@ -32,7 +28,7 @@ from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.tracker import PlaneTracker
-from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
 DEFAULTS = Config()
 
@@ -73,6 +69,7 @@ class PlaneDetector:
         self._scale: ScaleState | None = None
         self._tracker = PlaneTracker()
         self._shapes = ShapeDetector()
+        self._directions = DirectionFinder(self.config.ransac.seed)
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
@@ -129,34 +126,42 @@ class PlaneDetector:
         """Take the second half of :meth:`detect`: the planes of an image with depth."""
         config, stages = seen.config.with_camera_height(camera_height_m), StageTimer()
         stages.seconds['depth'] = seen.depth_seconds
-        down = unit_direction(config.scale.gravity if down_camera is None else down_camera)
+        with stages('directions'):
+            # 1. Gravity, and the lines of the image where they are of use.
+            turns = config.directions.orient_planes and not seen.is_measured
+            around = self._directions.look(seen.rgb, seen.intrinsics, seen.covered, down_camera,
+                                           config, needs_lines=turns)
         with stages('segmentation'):
-            # 1. The pixels of each plane, in the unit of the prediction.
+            # 2. The pixels of each plane, in the unit of the prediction.
             regions = _segment(seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
                                guide=_guide(seen, config))
         with stages('scale'):
-            # 2. The scale and shift that make it metres, steadied over time.
-            self._scale = _update_scale(self._scale, seen, regions.labels, config, down)
+            # 3. The scale and shift that make it metres, steadied over time.
+            self._scale = _update_scale(self._scale, seen, regions.labels, config, around)
             scale = self._scale.estimate
         with stages('measurement'):
-            # 3. Depth and planes in metres, or in a unit of their own where nothing fixes it.
+            # 4. Depth and planes in metres, or in a unit of their own where nothing fixes it.
             depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
             regions = regions.rescaled(scale.scale, scale.shift)
-            planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config)
+            planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
+                              around.lines if turns and scale.has_true_angles else None)
         with stages('shapes'):
-            # 4. Spheres, cylinders and cones in what the planes leave over, where asked for.
+            # 5. Spheres, cylinders and cones in what the planes leave over, where asked for.
             planes, shapes, shape_labels = self._shapes.detect(
                 depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
-            # 5. Floor, ceiling and walls, where angles are true and gravity is known.
-            classes = _classify(planes.planes, scale, config, down)
+            # 6. Floor, ceiling and walls, where angles are true and gravity is known.
+            classes = classify_by_gravity(
+                planes.planes, around.gravity if scale.has_true_angles else UNKNOWN_GRAVITY)
         with stages('tracking'):
-            # 6. Labels that stay the same from image to image.
+            # 7. Labels that stay the same from image to image.
             planes, track_labels = self._track(planes, config.tracking)
         return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
-                         scale_event=self._scale.event, classes=classes,
-                         track_labels=track_labels, shapes=shapes, shape_labels=shape_labels,
-                         stage_seconds=stages.seconds)
+                         scale_event=self._scale.event, classes=classes, shapes=shapes,
+                         track_labels=track_labels, shape_labels=shape_labels,
+                         down_camera=around.gravity.down_camera,
+                         gravity_source=around.gravity.source, gravity_note=around.gravity.note,
+                         horizontal_axes=around.level_axes, stage_seconds=stages.seconds)
 
     def reset(self) -> None:
         """Forget the images before: averages, scale and labels start anew."""
@@ -172,6 +177,7 @@ class PlaneDetector:
         self._scale = None
         self._tracker.reset()
         self._shapes.reset()
+        self._directions.reset()
 
     def _track(self, planes: PlaneSegmentation, config: TrackingConfig
                ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
@@ -264,12 +270,13 @@ def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config
 
 
 def _update_scale(before: ScaleState | None, seen: Observation, labels: np.ndarray,
-                  config: Config, down_camera: np.ndarray | None) -> ScaleState:
+                  config: Config, around: Surroundings) -> ScaleState:
     """Return what fixes the unit of this image, given those before."""
-    scale = replace(config.scale, method='metric') if seen.is_measured else config.scale
-    found = estimate_scale(seen.disparity, labels, seen.intrinsics, scale,
-                           output=seen.output, gravity_camera=down_camera,
-                           sensor_depth_m=seen.sensor_depth_m)
+    method = 'metric' if seen.is_measured else config.scale.method
+    scale = replace(config.scale, method=method, gravity_tolerance=around.gravity.tolerance_deg)
+    found = estimate_scale(seen.disparity, labels, seen.intrinsics, scale, output=seen.output,
+                           gravity_camera=around.gravity.down_camera,
+                           level_axes=around.level_axes, sensor_depth_m=seen.sensor_depth_m)
     found = replace(found, note='measured depth') if seen.is_measured else found
     return update_scale(before, found, scale)
 
@@ -283,18 +290,8 @@ def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -
 
 @one_blas_thread
 def _measure(regions: PixelRegions, intrinsics: CameraIntrinsics,
-             config: Config) -> PlaneSegmentation:
-    """Measure the planes that are large enough."""
+             config: Config, lines: ImageDirections | None = None) -> PlaneSegmentation:
+    """Measure the planes that are large enough, turned by the lines of the image if given."""
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
-    planes, labels = measure_planes(regions, intrinsics, min_pixels)
+    planes, labels = measure_turned(regions, intrinsics, min_pixels, lines)
     return PlaneSegmentation(planes, labels, regions.noise.mean)
-
-
-def _classify(planes: tuple[Plane, ...], scale: ScaleEstimate, config: Config,
-              down_camera: np.ndarray | None) -> tuple[PlaneClass, ...]:
-    """Tell floor, walls and so on apart, where angles are true and gravity is known."""
-    if not scale.has_true_angles:
-        down_camera = None
-    elif down_camera is not None and config.scale.gravity_tolerance > COARSE_GRAVITY_DEG:
-        down_camera = refine_gravity(planes, down_camera, config.scale.gravity_tolerance)
-    return classify_planes(planes, down_camera)

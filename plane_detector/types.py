@@ -279,6 +279,15 @@ class Detection(PlaneSegmentation):
         shape i is.
     shape_labels : tuple of int
         Label of each shape, above 0 and the same from image to image; empty when not tracked.
+    down_camera : (3,) float64 or None
+        Direction of gravity in the optical frame that the classes are by; None where unknown.
+    gravity_source : str
+        ``measured`` (``imu`` or ``tf`` in the node), ``parameter``, ``image`` (upright lines) or
+        ``none``.
+    gravity_note : str
+        Why the image does not tell it, where it was asked.
+    horizontal_axes : (A, 3) float64
+        Level directions of the scene at right angles, by the lines of the image; none: (0, 3).
 
     """
 
@@ -291,3 +300,7 @@ class Detection(PlaneSegmentation):
     scale_event: str = ''
     shapes: tuple[Shape, ...] = ()
     shape_labels: tuple[int, ...] = ()
+    down_camera: np.ndarray | None = None
+    gravity_source: str = 'none'
+    gravity_note: str = ''
+    horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))

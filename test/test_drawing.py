@@ -11,11 +11,13 @@ from plane_detector.drawing import (
     PALETTE,
     colour_depth,
     depth_range,
+    draw_directions,
     figure,
     label_colours,
     overlay,
     tint,
 )
+from plane_detector.types import CameraIntrinsics
 
 GREY = np.full((120, 160, 3), 128, np.uint8)
 
@@ -137,3 +139,36 @@ def test_figure_cuts_a_long_title_to_the_width():
     bar = drawn[:20]
     assert (bar[:, -5:] == 255).all()
     assert (bar < 100).any()
+
+
+CAMERA = CameraIntrinsics(120.0, 120.0, 79.5, 59.5, 160, 120)
+LEVEL = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def yellow_rows(drawn):
+    return np.nonzero(np.abs(drawn.astype(int) - (255, 230, 0)).max(-1) < 40)[0]
+
+
+@pytest.mark.parametrize(('pitch_deg', 'row'), [(0, 59.5), (10, 59.5 - 120 * np.tan(0.1745))])
+def test_the_horizon_is_where_rays_are_level(pitch_deg, row):
+    """Looking down by the pitch the horizon rises by f tan pitch."""
+    pitch = np.radians(pitch_deg)
+    drawn = draw_directions(GREY, CAMERA, np.array([0, np.cos(pitch), np.sin(pitch)]),
+                            np.zeros((0, 3)))
+    assert yellow_rows(drawn).mean() == pytest.approx(row, abs=1.0)
+    assert (GREY == 128).all()
+
+
+def test_strokes_of_each_direction_have_their_colour():
+    drawn = draw_directions(GREY, CAMERA, np.array([0.0, 1.0, 0.0]), LEVEL)
+    for colour in ((40, 90, 255), (255, 50, 50), (40, 200, 60)):
+        assert np.abs(drawn.astype(int) - colour).max(-1).min() < 70
+
+
+def test_unknown_gravity_draws_nothing():
+    assert np.array_equal(draw_directions(GREY, CAMERA, None, np.zeros((0, 3))), GREY)
+
+
+@pytest.mark.parametrize('down', [(0, 0, 1.0), (0, 1e-9, 1.0), (1.0, 0, 0)])
+def test_a_horizon_out_of_sight_is_no_error(down):
+    assert draw_directions(GREY, CAMERA, np.array(down), LEVEL).shape == GREY.shape

@@ -93,7 +93,7 @@ def captions(robot):
     (ROOM, {'scale__method': 'metric'}, 'the network gives no metres'),
     (ROOM, {'scale__method': 'depth_topic'}, 'no measured depth'),
     (ROOM, {'scale__method': 'fixed'}, 'scale.disparity_scale is not given'),
-    (ROOM, {'scale__camera_height': 1.4}, 'unit unknown'),
+    (ROOM, {'scale__camera_height': 1.4, 'directions__gravity': False}, 'unit unknown'),
     (ROOM, {'scale__method': 'camera_height', 'scale__gravity': GRAVITY}, 'not both known'),
     (ROOM, {'scale__gravity': GRAVITY, 'scale__gravity_tolerance': 30.0}, 'unit unknown'),
     (ROOM, {'scale__gravity': [0.0, -1.0, 0.0], 'scale__camera_height': 0.01,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
-from plane_detector.config import DepthConfig, ScaleConfig, TrackingConfig
+from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig, TrackingConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -32,7 +32,8 @@ def detect(model, config=None):
 
 
 def test_metric_depth_is_segmented_as_it_comes():
-    found = detect(network('metric_depth'))
+    as_it_is = Config(directions=DirectionsConfig(orient_planes=False))
+    found = detect(network('metric_depth'), as_it_is)
     expected = segment_planes(SCENE.depth_m, SMALL)
     np.testing.assert_array_equal(found.labels, expected.labels)
     np.testing.assert_array_equal(plane_array(found), plane_array(expected))

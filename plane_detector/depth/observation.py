@@ -47,6 +47,8 @@ class Observation:
         How far edges may be off, in pixels of this image; 0: they are sharp.
     depth_seconds : float
         Time that the prediction took.
+    covered : (H, W) bool or None
+        Where the image shows something; None: everywhere.
 
     """
 
@@ -59,6 +61,7 @@ class Observation:
     noise_share: float = 0.0
     edge_blur_px: float = 0.0
     depth_seconds: float = 0.0
+    covered: np.ndarray | None = None
 
     @property
     def output(self) -> str:
@@ -81,7 +84,7 @@ class Observation:
         if covered.all():
             return self
         values = np.where(covered, self.prediction.values, np.float32(np.nan))
-        return replace(self, prediction=replace(self.prediction, values=values))
+        return replace(self, prediction=replace(self.prediction, values=values), covered=covered)
 
 
 class SensorDepth:

@@ -5,20 +5,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
+from plane_detector.config import Config
+from plane_detector.directions.gravity_choice import Gravity, choose_gravity
 from plane_detector.directions.line_segments import LineSegments, detect_line_segments
+from plane_detector.directions.temporal_filter import TrackedDirections, track_directions
 from plane_detector.directions.vanishing import SceneDirections, find_directions
 from plane_detector.types import CameraIntrinsics
 
 
 @dataclass(frozen=True)
 class ImageDirections:
-    """The lines of an image and what they say."""
+    """
+    The lines of an image and what they say.
+
+    Attributes
+    ----------
+    segments : LineSegments
+    directions : SceneDirections
+        Averaged with those of the images before, or of the image alone.
+
+    """
 
     segments: LineSegments
     directions: SceneDirections
+
+    @property
+    def axes(self) -> np.ndarray:
+        """The directions (A, 3): gravity, then the horizontal axes; (0, 3) where it refuses."""
+        if self.directions.down_camera is None:
+            return np.zeros((0, 3))
+        return np.vstack([self.directions.down_camera[None],
+                          *(pair.axes for pair in self.directions.pairs[:1])])
 
 
 def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.Generator,
@@ -42,3 +63,80 @@ def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.
     """
     segments = detect_line_segments(rgb, intrinsics, covered)
     return ImageDirections(segments, find_directions(segments, rng, coarse_down))
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """
+    What is known of the directions around the camera.
+
+    Attributes
+    ----------
+    gravity : Gravity
+        By a sensor, a parameter or the image.
+    lines : ImageDirections or None
+        Of the image, where they were looked for.
+
+    """
+
+    gravity: Gravity
+    lines: ImageDirections | None
+
+    @property
+    def level_axes(self) -> np.ndarray:
+        """Horizontal directions (A, 3) of the scene, by the image."""
+        return self.lines.axes[1:] if self.lines else np.zeros((0, 3))
+
+
+class DirectionFinder:
+    """
+    Finds the directions of each image and tracks them from image to image.
+
+    Parameters
+    ----------
+    seed : int
+        Of the random triples, which are the same in every image: a still one does not flicker.
+
+    """
+
+    def __init__(self, seed: int = 0) -> None:
+        self._seed = seed
+        self._tracked: TrackedDirections | None = None
+
+    def look(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, covered: np.ndarray | None,
+             measured_down: np.ndarray | None, config: Config, *,
+             needs_lines: bool) -> Surroundings:
+        """
+        Find gravity, and the lines of the image where they are of use.
+
+        Parameters
+        ----------
+        rgb : (H, W, 3) uint8
+            Rectified.
+        intrinsics : CameraIntrinsics
+            Of that image.
+        covered : (H, W) bool or None
+            Where the image shows something.
+        measured_down : (3,) floating or None
+            Direction of gravity by a sensor.
+        config : Config
+            Its ``scale`` and ``directions`` are used.
+        needs_lines : bool
+            Whether they are asked for even where gravity is known.
+
+        """
+        choose = partial(choose_gravity, measured_down, config.scale.gravity,
+                         config.scale.gravity_tolerance)
+        known = choose(None)
+        if not needs_lines and (known.is_sure or not config.directions.gravity):
+            return Surroundings(known, None)
+        alone = find_in_image(rgb, intrinsics, np.random.default_rng(self._seed),
+                              known.down_camera, covered)
+        self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
+        lines = ImageDirections(alone.segments, self._tracked.directions)
+        return Surroundings(choose(lines.directions) if config.directions.gravity else known,
+                            lines)
+
+    def reset(self) -> None:
+        """Forget the images before."""
+        self._tracked = None

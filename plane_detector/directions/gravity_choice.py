@@ -40,6 +40,14 @@ class Gravity:
     source: str
     note: str = ''
 
+    @property
+    def is_sure(self) -> bool:
+        """Known, and well enough for angles."""
+        return self.down_camera is not None and self.tolerance_deg <= COARSE_DEG
+
+
+UNKNOWN_GRAVITY = Gravity(None, 0.0, 'none')
+
 
 def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,
                    directions: SceneDirections | None) -> Gravity:

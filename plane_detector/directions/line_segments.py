@@ -14,8 +14,9 @@ from plane_detector.types import CameraIntrinsics
 # derived: half of VGA takes a quarter of the time and keeps every line worth having; the line of
 # a segment is known to a fraction of a pixel of the reduced image.
 DETECTION_WIDTH_PX = 320
-# tuned: evaluation.benchmark.orientation, flat from 0.04 to 0.08 of the width.
-MIN_LENGTH_SHARE = 0.05
+# Of the reduced image. tuned: python -m plane_detector.evaluation.benchmark orientation, flat from
+# 13 to 20; shorter ones have no direction to speak of, whatever the size of the image.
+MIN_LENGTH_PX = 16.0
 MAX_SEGMENTS = 120
 # derived: the ragged border that rectification or registration leaves is within some percent.
 BORDER_SHARE = 0.03
@@ -76,8 +77,8 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
     Returns
     -------
     LineSegments
-        At most 120, none shorter than a twentieth of the width, none along the border of the
-        image.
+        At most 120, none shorter than a twentieth of the width or 16 pixels, none along the
+        border of the image.
 
     """
     height, width = rgb.shape[:2]
@@ -91,7 +92,7 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
     # Pixel centres: the middle of pixel 0 of the reduced image is at (reduction - 1) / 2.
     ends_px = (ends_px + 0.5) * [width / grey.shape[1], height / grey.shape[0]] - 0.5
     lengths_px = np.linalg.norm(ends_px[:, 1] - ends_px[:, 0], axis=1)
-    kept = (lengths_px >= MIN_LENGTH_SHARE * width) & ~_along_border(ends_px, width, height)
+    kept = (lengths_px >= MIN_LENGTH_PX * reduction) & ~_along_border(ends_px, width, height)
     if covered is not None:
         kept &= _inside(ends_px, covered)
     order = np.flatnonzero(kept)[np.argsort(-lengths_px[kept], kind='stable')][:MAX_SEGMENTS]

@@ -9,6 +9,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.types import Plane
 
 # A plane leans no more than this and is still level, or upright.
@@ -75,6 +76,14 @@ def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
         outermost = offsets >= (1.0 - SAME_LEVEL_SHARE) * farthest
         classes[side] = np.where(outermost[side], extreme, PlaneClass.OTHER_HORIZONTAL)
     return tuple(PlaneClass(value) for value in classes)
+
+
+def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity) -> tuple[PlaneClass, ...]:
+    """Tell planes of true angles apart; a coarse direction is first made exact by them."""
+    down = gravity.down_camera
+    if down is not None and gravity.tolerance_deg > COARSE_DEG:
+        down = refine_gravity(planes, down, gravity.tolerance_deg)
+    return classify_planes(planes, down)
 
 
 def refine_gravity(planes: Sequence[Plane], coarse_down_camera: np.ndarray,

@@ -32,8 +32,8 @@ LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2,
 # to 10; without it living rooms are 5 degrees worse.
 LINE_WEIGHT = 6.0
 # What the error of a network may be, how large it is expected and within which factor.
-SIGMAS_RAD = np.radians([3.0, 5.0, 7.0, 10.0, 14.0, 20.0])
-EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 0.6
+SIGMAS_RAD = np.radians([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0])
+EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
 # Nearer than this to an axis nothing is left of a normal across it.
 MIN_ACROSS = 0.2
 

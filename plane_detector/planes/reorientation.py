@@ -8,11 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.directions.finder import ImageDirections
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.line_evidence import collect_evidence
-from plane_detector.planes.measurement import ray_plane_jacobian
+from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import orient_planes
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
@@ -23,13 +22,44 @@ STEP_PX = 3
 MIN_COSINE = 0.02
 MIN_SAMPLES = 10
 MIN_POSSIBLE_SHARE = 0.5
-# Pieces of one plane: normals and distances agree, and they touch.
+# Pieces of one plane touch, and their normals and distances agree: these are off by about as many
+# radians and by this share of it, at most.
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 0.1 to 0.15.
-SAME_NORMAL_DEG, SAME_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.1, 5
+SAME_NORMAL_DEG, OFFSET_PER_RAD, MAX_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.5, 0.1, 5
 
 
-def reorient(regions: PixelRegions, planes: tuple[Plane, ...], segments: LineSegments,
-             directions: SceneDirections, intrinsics: CameraIntrinsics) -> PixelRegions:
+def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
+                   lines: ImageDirections | None) -> tuple[tuple[Plane, ...], np.ndarray]:
+    """
+    Measure planes, turned by the lines of the image where these say anything.
+
+    Parameters
+    ----------
+    regions : PixelRegions
+        Of 1/z in one unit.
+    intrinsics : CameraIntrinsics
+    min_pixels : float
+        Planes of fewer pixels are left out.
+    lines : ImageDirections or None
+        None: the planes stay as they are.
+
+    Returns
+    -------
+    planes : tuple of Plane
+        Largest first.
+    labels : (H, W) int32
+        Index into these, -1 none.
+
+    """
+    planes, labels = measure_planes(regions, intrinsics, min_pixels)
+    if lines is None or not len(lines.axes) or not planes:
+        return planes, labels
+    turned = reorient(replace(regions, labels=labels), planes, lines, intrinsics)
+    return measure_planes(turned, intrinsics, min_pixels)
+
+
+def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirections,
+             intrinsics: CameraIntrinsics) -> PixelRegions:
     """
     Turn regions to their most likely orientation, and join those that are then one plane.
 
@@ -39,10 +69,8 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], segments: LineSeg
         Of 1/z in one unit, with true angles; labels index into ``planes``.
     planes : tuple of Plane
         Measured in these regions, at least one.
-    segments : LineSegments
-        Of the image.
-    directions : SceneDirections
-        With gravity.
+    lines : ImageDirections
+        Of the image, with gravity.
     intrinsics : CameraIntrinsics
 
     Returns
@@ -51,15 +79,15 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], segments: LineSeg
         One region per plane; those joined to another have no pixels.
 
     """
-    axes = np.vstack([directions.down_camera[None], *(pair.axes for pair in directions.pairs[:1])])
-    evidence = collect_evidence(segments, axes, regions.labels, len(planes))
-    found = orient_planes(planes, directions, evidence)
+    evidence = collect_evidence(lines.segments, lines.axes, regions.labels, len(planes))
+    found = orient_planes(planes, lines.directions, evidence)
     normals = np.stack([plane.normal for plane in planes])
     offsets = np.array([plane.offset_m for plane in planes])
     refitted = _offsets(regions, found.normals, intrinsics)
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
-    group = _groups(regions.labels, normals, offsets)
+    agree = _agreeing(normals, offsets, found.sigma_rad)
+    group = _groups(agree & _touching(regions.labels, len(planes)))
     labels = np.where(regions.labels >= 0, group[regions.labels], -1).astype(np.int32)
     joined = replace(regions, labels=labels)
     again = _offsets(joined, normals, intrinsics)
@@ -92,12 +120,17 @@ def _median(offsets: np.ndarray) -> float:
     return float(np.median(possible))
 
 
-def _groups(labels: np.ndarray, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Return for each plane the first one that it is a piece of, (K,) int."""
-    group = np.arange(len(normals))
-    agree = normals @ normals.T > np.cos(np.radians(SAME_NORMAL_DEG))
-    agree &= np.abs(np.log(offsets[:, None] / offsets)) < SAME_OFFSET_SHARE
-    for a, b in np.argwhere(np.triu(agree & _touching(labels, len(normals)), 1)):
+def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigma_rad: float) -> np.ndarray:
+    """Return which planes (K, K) are one as far as a network of that error can tell."""
+    same_offset = min(MAX_OFFSET_SHARE, OFFSET_PER_RAD * sigma_rad)
+    same = normals @ normals.T > np.cos(np.radians(SAME_NORMAL_DEG))
+    return same & (np.abs(np.log(offsets[:, None] / offsets)) < same_offset)
+
+
+def _groups(joined: np.ndarray) -> np.ndarray:
+    """Return for each plane the first one that it is a piece of, (K,) int, by pairs (K, K)."""
+    group = np.arange(len(joined))
+    for a, b in np.argwhere(np.triu(joined, 1)):
         first, second = sorted((group[a], group[b]))
         group[group == second] = first
     return group

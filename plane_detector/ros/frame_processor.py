@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -149,6 +149,9 @@ class FrameProcessor:
             self._finished_past = observed.past
         detection = self.detector.find_planes(seen, _down(observed.frame, observed.pose),
                                               _height_m(observed.pose))
+        if detection.gravity_source == 'measured':
+            by_imu = observed.frame.down_camera is not None
+            detection = replace(detection, gravity_source='imu' if by_imu else 'tf')
         detected_s = time.perf_counter()
         result = Result(header, seen.rgb, seen.intrinsics, detection, settings,
                         self._shown, self._transforms.to_target(header, settings),

@@ -49,12 +49,15 @@ class Health:
 
     @property
     def scale_facts(self) -> dict[str, str]:
-        """What fixes the unit of depth, for the diagnostics."""
+        """What fixes the unit of depth, and what tells gravity, for the diagnostics."""
         return self._scale_facts
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
         """Note the result of a frame, whose outputs of these names have subscribers."""
-        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note}
+        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
+                             'gravity': detection.gravity_source}
+        if detection.gravity_note:
+            self._scale_facts['gravity_note'] = detection.gravity_note
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         self._gap = gap_of(detection, wanted)
@@ -120,5 +123,6 @@ def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     if is_relative:
         return (f'planes have no class{lost}: neither metres nor gravity are known; give '
                 f'scale.camera_height and {GRAVITY_SOURCES}')
-    return (f'planes have no class{lost}: the direction of gravity is not known; give '
+    by_image = f' ({detection.gravity_note})' if detection.gravity_note else ''
+    return (f'planes have no class{lost}: the direction of gravity is not known{by_image}; give '
             f'{GRAVITY_SOURCES}')

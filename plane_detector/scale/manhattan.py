@@ -219,10 +219,10 @@ def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames, sigma:
             planes.take(np.flatnonzero(axis >= 0))) < MIN_DISTINCT_PLANES:
         return 'two planes are perpendicular for some shift in any room; a third must agree'
     large = planes.pixel_share >= MIN_AXIS_SHARE
-    unsure_deg = _turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max(initial=0.0)
+    unsure_deg = turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max(initial=0.0)
     if unsure_deg > MAX_UNSURE_DEG:
         return f'the right angles leave a plane unsure by {unsure_deg:.0f} degrees'
-    apart = _turn_deg(planes, winner.tau, frames.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
+    apart = turn_deg(planes, winner.tau, frames.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
     rival = frames.votes[apart].max(initial=0.0)
     if rival > RIVAL_SHARE * winner.votes[0]:
         return 'another shift makes as many right angles'
@@ -231,7 +231,7 @@ def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames, sigma:
     return ''
 
 
-def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
+def turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return how far each plane turns from a shift (1,) to others (C,), (C, N) degrees."""
     here, there = _normals(planes, tau)[0], _normals(planes, other)[0]
     return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))

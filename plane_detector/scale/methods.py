@@ -22,6 +22,7 @@ from plane_detector.geometry.gravity import unit_direction
 from plane_detector.scale.disparity_planes import DisparityPlanes, fit_disparity_planes
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
+from plane_detector.scale.known_axes import estimate_shift
 from plane_detector.scale.manhattan import ManhattanVote, vote_shift
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.types import CameraIntrinsics
@@ -42,6 +43,7 @@ class _Picture:
     config: ScaleConfig
     output: str
     down_camera: np.ndarray | None
+    level_axes: np.ndarray
     sensor_depth_m: np.ndarray | None
     lowest: float
     span: tuple[float, float, float]
@@ -54,6 +56,7 @@ class _Picture:
 def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: CameraIntrinsics,
                    config: ScaleConfig | None = None, *, output: str = 'relative_disparity',
                    gravity_camera: np.ndarray | None = None,
+                   level_axes: np.ndarray | None = None,
                    sensor_depth_m: np.ndarray | None = None) -> ScaleEstimate:
     """
     Find scale and shift of one image by the method that the settings ask for.
@@ -70,6 +73,8 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
         What the network gives: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     gravity_camera : (3,) floating, optional
         Direction down in the optical frame; by default ``config.gravity``.
+    level_axes : (A, 3) float64, optional
+        Horizontal directions that walls are along and across, where they are known.
     sensor_depth_m : (H, W) floating, optional
         Measured depth, sparse or dense.
 
@@ -91,7 +96,7 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
     """
     config = config or ScaleConfig()
     picture = _picture(disparity, labels, intrinsics, config, output, gravity_camera,
-                       sensor_depth_m)
+                       level_axes, sensor_depth_m)
     refusals, unitless = [], None
     for method in _methods(config):
         estimate = METHODS[method](picture)
@@ -110,15 +115,17 @@ def _methods(config: ScaleConfig) -> tuple[str, ...]:
     return () if config.method == 'none' else (config.method,)
 
 
-def _picture(disparity, labels, intrinsics, config, output, gravity_camera,
+def _picture(disparity, labels, intrinsics, config, output, gravity_camera, level_axes,
              sensor_depth_m) -> _Picture:
     finite = disparity[::4, ::4]
     finite = finite[np.isfinite(finite)]
     lowest, *span = (np.quantile(finite, (FAR_QUANTILE, *SPAN_QUANTILES)) if finite.size
                      else (0.0, 0.0, 0.0, 0.0))
     gravity = config.gravity if gravity_camera is None else gravity_camera
+    level_axes = np.zeros((0, 3)) if level_axes is None else level_axes
     return _Picture(disparity, labels, intrinsics, config, output, unit_direction(gravity),
-                    sensor_depth_m, float(lowest), tuple(float(value) for value in span))
+                    level_axes, sensor_depth_m, float(lowest),
+                    tuple(float(value) for value in span))
 
 
 def _relative(picture: _Picture, note: str) -> ScaleEstimate:
@@ -165,7 +172,7 @@ def _camera_height(picture: _Picture) -> ScaleEstimate | str:
     if fit is None:
         return 'no plane can be the floor'
     note = f'floor {config.camera_height:.4g} m below'
-    vote = vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    vote = _vote(picture)
     if not vote.refusal:
         fit, note = with_right_angles(fit, vote.tau, vote.sigma), f'{note}, right angles'
     return _from_floor(picture, fit, 'camera_height', note)
@@ -177,12 +184,23 @@ def _from_floor(picture: _Picture, fit: FloorFit, method: str, note: str) -> Sca
 
 
 def _manhattan(picture: _Picture) -> ScaleEstimate | str:
-    config, down = picture.config, picture.down_camera
-    vote = vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    vote = _vote(picture)
     if vote.refusal:
         return vote.refusal
     return _manhattan_metric(picture, vote) or _unitless(
         picture, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
+
+
+def _vote(picture: _Picture) -> ManhattanVote:
+    """Return the shift by gravity, by the level axes too, or by right angles of any direction."""
+    config, down = picture.config, picture.down_camera
+    if down is not None and config.gravity_tolerance <= COARSE_GRAVITY_DEG:
+        axes = np.vstack([down, picture.level_axes])
+        for count in sorted({1, len(axes)}):
+            found = estimate_shift(picture.planes, picture.lowest, axes[:count])
+            if not found.refusal:
+                return found
+    return vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
 
 
 def _manhattan_metric(picture: _Picture, vote: ManhattanVote) -> ScaleEstimate | None:

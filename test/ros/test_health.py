@@ -13,9 +13,10 @@ from plane_detector.ros.diagnostics import Report
 from plane_detector.ros.health import FLOORLESS, Health, gap_of
 
 
-def detection(classes, scale='metric', planes=2, event=''):
+def detection(classes, scale='metric', planes=2, event='', gravity_note=''):
     return SimpleNamespace(planes=(None,) * planes, classes=classes, scale_method=scale,
-                           scale_note='why', scale_event=event)
+                           scale_note='why', scale_event=event, gravity_source='none',
+                           gravity_note=gravity_note)
 
 
 @pytest.mark.parametrize('found, wanted, told', [
@@ -23,6 +24,7 @@ def detection(classes, scale='metric', planes=2, event=''):
     (detection((), planes=0), (FLOORLESS,), ''),
     (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
     (detection((0, 0)), (FLOORLESS,), 'points_without_floor is silent'),
+    (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
     (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
     (detection((1, 0), 'relative'), ('planes',), ''),
     (detection((1, 0), 'relative'), (FLOORLESS,), 'the unit of depth is not known (why)')])
@@ -66,7 +68,7 @@ def test_an_imu_that_is_silent_is_told(robot):
 
 def test_classes_and_obstacles_without_gravity_are_told(robot):
     room = small_room()
-    start(robot, lambda rgb: room.depth_m)
+    start(robot, lambda rgb: room.depth_m, directions__gravity=False)
     send(robot, room)
     robot.wait_for('planes')
     assert robot.is_logged('points_without_floor is silent: the direction of gravity')
@@ -80,3 +82,10 @@ def test_the_image_topics_are_listed_where_nothing_comes(robot):
     start(robot, lambda rgb: None)
     assert robot.is_logged('--ros-args -r image:=/camera/color/image_raw')
     assert robot.diagnosis()[0].level == DiagnosticStatus.WARN
+
+
+def test_what_tells_gravity_is_in_the_facts():
+    health = Health(SimpleNamespace(warning=print, info=print))
+    health.note(detection((0, 0), gravity_note='only 3 straight lines'), ())
+    assert health.scale_facts['gravity'] == 'none'
+    assert health.scale_facts['gravity_note'] == 'only 3 straight lines'

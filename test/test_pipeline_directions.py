@@ -1,0 +1,120 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""What the lines of the image do in the whole pipeline."""
+
+import numpy as np
+import pytest
+
+from plane_detector import CameraIntrinsics, Config, PlaneDetector
+from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
+from plane_detector.depth.observation import DepthFunction
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.evaluation.scenes.textures import textured
+from plane_detector.planes.classification import PlaneClass
+
+CAMERA = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
+SCENE = textured(random_room, 300, CAMERA)
+WRONG_M = with_disparity_noise(SCENE.depth_m, 0.02, np.random.default_rng(0), 0.998, 90.0)
+GIVEN = ScaleConfig(gravity=tuple(SCENE.down_camera))
+OFF = DirectionsConfig(gravity=False, orient_planes=False)
+
+
+def network(depth_m=WRONG_M, output='metric_depth'):
+    values = 3.0 * (1 / depth_m - 0.1) if output == 'relative_disparity' else depth_m
+    return DepthFunction(lambda rgb: values.astype(np.float32), output, 0.004)
+
+
+def detect(config=None, model=None, rgb=SCENE.rgb, **measured):
+    return PlaneDetector(config or Config(), model or network()).detect(rgb, CAMERA, **measured)
+
+
+def plain():
+    """Return an image without any line."""
+    return np.full_like(SCENE.rgb, 90)
+
+
+def same_planes(first, second):
+    return np.array_equal(first.labels, second.labels) and all(
+        np.array_equal(a.normal, b.normal) for a, b in zip(first.planes, second.planes,
+                                                           strict=True))
+
+
+def test_classes_need_nothing_but_the_image():
+    found = detect()
+    assert found.gravity_source == 'image'
+    assert np.degrees(np.arccos(found.down_camera @ SCENE.down_camera)) < 0.3
+    assert {PlaneClass.FLOOR, PlaneClass.WALL} <= set(found.classes)
+    assert found.horizontal_axes.shape == (2, 3)
+
+
+@pytest.mark.parametrize(('scale', 'measured', 'source'), [
+    (GIVEN, {}, 'parameter'), (GIVEN, {'down_camera': SCENE.down_camera}, 'measured')])
+def test_the_image_comes_last(scale, measured, source):
+    assert detect(Config(scale=scale), **measured).gravity_source == source
+
+
+def test_an_image_without_lines_leaves_everything_as_it_was():
+    found = detect(rgb=plain())
+    assert (found.gravity_source, set(found.classes)) == ('none', {PlaneClass.UNKNOWN})
+    assert 'straight lines' in found.gravity_note
+    assert same_planes(found, detect(Config(directions=OFF), rgb=plain()))
+
+
+def test_switched_off_nothing_is_looked_for():
+    found = detect(Config(directions=OFF))
+    assert (found.gravity_source, found.gravity_note) == ('none', '')
+    assert found.horizontal_axes.shape == (0, 3)
+
+
+def test_floors_and_walls_of_a_network_are_turned_upright():
+    def worst_deg(found):
+        level = [p.normal @ SCENE.down_camera for p, kind in zip(found.planes, found.classes,
+                                                                strict=True)
+                 if kind == PlaneClass.FLOOR]
+        return np.degrees(np.arccos(np.abs(level))).max()
+    turned = detect(Config(scale=GIVEN))
+    assert worst_deg(turned) < 0.5
+    raw = detect(Config(scale=GIVEN, directions=DirectionsConfig(orient_planes=False)))
+    assert worst_deg(raw) > 1.0
+
+
+def test_measured_depth_is_left_alone():
+    topic = DepthConfig(source='topic')
+    found, off = (PlaneDetector(Config(depth=topic, directions=directions)).detect(
+        SCENE.rgb, CAMERA, depth_m=WRONG_M) for directions in (DirectionsConfig(), OFF))
+    assert same_planes(found, off)
+    assert found.gravity_source == 'image'
+
+
+def test_a_relative_network_and_a_height_give_metres_without_an_imu():
+    config = Config(scale=ScaleConfig(camera_height=SCENE.height_m))
+    found = detect(config, network(SCENE.depth_m, 'relative_disparity'))
+    assert found.scale_method == 'camera_height'
+    ratio = found.depth_m / SCENE.depth_m
+    assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.03)
+    without = detect(Config(scale=config.scale, directions=OFF),
+                     network(SCENE.depth_m, 'relative_disparity'))
+    assert without.scale_method == 'relative'
+
+
+def test_lines_along_the_black_corners_of_rectification_do_not_count():
+    covered = np.zeros(SCENE.depth_m.shape, bool)
+    covered[40:440, 60:580] = True
+    rgb = np.where(covered[..., None], plain(), 0).astype(np.uint8)
+    assert 'only 0' in detect(rgb=rgb, covered=covered).gravity_note
+
+
+def test_directions_are_forgotten_at_a_reset():
+    detector = PlaneDetector(Config(), network())
+    detector.detect(SCENE.rgb, CAMERA)
+    detector.reset()
+    assert detector.detect(plain(), CAMERA).gravity_source == 'none'
+
+
+@pytest.mark.parametrize('shape', [(8, 8), (1, 40), (33, 500)])
+def test_images_of_any_size(shape):
+    camera = CameraIntrinsics(50.0, 50.0, shape[1] / 2, shape[0] / 2, shape[1], shape[0])
+    model = DepthFunction(lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32), 'metric_depth', 0)
+    assert PlaneDetector(Config(), model).detect(
+        np.zeros((*shape, 3), np.uint8), camera).gravity_source == 'none'
