@@ -1,10 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-An image with its depth, which a sensor measures or a model predicts.
-
-Which of the two is decided once, in :func:`make_source`. Both give an :class:`Observation`.
-"""
+"""An image with its depth, by a sensor or by a model: that is decided in :func:`make_source`."""
 
 from __future__ import annotations
 
