@@ -258,32 +258,25 @@ class Detection(PlaneSegmentation):
     Attributes
     ----------
     depth_m : (H, W) float32
-        The depth that was segmented; NaN invalid. In an unknown unit when ``scale_method`` is
-        ``relative``.
+        What was segmented; NaN invalid. Of unknown unit where the method is ``relative``.
     scale_method : str
         How the depth came by its unit: ``metric``, ``fixed``, ..., or ``relative``.
     stage_seconds : mapping of str to float
         Time of each stage.
     track_labels : tuple of int
-        Label of each plane, above 0 and the same from picture to picture; empty when planes are
-        not tracked.
+        Label of each plane, above 0, the same from image to image; empty: not tracked.
     classes : tuple of int
-        :class:`~plane_detector.planes.classification.PlaneClass` of each plane; empty: all
-        unknown.
-    scale_note : str
-        What the method found and how sure it is, or why there is none.
-    scale_event : str
-        What changed about the scale at this picture; empty when nothing did.
+        A value of ``PlaneClass`` for each plane; empty: all unknown.
+    scale_note, scale_event : str
+        What the method found and how sure it is, or why there is none; what changed, if any.
     shapes : tuple of Shape
-        Spheres, cylinders and cones, largest first; with N planes, ``labels`` are N + i where
-        shape i is.
+        Largest first; with N planes, ``labels`` are N + i where shape i is.
     shape_labels : tuple of int
         Label of each shape, above 0 and the same from image to image; empty when not tracked.
     down_camera : (3,) float64 or None
         Direction of gravity in the optical frame that the classes are by; None where unknown.
     gravity_source : str
-        ``measured`` (``imu`` or ``tf`` in the node), ``parameter``, ``image`` (upright lines) or
-        ``none``.
+        ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
     gravity_note : str
         Why the image does not tell it, where it was asked.
     horizontal_axes : (A, 3) float64
