@@ -177,6 +177,10 @@ class BagReader:
             except BagError:
                 continue
 
+    def plain(self, recorded: Recorded) -> Any:
+        """Return a message as rosbags reads it, of whatever type of ROS 2 Jazzy."""
+        return self._types.deserialize_cdr(recorded.cdr, self.connection(recorded.topic).msgtype)
+
     def first(self, topic: str, message_class: Any) -> Any:
         """Return the first message of a topic that can be read, or None."""
         if topic not in self._first:

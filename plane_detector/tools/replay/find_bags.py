@@ -13,9 +13,11 @@ from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError
 
 
 def is_collection(text: str) -> bool:
-    """Whether a path is a pattern, or a folder that is no bag itself."""
-    return not os.path.lexists(text) and glob.has_magic(text) or (
-        os.path.isdir(text) and not _is_bag_folder(Path(text)))
+    """Whether a path is a pattern, or a folder that is no bag itself but holds some."""
+    if not os.path.lexists(text):
+        return glob.has_magic(text)
+    path = Path(text)
+    return path.is_dir() and not _is_bag_folder(path) and any(_below(path, None))
 
 
 def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, Path]:

@@ -27,6 +27,7 @@ from plane_detector.tools.replay.bag_topics import (
     input_class,
     with_companions,
 )
+from plane_detector.tools.replay.bag_transforms import read_transforms
 from plane_detector.tools.replay.bag_writer import BagWriter
 from plane_detector.tools.replay.copies import CopiedMessages
 from plane_detector.tools.replay.depth_choice import (
@@ -87,7 +88,8 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
         choice = choose_depth(bag, camera, options)
         detector = until_stopped(partial(make_detector, choice.config, depth_model,
                                          threading.get_ident()), should_stop)
-        processor = FrameProcessor(detector, options.settings, camera.image)
+        processor = FrameProcessor(detector, options.settings, camera.image,
+                                   read_transforms(bag, options.settings))
         wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
         topics = with_companions(bag, camera, wanted, depth_use(choice.config, processor.output),
                                  options.settings.use_imu)

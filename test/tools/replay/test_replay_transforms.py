@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Transforms that a bag brings: gravity, height of the camera, the frame of the outputs."""
+
+import numpy as np
+import pytest
+from bags import messages_of, write_bag
+from replay_helpers import camera_messages, planes_of, time_ns
+from ros_helpers import FRAME_ID, cloud_array
+from rosbags import rosbag2
+from rosbags.typesys import Stores, get_typestore
+from sensor_msgs.msg import PointCloud2
+
+from plane_detector.planes.classification import PlaneClass
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+HEIGHT_M = 1.4
+
+
+def tf_message(down_camera, stamp_ns):
+    """Return where a camera is that is turned about its x axis only, HEIGHT_M above base_link."""
+    angle = -(np.pi / 2 + np.arctan2(down_camera[2], down_camera[1])) / 2
+    make = {name: TYPES[f'geometry_msgs/msg/{name}'] for name in (
+        'TransformStamped', 'Transform', 'Vector3', 'Quaternion')}
+    transform = make['TransformStamped'](
+        header=TYPES['std_msgs/msg/Header'](
+            TYPES['builtin_interfaces/msg/Time'](stamp_ns // 10**9, stamp_ns % 10**9),
+            'base_link'),
+        child_frame_id=FRAME_ID, transform=make['Transform'](
+            make['Vector3'](0.0, 0.0, HEIGHT_M),
+            make['Quaternion'](float(np.sin(angle)), 0.0, 0.0, float(np.cos(angle)))))
+    return TYPES['tf2_msgs/msg/TFMessage']([transform])
+
+
+@pytest.fixture
+def bag_with_tf(tmp_path, scenes):
+    """Return a bag whose first scene is seen from a camera that /tf_static places."""
+    source = write_bag(tmp_path / 'plain', camera_messages(scenes[:1]))
+    floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
+    target = tmp_path / 'walk'
+    with rosbag2.Reader(source) as reader, rosbag2.Writer(target, version=9) as writer:
+        tf = writer.add_connection('/tf_static', 'tf2_msgs/msg/TFMessage', typestore=STORE)
+        msg = tf_message(-scenes[0].planes[floor, :3], time_ns(0))
+        writer.write(tf, time_ns(0), STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage'))
+        connections = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=STORE)
+                       for c in reader.connections}
+        for connection, when, data in reader.messages():
+            writer.write(connections[connection.topic], when, data)
+    return target
+
+
+def test_base_frame_tells_the_floor(bag_with_tf, replay):
+    code, target, text = replay(bag_with_tf, '-p', 'base_frame:=base_link')
+    assert code == 0, text
+    table = cloud_array(planes_of(target)[0])[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    assert floor['d'] == pytest.approx(HEIGHT_M, abs=0.02)
+    assert len(messages_of(target, '/plane_detector/points_without_floor', PointCloud2)) == 1
+
+
+def test_target_frame_is_that_of_the_outputs(bag_with_tf, replay):
+    code, target, text = replay(bag_with_tf, '-p', 'target_frame:=base_link', '-p',
+                                'base_frame:=base_link')
+    assert code == 0, text
+    (planes,) = planes_of(target)
+    assert planes.header.frame_id == 'base_link'
+    table = cloud_array(planes)[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    assert floor['normal_z'] == pytest.approx(1, abs=0.01)
+    assert floor['z'] == pytest.approx(0, abs=0.03)
+
+
+def test_a_bag_without_transforms_is_told(bag, replay):
+    code, target, text = replay(bag, '-p', 'base_frame:=base_link')
+    assert (code, target.exists()) == (1, False)
+    assert 'base_frame and target_frame need transforms' in text
+
+
+def test_a_frame_that_is_not_connected_is_told(bag_with_tf, replay):
+    code, _, text = replay(bag_with_tf, '-p', 'base_frame:=odom')
+    assert code == 1
+    assert f'no transform from {FRAME_ID} to odom' in text
