@@ -8,6 +8,7 @@ every use. Which there are says `plane_detector.depth.networks`.
 from __future__ import annotations
 
 import os
+import tempfile
 from pathlib import Path
 
 from plane_detector.depth.download import sha256_of, write_verified
@@ -24,6 +25,10 @@ class NetworkUnavailableError(FileNotFoundError):
             f'there by hand, {network.sources[0].by_hand(path)} ({size}SHA-256 '
             f'{network.sha256})')
         self.why = why
+
+
+class CacheFolderError(OSError):
+    """The folder of the networks cannot be written."""
 
 
 def default_cache_dir() -> Path:
@@ -74,11 +79,23 @@ def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Pa
         damaged = path.is_file() and sha256_of(path) != network.sha256
         if path.is_file() and not damaged:
             return path, 'cached'
+        _check_writable(path.parent)
         _write_from_any(network, path, unreachable)
     except OSError as error:
         note = f'the file there is damaged or another one, and {error}' if damaged else f'{error}'
         raise NetworkUnavailableError(network, path, note) from error
     return path, 'fetched anew, the cached one was damaged' if damaged else 'fetched'
+
+
+def _check_writable(folder: Path) -> None:
+    """Make the folder and see that it can be written, before anything is fetched."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise CacheFolderError(f'{folder} cannot be written ({error.strerror}): name another '
+                               'folder by depth.cache_dir') from error
 
 
 def _write_from_any(network: Network, path: Path, unreachable: set[str]) -> None:
@@ -123,7 +140,7 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
     """
     unreachable: set[str] = set()
     passed_over: list[str] = []
-    errors: list[str] = []
+    errors: list[NetworkUnavailableError] = []
     names = [name for name in AUTO_ORDER if output in ('auto', NETWORKS[name].output)]
     if not names:
         raise ValueError(f'no network of the zoo gives {output}: name one by depth.model')
@@ -132,8 +149,10 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
             path, how = _obtain(name, cache_dir, unreachable)
         except NetworkUnavailableError as error:
             passed_over.append(f'{name} ({error.why})')
-            errors.append(str(error))
+            errors.append(error)
             continue
         best = f'; better but not to be had: {", ".join(passed_over)}' if passed_over else ''
         return NETWORKS[name], path, f'auto took {name} ({how}){best}'
-    raise FileNotFoundError('no depth network is available. ' + '. '.join(errors))
+    if any(isinstance(error.__cause__, CacheFolderError) for error in errors):
+        raise FileNotFoundError(f'no depth network is available: {errors[0].why}')
+    raise FileNotFoundError('no depth network is available. ' + '. '.join(map(str, errors)))

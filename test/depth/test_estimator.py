@@ -129,6 +129,12 @@ def test_a_missing_file_names_what_there_is():
         DepthEstimator(config_for('/nowhere.onnx'))
 
 
+def test_the_home_folder_is_expanded(tmp_path, monkeypatch):
+    write_depth_network(tmp_path / 'network.onnx', height=28, width=28)
+    monkeypatch.setenv('HOME', str(tmp_path))
+    assert DepthEstimator(config_for('~/network.onnx')).name == str(tmp_path / 'network.onnx')
+
+
 def test_a_network_that_fails_on_its_input_is_told(tmp_path):
     nodes = [helper.make_node('Reshape', ['image', 'to'], ['depth'])]
     path = write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 'h', 'w'])],

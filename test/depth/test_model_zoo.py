@@ -126,6 +126,19 @@ def test_a_folder_that_cannot_be_made_is_told(tmp_path, monkeypatch, server):
         fetch('fastdepth', tmp_path / 'file')
 
 
+def test_a_folder_that_cannot_be_written_is_told_once_with_the_parameter(tmp_path, monkeypatch,
+                                                                         server):
+    for name in AUTO_ORDER:
+        put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
+    (tmp_path / 'file').write_text('in the way')
+    with pytest.raises(FileNotFoundError) as caught:
+        choose(tmp_path / 'file' / 'cache')
+    assert str(caught.value).count('cannot be written') == 1
+    assert str(caught.value).endswith('name another folder by depth.cache_dir')
+    assert len(str(caught.value)) < 300
+    assert server.asked == []
+
+
 def test_auto_takes_the_best_that_is_to_be_had_and_says_why(tmp_path, monkeypatch, server):
     first, second, third = AUTO_ORDER
     put(monkeypatch, first, UrlSource(server.url + '/missing.onnx'))
