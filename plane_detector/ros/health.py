@@ -13,6 +13,9 @@ from plane_detector.ros.diagnostics import Report
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import Detection
 
+# derived: a network sees at most about 500 pixels on its short side; more than four times that
+# only costs time in the other stages.
+_LARGE_PX = 2500
 FLOORLESS = 'points_without_floor'
 GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
@@ -45,19 +48,20 @@ class Health:
         """Forget the frames so far: what is missing now is logged again."""
         self._gap = ''
         self._told: set[str] = set()
-        self._scale_facts: dict[str, str] = {}
+        self._facts: dict[str, str] = {}
 
     @property
-    def scale_facts(self) -> dict[str, str]:
-        """What fixes the unit of depth, and what tells gravity, for the diagnostics."""
-        return self._scale_facts
+    def facts(self) -> dict[str, str]:
+        """What the last frame says: what fixes the unit, what tells gravity, and an advice."""
+        return self._facts
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
         """Note the result of a frame, whose outputs of these names have subscribers."""
-        self._scale_facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
-                             'gravity': detection.gravity_source}
+        self._facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
+                       'gravity': detection.gravity_source,
+                       **_advice(max(detection.labels.shape))}
         if detection.gravity_note:
-            self._scale_facts['gravity_note'] = detection.gravity_note
+            self._facts['gravity_note'] = detection.gravity_note
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         self._gap = gap_of(detection, wanted)
@@ -97,6 +101,12 @@ class Health:
         if self._gap:
             return DiagnosticStatus.WARN, self._gap
         return DiagnosticStatus.OK, 'active'
+
+
+def _advice(longer_side_px: int) -> dict[str, str]:
+    if longer_side_px < _LARGE_PX:
+        return {}
+    return {'advice': f'images of {longer_side_px} pixels take long: max_side reduces them'}
 
 
 def gap_of(detection: Detection, wanted: Collection[str]) -> str:

@@ -48,7 +48,15 @@ _HEEDING_S = 1.0
 
 class PlaneDetectorNode(LifecycleNode):
     """
-    The node ``plane_detector``.
+    The node ``plane_detector``; docs/topics.md holds its contract.
+
+    Subscribes to image or image/compressed, camera_info, depth, imu, clicked_point, and /tf. See
+    :mod:`~plane_detector.ros.inputs.subscriptions`.
+    Publishes ~/points, ~/points_without_floor, ~/planes, ~/boundaries, ~/plane_poses, ~/markers,
+    ~/shapes, ~/labels, ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info, ~/clicked_plane
+    and /diagnostics. See :mod:`~plane_detector.ros.outputs.topics`.
+    Serves ~/detect, ~/reset_tracking and those of a lifecycle node.
+    Its parameters are the fields of :mod:`~plane_detector.config`.
 
     Parameters
     ----------
@@ -238,7 +246,7 @@ class PlaneDetectorNode(LifecycleNode):
 
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
-        facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.scale_facts}
+        facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.facts}
         if self._processor is not None:
             detector = self._processor.detector
             facts.update(detector.source.facts)

@@ -13,10 +13,10 @@ from plane_detector.ros.diagnostics import Report
 from plane_detector.ros.health import FLOORLESS, Health, gap_of
 
 
-def detection(classes, scale='metric', planes=2, event='', gravity_note=''):
-    return SimpleNamespace(planes=(None,) * planes, classes=classes, scale_method=scale,
-                           scale_note='why', scale_event=event, gravity_source='none',
-                           gravity_note=gravity_note)
+def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640)):
+    return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
+                           scale_method=scale, scale_note='why', scale_event='',
+                           gravity_source='none', gravity_note=gravity_note)
 
 
 @pytest.mark.parametrize('found, wanted, told', [
@@ -45,6 +45,13 @@ def test_each_gap_is_logged_once_and_leaves_the_status_when_it_is_gone():
     assert len(lines) == 1
     health.note(detection((1, 3)), ())
     assert health.status(Report(4, 0, 0, 1.0), '') == (DiagnosticStatus.OK, 'active')
+
+
+@pytest.mark.parametrize('shape, is_large', [((480, 640), False), ((2160, 3840), True)])
+def test_max_side_is_advised_for_large_images(shape, is_large):
+    health = Health(SimpleNamespace(warning=print, info=print))
+    health.note(detection((1, 3), shape=shape), ())
+    assert ('max_side' in health.facts.get('advice', '')) == is_large
 
 
 def test_images_without_depth_of_their_time_are_told():
@@ -87,5 +94,5 @@ def test_the_image_topics_are_listed_where_nothing_comes(robot):
 def test_what_tells_gravity_is_in_the_facts():
     health = Health(SimpleNamespace(warning=print, info=print))
     health.note(detection((0, 0), gravity_note='only 3 straight lines'), ())
-    assert health.scale_facts['gravity'] == 'none'
-    assert health.scale_facts['gravity_note'] == 'only 3 straight lines'
+    assert health.facts['gravity'] == 'none'
+    assert health.facts['gravity_note'] == 'only 3 straight lines'
