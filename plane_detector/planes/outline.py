@@ -88,8 +88,7 @@ def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntri
            [2., 0., 2.]])
 
     """
-    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL,
-                                   cv2.CHAIN_APPROX_SIMPLE)
+    outlines, _ = _contours(mask, cv2.RETR_EXTERNAL)
     largest = max(outlines, key=lambda outline: (cv2.contourArea(outline), len(outline)))
     return _corners_on_plane(largest, depth_m, intrinsics, plane)
 
@@ -111,8 +110,7 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
         once it is simplified, is left out.
 
     """
-    outlines, hierarchy = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP,
-                                           cv2.CHAIN_APPROX_SIMPLE)
+    outlines, hierarchy = _contours(mask, cv2.RETR_CCOMP)
     parents = hierarchy[0, :, 3].tolist()
     patches = [index for index, parent in enumerate(parents) if parent < 0]
     patches.sort(key=lambda index: -cv2.contourArea(outlines[index]))
@@ -139,16 +137,30 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
 
     """
     helper = np.eye(3)[np.argmin(np.abs(normal))]
-    across = np.cross(normal, helper)
+    across = _cross(normal, helper)
     across /= np.linalg.norm(across)
-    axes = np.stack([across, np.cross(normal, across)])
+    axes = np.stack([across, _cross(normal, across)])
     flat_m = ((corners_m - centroid_m) @ axes.T).astype(np.float32)
     centre_m, (width_m, height_m), angle_deg = cv2.minAreaRect(flat_m)
     turn = np.radians(angle_deg + (0.0 if width_m >= height_m else 90.0))
     x_axis = np.array([np.cos(turn), np.sin(turn)]) @ axes
     return Rectangle(centroid_m + np.asarray(centre_m) @ axes,
-                     np.stack([x_axis, np.cross(normal, x_axis), normal], axis=1),
+                     np.stack([x_axis, _cross(normal, x_axis), normal], axis=1),
                      max(width_m, height_m), min(width_m, height_m))
+
+
+def _contours(mask: np.ndarray, mode: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+    """Return contours and hierarchy; they are followed in the part of the image with pixels."""
+    pixels = np.ascontiguousarray(mask).view(np.uint8)
+    left, top, width, height = cv2.boundingRect(pixels)
+    return cv2.findContours(pixels[top:top + height, left:left + width], mode,
+                            cv2.CHAIN_APPROX_SIMPLE, offset=(left, top))
+
+
+def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the cross product of two vectors (3,), without the overhead of numpy's."""
+    (a, b, c), (d, e, f) = first.tolist(), second.tolist()
+    return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
 def _corners_on_plane(outline: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
