@@ -20,11 +20,11 @@ from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions.finder import find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark import options as shared
-from plane_detector.evaluation.benchmark.judging import judge_coverage
 from plane_detector.evaluation.benchmark.real_images import load_network
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import Frame, frames
+from plane_detector.evaluation.metrics import coverage
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes import rooms, textures
 from plane_detector.pipeline import PlaneDetector, segment_planes
@@ -158,17 +158,17 @@ def _errors(frame: Frame, detector: PlaneDetector) -> Errors:
     sensor = segment_planes(frame.depth_m, frame.intrinsics)
     judged = judge_planes(found.labels, plane_array(found), frame.depth_m, frame.intrinsics,
                           np.random.default_rng(0))
-    return Errors(tuple(judged), judge_coverage(sensor.labels, found.labels,
-                                                np.isfinite(frame.depth_m)).share)
+    covered = coverage(sensor.labels, found.labels, np.isfinite(frame.depth_m))
+    return Errors(tuple(judged), covered.share)
 
 
 def _cells(errors: Sequence[Errors]) -> list[str]:
     judged = [plane for one in errors for plane in one.judged]
     pure = [plane for plane in judged if plane.purity > PURE]
-    coverage = [one.coverage for one in errors if np.isfinite(one.coverage)]
+    shares = [one.coverage for one in errors if np.isfinite(one.coverage)]
     return [f'{_mean(judged, "normal_error_deg"):.1f}', f'{_mean(pure, "normal_error_deg"):.1f}',
             f'{_mean(judged, "purity"):.2f}', f'{100 * _mean(judged, "offset_error_m"):.0f}',
-            f'{np.mean(coverage) if coverage else np.nan:.2f}']
+            f'{np.mean(shares) if shares else np.nan:.2f}']
 
 
 def _mean(judged: Sequence[JudgedPlane], name: str) -> float:
