@@ -1,0 +1,105 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Normals of a network weigh in the orientation of planes by how noisy they are."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from plane_detector.config import Config
+from plane_detector.geometry.disparity import to_disparity
+from plane_detector.geometry.projection import pixel_rays
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.planes.normal_map import turned_by_normals
+from plane_detector.segmentation.segment import metric_noise_floor, segment
+from plane_detector.types import CameraIntrinsics, Prediction
+
+CAMERA = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
+
+
+def towards(azimuth_deg):
+    """Return the normal of an upright wall that looks at the camera."""
+    angle = np.radians(azimuth_deg)
+    return np.array([np.sin(angle), 0.0, -np.cos(angle)])
+
+
+def wall_m(azimuth_deg, offset_m=2.5):
+    normal, (x, y) = towards(azimuth_deg), pixel_rays(CAMERA)
+    return offset_m / -(normal[0] * x[None] + normal[1] * y[:, None] + normal[2])
+
+
+def normal_map(azimuth_deg, noise_deg=2.0, shape=(240, 320)):
+    rng = np.random.default_rng(0)
+    normals = towards(azimuth_deg) + np.radians(noise_deg) * rng.standard_normal((*shape, 3))
+    return (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32)
+
+
+def bowed(depth_m, amount):
+    """Return depth whose 1/z waves, as that of a network that is unsure."""
+    x, y = np.meshgrid(np.arange(320), np.arange(240))
+    return 1 / (1 / depth_m + amount * np.sin(x / 9) * np.sin(y / 7))
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network of known depth and normals."""
+
+    depth_m: np.ndarray
+    normals_camera: np.ndarray | None
+    output: str = 'metric_depth'
+    noise_share: float = 0.02
+    focal_per_height: float = 0.0
+    facts: tuple = ()
+
+    def edge_blur_px(self, width, height):
+        return 0.0
+
+    def predict(self, rgb, intrinsics):
+        return Prediction(self.output, self.depth_m.astype(np.float32), self.normals_camera)
+
+
+def found_normal(depth_m, normals_camera):
+    detector = PlaneDetector(Config(), Network(depth_m, normals_camera))
+    planes = detector.detect(np.zeros((240, 320, 3), np.uint8), CAMERA).planes
+    assert len(planes) == 1
+    return planes[0]
+
+
+def error_deg(plane, azimuth_deg):
+    return np.degrees(np.arccos(np.clip(plane.normal @ towards(azimuth_deg), -1, 1)))
+
+
+def test_sure_normals_turn_a_plane_of_unsure_depth():
+    depth_m = bowed(wall_m(20), 0.012)
+    assert error_deg(found_normal(depth_m, None), 10) == pytest.approx(10, abs=2)
+    turned = found_normal(depth_m, normal_map(10))
+    assert error_deg(turned, 10) < 2
+    z_m = np.median(depth_m)
+    assert abs(turned.centroid_m[2] - z_m) < 0.05 * z_m, 'it stays where it is'
+
+
+def test_unsure_normals_do_not_turn_a_plane_of_sure_depth():
+    assert error_deg(found_normal(wall_m(20), normal_map(0, noise_deg=25.0)), 20) < 2
+
+
+def test_equal_noise_meets_in_the_middle():
+    assert error_deg(found_normal(wall_m(20), normal_map(10, noise_deg=0.0)), 15) < 0.5
+
+
+@pytest.mark.parametrize('normals', [
+    normal_map(-40), np.full((240, 320, 3), np.nan, np.float32)])
+def test_normals_of_another_surface_or_none_change_nothing(normals):
+    assert error_deg(found_normal(wall_m(20), normals), 20) < 0.2
+
+
+def test_a_plane_seen_edge_on_by_its_normals_keeps_its_own_and_the_input_its_values():
+    regions = segment(to_disparity(wall_m(70)), metric_noise_floor(Config(), 0.01), Config())
+    on_the_right = np.where(np.arange(320) > 200, regions.labels, -1).astype(np.int32)
+    regions, before = replace(regions, labels=on_the_right), regions.coefficients.copy()
+    turned = turned_by_normals(regions, normal_map(110), CAMERA)
+    np.testing.assert_array_equal(turned.coefficients, before)
+    np.testing.assert_array_equal(regions.coefficients, before)
+    shrunk = replace(regions, labels=np.full_like(regions.labels, -1))
+    np.testing.assert_array_equal(
+        turned_by_normals(shrunk, normal_map(60), CAMERA).coefficients, before)
