@@ -15,6 +15,7 @@ from plane_detector.directions.gravity_choice import UNKNOWN_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import classify_by_gravity
+from plane_detector.planes.normal_map import turned_by_normals
 from plane_detector.planes.reorientation import measure_turned
 from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import estimate_scale
@@ -143,6 +144,8 @@ class PlaneDetector:
             # 4. Depth and planes in metres, or in a unit of their own where nothing fixes it.
             depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
             regions = regions.rescaled(scale.scale, scale.shift)
+            if scale.has_true_angles:
+                regions = turned_by_normals(regions, seen.prediction, seen.intrinsics)
             planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
                               around.lines if turns and scale.has_true_angles else None)
         with stages('shapes'):

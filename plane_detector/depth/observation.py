@@ -75,12 +75,14 @@ class Observation:
         """What the source is known for, in the unit of the disparity."""
         return self.noise_share and self.noise_share * noise_reference(self.disparity)
 
+    def with_values(self, values: np.ndarray) -> Observation:
+        """Return the observation with other depth or disparity (H, W) of the same kind."""
+        return replace(self, prediction=replace(self.prediction, values=values))
+
     def restricted_to(self, covered: np.ndarray) -> Observation:
         """Return the observation, invalid where ``covered`` (H, W) bool is False."""
-        if covered.all():
-            return self
         values = np.where(covered, self.prediction.values, np.float32(np.nan))
-        return replace(self, prediction=replace(self.prediction, values=values), covered=covered)
+        return replace(self.with_values(values), covered=covered)
 
 
 class SensorDepth:
@@ -167,7 +169,8 @@ class ModelDepth:
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         seen = self._averaged(seen, config.depth.damping)
-        return seen.restricted_to(knowable(seen.disparity, seen.disparity_noise, rgb))
+        known = knowable(seen.disparity, seen.disparity_noise, rgb)
+        return seen.with_values(np.where(known, seen.prediction.values, np.float32(np.nan)))
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
         """Let the model become as large as the rate allows, see :class:`DepthModel`."""
@@ -191,8 +194,7 @@ class ModelDepth:
         if self._average.pictures == 1:
             return seen
         values = self._average.disparity
-        values = to_depth(values) if seen.output == 'metric_depth' else values
-        return replace(seen, prediction=replace(seen.prediction, values=values))
+        return seen.with_values(to_depth(values) if seen.output == 'metric_depth' else values)
 
 
 @dataclass(frozen=True)
@@ -290,10 +292,9 @@ def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> De
 
 def _without_the_far(values: np.ndarray, output: str, max_depth_m: float) -> np.ndarray:
     """Return depth or disparity that is NaN where invalid or beyond the largest depth."""
+    if output == 'relative_disparity':
+        return values
+    valid = values >= np.float32(1 / max_depth_m)
     if output == 'metric_depth':
         valid = valid_depth(values) & (values <= max_depth_m)
-    elif output == 'disparity':
-        valid = values >= np.float32(1 / max_depth_m)
-    else:
-        return values
     return values if valid.all() else np.where(valid, values, np.float32(np.nan))

@@ -21,7 +21,7 @@ from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.measurement import ray_plane_jacobian
 from plane_detector.segmentation.cells.labels import count_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.types import CameraIntrinsics
+from plane_detector.types import CameraIntrinsics, Prediction
 
 STEP_PX = 3
 """Medians need not look at every row and column."""
@@ -37,17 +37,17 @@ MIN_SAMPLES = 20
 MIN_COSINE = 0.02
 
 
-def turned_by_normals(regions: PixelRegions, normals_camera: np.ndarray,
+def turned_by_normals(regions: PixelRegions, prediction: Prediction,
                       intrinsics: CameraIntrinsics) -> PixelRegions:
     """
-    Turn regions to the normals of a map, by the noise of both.
+    Turn regions to the normals of a network, by the noise of both.
 
     Parameters
     ----------
     regions : PixelRegions
         Of 1/z in one unit, with true angles.
-    normals_camera : (H, W, 3) floating
-        Unit normals in the optical frame, looking at the camera; NaN invalid.
+    prediction : Prediction
+        Of the same image; without normals nothing is changed.
     intrinsics : CameraIntrinsics
 
     Returns
@@ -57,6 +57,9 @@ def turned_by_normals(regions: PixelRegions, normals_camera: np.ndarray,
         another surface, keeps its own.
 
     """
+    normals_camera = prediction.normals_camera
+    if normals_camera is None:
+        return regions
     jacobian = ray_plane_jacobian(intrinsics)
     coefficients = regions.coefficients.copy()
     spreads = _cell_spreads(regions, jacobian)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.pipeline import PlaneDetector
@@ -42,25 +43,22 @@ def bowed(depth_m, amount):
 
 
 @dataclass(frozen=True)
-class Network:
+class Network(DepthFunction):
     """A network of known depth and normals."""
 
-    depth_m: np.ndarray
-    normals_camera: np.ndarray | None
-    output: str = 'metric_depth'
-    noise_share: float = 0.02
-    focal_per_height: float = 0.0
-    facts: tuple = ()
-
-    def edge_blur_px(self, width, height):
-        return 0.0
+    normals_camera: np.ndarray | None = None
 
     def predict(self, rgb, intrinsics):
-        return Prediction(self.output, self.depth_m.astype(np.float32), self.normals_camera)
+        return replace(super().predict(rgb, intrinsics), normals_camera=self.normals_camera)
+
+
+def prediction(normals_camera):
+    return Prediction('metric_depth', np.zeros((240, 320), np.float32), normals_camera)
 
 
 def found_normal(depth_m, normals_camera):
-    detector = PlaneDetector(Config(), Network(depth_m, normals_camera))
+    detector = PlaneDetector(Config(), Network(
+        lambda rgb: depth_m.astype(np.float32), noise_share=0.02, normals_camera=normals_camera))
     planes = detector.detect(np.zeros((240, 320, 3), np.uint8), CAMERA).planes
     assert len(planes) == 1
     return planes[0]
@@ -97,9 +95,9 @@ def test_a_plane_seen_edge_on_by_its_normals_keeps_its_own_and_the_input_its_val
     regions = segment(to_disparity(wall_m(70)), metric_noise_floor(Config(), 0.01), Config())
     on_the_right = np.where(np.arange(320) > 200, regions.labels, -1).astype(np.int32)
     regions, before = replace(regions, labels=on_the_right), regions.coefficients.copy()
-    turned = turned_by_normals(regions, normal_map(110), CAMERA)
+    turned = turned_by_normals(regions, prediction(normal_map(110)), CAMERA)
     np.testing.assert_array_equal(turned.coefficients, before)
     np.testing.assert_array_equal(regions.coefficients, before)
     shrunk = replace(regions, labels=np.full_like(regions.labels, -1))
     np.testing.assert_array_equal(
-        turned_by_normals(shrunk, normal_map(60), CAMERA).coefficients, before)
+        turned_by_normals(shrunk, prediction(normal_map(60)), CAMERA).coefficients, before)
