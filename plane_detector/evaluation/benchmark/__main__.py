@@ -17,6 +17,7 @@ import argparse
 import importlib
 import sys
 from collections.abc import Sequence
+from types import ModuleType
 
 from plane_detector.evaluation.benchmark.provenance import PROGRAM, provenance
 from plane_detector.evaluation.benchmark.tables import emit
@@ -37,6 +38,15 @@ COMMANDS = {
     'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
     'export': ('export_depth_anything', 'write a depth network with random weights'),
 }
+
+
+def subcommand(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
+    """Return the module of a subcommand and the parser of its options."""
+    module_name, summary = COMMANDS[name]
+    module = importlib.import_module(f'plane_detector.evaluation.{module_name}')
+    parser = argparse.ArgumentParser(prog=f'{PROGRAM} {name}', description=summary)
+    module.add_arguments(parser)
+    return module, parser
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -63,10 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument('subcommand', choices=COMMANDS, metavar='SUBCOMMAND',
                         help='one of those below; each has a --help of its own')
     name = parser.parse_args(arguments[:1]).subcommand
-    module_name, summary = COMMANDS[name]
-    module = importlib.import_module(f'plane_detector.evaluation.{module_name}')
-    subparser = argparse.ArgumentParser(prog=f'{PROGRAM} {name}', description=summary)
-    module.add_arguments(subparser)
+    module, subparser = subcommand(name)
     options = subparser.parse_args(arguments[1:])
     emit(provenance(arguments))
     try:

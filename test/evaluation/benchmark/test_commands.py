@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """One program with subcommands: each has its help, and wrong input is explained in a line."""
 
+import re
+import shlex
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -37,6 +40,25 @@ def test_wrong_arguments_are_explained(arguments, message, capsys):
     with pytest.raises(SystemExit, match='2'):
         main(arguments)
     assert message in capsys.readouterr().err
+
+
+def commands_of_the_docs():
+    """Return the words after the program's name of every command in docs/ and README.md."""
+    root = Path(__file__).resolve().parents[3]
+    for page in (root / 'README.md', *sorted((root / 'docs').glob('*.md'))):
+        text = page.read_text(encoding='utf-8').replace('\\\n', ' ')
+        for command in re.findall(rf'(?:-m\s+{re.escape(MODULE)}|\.\.\.|ARGS=")\s*([^`"#;]+)',
+                                  text):
+            words = shlex.split(command.split('\n\n')[0].split('\n```')[0])
+            if words and words[0] in COMMANDS:
+                yield words
+
+
+def test_the_commands_of_the_docs_have_these_options():
+    found = list(commands_of_the_docs())
+    assert len(found) > 10
+    for name, *options in found:
+        program.subcommand(name)[1].parse_args(options)
 
 
 def test_wrong_input_ends_a_process_with_a_line():
