@@ -20,6 +20,7 @@ from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import OUTPUTS, Result
+from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection
 
 
@@ -105,6 +106,7 @@ class FrameProcessor:
         self._transforms = transforms or FrameTransforms(TransformBuffer())
         self._shown: frozenset[int] = frozenset()
         self._resets = 0
+        self._before: Detection | None = None
         self._observed_past = self._finished_past = (0, 0)
 
     @property
@@ -146,7 +148,7 @@ class FrameProcessor:
         header, settings = observed.frame.image.header, observed.settings
         if observed.past != self._finished_past:
             self.detector.reset_planes()
-            self._finished_past = observed.past
+            self._finished_past, self._before = observed.past, None
         detection = self.detector.find_planes(seen, _down(observed.frame, observed.pose),
                                               _height_m(observed.pose))
         if detection.gravity_source == 'measured':
@@ -155,7 +157,9 @@ class FrameProcessor:
         detected_s = time.perf_counter()
         result = Result(header, seen.rgb, seen.intrinsics, detection, settings,
                         self._shown, self._transforms.to_target(header, settings),
-                        observed.picture.lens)
+                        observed.picture.lens,
+                        merged_labels(self._before, detection, self.detector.config.tracking))
+        self._before = detection
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}
         self._remember_markers(detection, made)

@@ -23,13 +23,14 @@ PLANE_DTYPE = np.dtype([
     ('class', 'u1'), ('confidence', '<f4'),
     ('rect_x', '<f4'), ('rect_y', '<f4'), ('rect_z', '<f4'),
     ('rect_qx', '<f4'), ('rect_qy', '<f4'), ('rect_qz', '<f4'), ('rect_qw', '<f4'),
-    ('rect_width', '<f4'), ('rect_height', '<f4')], align=True)
+    ('rect_width', '<f4'), ('rect_height', '<f4'), ('merged', '<u4')], align=True)
 CORNER_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('label', '<u4'),
                          ('hole', 'u1'), ('polygon', '<u4')], align=True)
 
 
 def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
-                  classes: Sequence[int], rectangles: Sequence[Rectangle]) -> PointCloud2:
+                  classes: Sequence[int], rectangles: Sequence[Rectangle],
+                  merged: Sequence[int]) -> PointCloud2:
     """
     Return the coefficients: one point per plane, at its centroid; none is an empty cloud.
 
@@ -45,10 +46,12 @@ def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
         PlaneClass of these planes; empty: all unknown.
     rectangles : sequence of Rectangle
         Around each plane.
+    merged : sequence of int
+        Label that each plane has taken over, 0: none; empty: none of all.
 
     """
     table = np.zeros(len(planes), PLANE_DTYPE)
-    table['class'] = classes or 0
+    table['class'], table['merged'] = classes or 0, merged or 0
     for row, plane, label, rectangle in zip(table, planes, labels, rectangles, strict=True):
         row['x'], row['y'], row['z'] = plane.centroid_m
         row['normal_x'], row['normal_y'], row['normal_z'] = plane.normal

@@ -61,6 +61,8 @@ class Result:
         From the frame of the image into the target frame; None: they are the same.
     lens : Lens
         The distortion that is left in the image.
+    merged : tuple of int
+        The label that each plane has taken over, 0 for none; empty: none of all.
 
     """
 
@@ -72,6 +74,7 @@ class Result:
     shown: frozenset[int] = frozenset()
     to_target: RigidTransform | None = None
     lens: messages.Lens = messages.NO_LENS
+    merged: tuple[int, ...] = ()
 
     @cached_property
     def target_header(self) -> Header:
@@ -163,7 +166,7 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
 def _planes(result: Result) -> PointCloud2:
     return planes_to_msg(result.target_header, result.target_detection.planes,
                          messages.plane_labels(result.detection), result.detection.classes,
-                         result.rectangles)
+                         result.rectangles, result.merged)
 
 
 def _boundaries(result: Result) -> PointCloud2:

@@ -33,7 +33,7 @@ def make_plane(normal, offset_m):
 def two_planes():
     planes = make_plane([0.0, 0.6, -0.8], 2.0), make_plane([0.0, -1.0, 0.0], 1.25)
     return planes_to_msg(header(2.0), planes, np.array([7, 9], np.uint32), (1, 3),
-                         (RECTANGLE, RECTANGLE)), planes
+                         (RECTANGLE, RECTANGLE), (0, 4)), planes
 
 
 def test_planes_cloud():
@@ -54,6 +54,7 @@ def test_planes_cloud():
     np.testing.assert_allclose(table['confidence'], 0.75)
     np.testing.assert_array_equal(table['num_inliers'], 1234)
     np.testing.assert_array_equal(table['class'], [1, 3])
+    np.testing.assert_array_equal(table['merged'], [0, 4])
 
 
 def test_the_rectangle_is_in_the_table():
@@ -65,14 +66,15 @@ def test_the_rectangle_is_in_the_table():
 
 
 def test_without_classes_they_are_unknown():
-    msg = planes_to_msg(header(), (make_plane([0, 0, -1], 1.0),), np.array([1]), (), (RECTANGLE,))
+    plane = make_plane([0, 0, -1], 1.0)
+    msg = planes_to_msg(header(), (plane,), np.array([1]), (), (RECTANGLE,), ())
     assert cloud_array(msg)[0]['class'].tolist() == [0]
 
 
 def test_no_plane_is_an_empty_cloud_with_fields():
-    msg = planes_to_msg(header(), (), np.zeros(0, np.uint32), (), ())
+    msg = planes_to_msg(header(), (), np.zeros(0, np.uint32), (), (), ())
     assert (msg.height, msg.width, len(msg.data)) == (1, 0, 0)
-    assert len(msg.fields) == 22
+    assert len(msg.fields) == 23
     assert read_cloud(msg).shape == (1, 0)
 
 

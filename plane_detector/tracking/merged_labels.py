@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Which label a plane has taken over: two labels that have become one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.config import TrackingConfig
+from plane_detector.tracking.matching import squared_deviation
+from plane_detector.types import Detection
+
+# derived: more than half of the pixels, so that a plane can only become part of one other.
+_MIN_SHARE = 0.5
+# derived: three standard deviations, as for other decisions on coefficients.
+_MOST_DEVIATIONS = 3.0
+
+
+def merged_labels(before: Detection | None, after: Detection,
+                  config: TrackingConfig) -> tuple[int, ...]:
+    """
+    Return, for each plane of an image, the label that it has taken over since the one before.
+
+    A label that is gone has been taken over by a plane that was there before too, that now has
+    most of its pixels, and in whose plane it lay.
+
+    Parameters
+    ----------
+    before, after : Detection
+        Of two images in a row; None: there is none before.
+    config : TrackingConfig
+        How far the coefficients of the same plane may differ.
+
+    Returns
+    -------
+    tuple of int
+        0 for none; of several the largest.
+
+    """
+    taken = np.zeros(len(after.planes), int)
+    if (before is None or not before.track_labels or not after.track_labels
+            or before.labels.shape != after.labels.shape):
+        return tuple(taken.tolist())
+    pairs, counts = np.unique(np.stack([before.labels.ravel(), after.labels.ravel()]), axis=1,
+                              return_counts=True)
+    sizes = np.bincount(before.labels.ravel() + 1, minlength=len(before.planes) + 1)[1:]
+    most = np.zeros(len(after.planes), int)
+    for old, new, count in zip(*pairs.tolist(), counts.tolist(), strict=True):
+        if not (0 <= old < len(before.planes) and 0 <= new < len(after.planes)):
+            continue
+        if count > max(_MIN_SHARE * sizes[old], most[new]) and _is_taken(
+                before, old, after, new, config):
+            taken[new], most[new] = before.track_labels[old], count
+    return tuple(taken.tolist())
+
+
+def _is_taken(before: Detection, old: int, after: Detection, new: int,
+              config: TrackingConfig) -> bool:
+    """Whether a label is gone, the other was there before, and both are one plane."""
+    if before.track_labels[old] in after.track_labels:
+        return False
+    if after.track_labels[new] not in before.track_labels:
+        return False
+    deviation = squared_deviation([before.planes[old]], [after.planes[new]],
+                                  config.angle_tolerance, config.offset_tolerance)
+    return bool(deviation.item() <= _MOST_DEVIATIONS**2)

@@ -1,0 +1,65 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""When two labels become one, the plane that stays says which it took over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from plane_detector.config import TrackingConfig
+from plane_detector.tracking.merged_labels import merged_labels
+from plane_detector.types import Detection, Plane
+
+CONFIG = TrackingConfig()
+
+
+def wall(distance_m=2.0, x_m=0.0):
+    return Plane(np.array([0.0, 0.0, -1.0]), distance_m, np.array([x_m, 0.0, distance_m]), 2000,
+                 0.0, 1.0, np.diag([1e-8] * 4), 1.0)
+
+
+def detection(labels, planes, track_labels):
+    return Detection(planes, labels, 0.0, np.full(labels.shape, 2.0, np.float32), 'metric',
+                     track_labels=track_labels)
+
+
+@pytest.fixture
+def halves():
+    """Return a wall that a cupboard cuts in two."""
+    labels = np.full((60, 100), -1, np.int32)
+    labels[:, :40], labels[:, 45:] = 0, 1
+    return detection(labels, (wall(x_m=-0.5), wall(x_m=0.5)), (7, 3))
+
+
+@pytest.fixture
+def whole():
+    return detection(np.zeros((60, 100), np.int32), (wall(),), (3,))
+
+
+def test_the_label_that_is_gone_is_named(halves, whole):
+    assert merged_labels(halves, whole, CONFIG) == (7,)
+
+
+def test_without_a_past_or_tracking_there_is_none(halves, whole):
+    assert merged_labels(None, whole, CONFIG) == (0,)
+    assert merged_labels(halves, replace(whole, track_labels=()), CONFIG) == (0,)
+    assert merged_labels(replace(halves, track_labels=()), whole, CONFIG) == (0,)
+    small = detection(np.zeros((30, 50), np.int32), (wall(),), (3,))
+    assert merged_labels(halves, small, CONFIG) == (0,)
+
+
+def test_what_stands_before_a_plane_does_not_take_it_over(halves):
+    """A box moves in front of the left half: it hides it and is another plane."""
+    labels = halves.labels.copy()
+    labels[:, :45] = 0
+    hidden = detection(labels, (wall(1.0), wall()), (5, 3))
+    assert merged_labels(halves, hidden, CONFIG) == (0, 0)
+    known_before = detection(labels, (wall(1.0), wall()), (3, 9))
+    assert merged_labels(halves, known_before, CONFIG) == (0, 0), 'not in its plane'
+
+
+def test_a_label_that_is_still_there_is_not_taken_over(halves):
+    labels = np.ones((60, 100), np.int32)
+    labels[:, :5] = 0
+    assert merged_labels(halves, detection(labels, halves.planes, (7, 3)), CONFIG) == (0, 0)
