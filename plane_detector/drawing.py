@@ -12,7 +12,7 @@ import numpy as np
 from plane_detector.geometry.disparity import valid_depth
 from plane_detector.types import CameraIntrinsics
 
-# Neighbours in the list, the largest planes of a picture, are far apart in hue and lightness.
+# Neighbours in the list, the largest planes of an image, are far apart in hue and lightness.
 PALETTE = np.array(
     [
         (230, 25, 75), (60, 180, 75), (0, 130, 200), (255, 225, 25), (145, 30, 180),
@@ -26,7 +26,7 @@ _COLOUR_SHARE = 0.55
 _FARTHEST_INDEX = 20  # of the colour map; below it is nearly the black of no depth
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TITLE_SCALE, _TITLE_HEIGHT_PX = 0.6, 36
-_TEXT_HALF_HEIGHT = 0.012  # of a number, as a share of the picture's height
+_TEXT_HALF_HEIGHT = 0.012  # of a number, as a share of the image's height
 # Gravity blue, the level axes red and green, the horizon yellow.
 _AXIS_COLOURS, _HORIZON = ((40, 90, 255), (255, 50, 50), (40, 200, 60)), (255, 230, 0)
 _STROKES_PER_ROW = 12
@@ -35,7 +35,7 @@ _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 
 def label_colours(labels: np.ndarray) -> np.ndarray:
     """
-    Return the colour of each label; the same label has the same colour in every picture.
+    Return the colour of each label; the same label has the same colour in every image.
 
     Parameters
     ----------
@@ -62,12 +62,12 @@ def label_image(labels: np.ndarray) -> np.ndarray:
 
 def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None) -> np.ndarray:
     """
-    Return the picture with its planes coloured.
+    Return the image with its planes coloured.
 
     Parameters
     ----------
     rgb : (H, W, 3) uint8
-        The picture; it is not changed.
+        The image; it is not changed.
     labels : (H, W) integer
         Label of each pixel, 0 for no plane.
     colours : (N, 3) uint8, optional
@@ -85,7 +85,7 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
 
     """
     if rgb.shape[:2] != labels.shape:
-        raise ValueError(f'the labels are {labels.shape}, the picture {rgb.shape[:2]}')
+        raise ValueError(f'the labels are {labels.shape}, the image {rgb.shape[:2]}')
     on_plane = (labels > 0).astype(np.uint8)
     result = rgb.copy()
     coloured = label_image(labels) if colours is None else colours[labels]
@@ -213,12 +213,12 @@ def depth_range(depth_m: np.ndarray) -> tuple[float, float]:
 
 def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.ndarray:
     """
-    Return pictures side by side, each below its title.
+    Return images side by side, each below its title.
 
     Parameters
     ----------
-    panels : sequence of (title, picture)
-        RGB pictures (H, W, 3) uint8 of one size.
+    panels : sequence of (title, image)
+        RGB images (H, W, 3) uint8 of one size.
     columns : int
         Pictures in a row.
 
@@ -228,7 +228,7 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
         RGB; a row that is not full is filled with white.
 
     """
-    framed = [_with_title(title, picture) for title, picture in panels]
+    framed = [_with_title(title, image) for title, image in panels]
     missing = -len(framed) % columns
     framed += [np.full_like(framed[0], 255)] * missing
     return np.vstack([np.hstack(framed[start:start + columns])
@@ -274,9 +274,9 @@ def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> No
     cv2.putText(rgb, text, (left, base), _FONT, scale, _WHITE, 1, cv2.LINE_AA)
 
 
-def _with_title(title: str, picture: np.ndarray) -> np.ndarray:
-    """Return the picture with a white margin and its title above, cut to the width."""
-    height, width = picture.shape[:2]
+def _with_title(title: str, image: np.ndarray) -> np.ndarray:
+    """Return the image with a white margin and its title above, cut to the width."""
+    height, width = image.shape[:2]
     enlarged = max(0.75, height / 480)
     bar = np.full((round(_TITLE_HEIGHT_PX * enlarged), width, 3), 255, np.uint8)
     scale = _TITLE_SCALE * enlarged
@@ -284,5 +284,5 @@ def _with_title(title: str, picture: np.ndarray) -> np.ndarray:
         title = title[:-1]
     cv2.putText(bar, title, (4, round(bar.shape[0] * 0.7)), _FONT, scale, _BLACK,
                 max(1, round(1.6 * scale)), cv2.LINE_AA)
-    return cv2.copyMakeBorder(np.vstack([bar, picture]), 4, 4, 4, 4, cv2.BORDER_CONSTANT,
+    return cv2.copyMakeBorder(np.vstack([bar, image]), 4, 4, 4, 4, cv2.BORDER_CONSTANT,
                               value=_WHITE)

@@ -232,7 +232,7 @@ class Shape:
 @dataclass(frozen=True)
 class PlaneSegmentation:
     """
-    The planes of one picture, largest first, and the plane of each pixel.
+    The planes of one image, largest first, and the plane of each pixel.
 
     Attributes
     ----------
@@ -253,7 +253,7 @@ class PlaneSegmentation:
 @dataclass(frozen=True)
 class Detection(PlaneSegmentation):
     """
-    What the whole pipeline gives for one picture.
+    What the whole pipeline gives for one image.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from plane_detector.config import Config
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.far import knowable
 from plane_detector.depth.focal_correction import lens_factor
-from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
 from plane_detector.geometry.disparity import noise_reference, to_depth, to_disparity, valid_depth
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
@@ -132,7 +132,7 @@ class ModelDepth:
 
     def __init__(self, model: DepthModel) -> None:
         self.model = model
-        self._average: DampedDisparity | None = None
+        self._average: FilteredDisparity | None = None
 
     @property
     def output(self) -> str:
@@ -189,9 +189,9 @@ class ModelDepth:
         if keep == 0:
             self._average = None
             return seen
-        self._average = damp_flicker(self._average, seen.disparity, seen.rgb, keep,
+        self._average = filter_disparity(self._average, seen.disparity, seen.rgb, keep,
                                      same_scale=seen.output != 'relative_disparity')
-        if self._average.pictures == 1:
+        if self._average.image_count == 1:
             return seen
         values = self._average.disparity
         return seen.with_values(to_depth(values) if seen.output == 'metric_depth' else values)

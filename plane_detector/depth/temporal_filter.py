@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Flicker of a network's disparity, damped while the picture stays the same.
+Flicker of a network's disparity, damped while the image stays the same.
 
 A network sees sensor noise too, and gives another depth in every frame of a camera that stands
 still. While nothing moves the disparity is averaged over time; as soon as anything does, the new
-picture stands alone, the whole of it: a lag would bend planes, and a picture that is damped in
-one part only has two levels of noise, of which the segmentation sees one. Both the picture and
+image stands alone, the whole of it: a lag would bend planes, and an image that is damped in
+one part only has two levels of noise, of which the segmentation sees one. Both the image and
 the disparity are compared with their own averages, so that slow motion adds up.
 """
 
@@ -23,7 +23,7 @@ _BLUR_PX = 1.5
 # Brightness that differs by this many standard deviations of its noise is another one; the noise
 # is taken to be within these grey levels.
 _GREY_SIGMAS, _GREY_NOISE = 5.0, (0.4, 1.5)
-# So is the mean disparity of a block, if it is off by more than this share of the picture's span
+# So is the mean disparity of a block, if it is off by more than this share of the image's span
 # too: networks flicker ten times more at edges than elsewhere.
 _DEPTH_SIGMAS, _DEPTH_SHARE, _BLOCK_PX = 4.0, 0.1, 8
 # Something moves where more than this share of the pixels has another brightness or disparity;
@@ -36,56 +36,56 @@ _FIT_ROUNDS, _FEWEST_FITTED = 3, 100
 
 
 @dataclass(frozen=True)
-class DampedDisparity:
+class FilteredDisparity:
     """
-    Averages up to a picture.
+    Averages up to an image.
 
     Attributes
     ----------
     disparity : (H, W) float32
-        Not finite where that of the last picture is not.
+        Not finite where that of the last image is not.
     grey : (H, W) float32
         Blurred brightness.
-    pictures : int
+    image_count : int
         How many went into the averages.
 
     """
 
     disparity: np.ndarray
     grey: np.ndarray
-    pictures: int
+    image_count: int
 
 
-def damp_flicker(previous: DampedDisparity | None, disparity: np.ndarray, rgb: np.ndarray,
-                 keep: float, *, same_scale: bool) -> DampedDisparity:
+def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, rgb: np.ndarray,
+                 keep: float, *, same_scale: bool) -> FilteredDisparity:
     """
-    Average the disparity of a picture with those before, if nothing has changed.
+    Average the disparity of an image with those before, if nothing has changed.
 
     Parameters
     ----------
-    previous : DampedDisparity or None
-        Of the picture before; None, or of another size: the picture starts a new average.
+    previous : FilteredDisparity or None
+        Of the image before; None, or of another size: the image starts a new average.
     disparity : (H, W) floating
         Not finite where invalid.
     rgb : (H, W, 3) uint8
-        The picture itself.
+        The image itself.
     keep : float
-        Share of the average that is kept at every picture, 0 to below 1. The first pictures
+        Share of the average that is kept at every image, 0 to below 1. The first images
         count alike.
     same_scale : bool
-        False for relative disparity, whose scale and shift may change with every picture: the
+        False for relative disparity, whose scale and shift may change with every image: the
         average is brought to those of the new one.
 
     Returns
     -------
-    DampedDisparity
-        In scale and shift of the new picture.
+    FilteredDisparity
+        In scale and shift of the new image.
 
     """
     disparity = disparity.astype(np.float32, copy=False)
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0),
                             _BLUR_PX)
-    alone = DampedDisparity(disparity, grey, 1)
+    alone = FilteredDisparity(disparity, grey, 1)
     if previous is None or previous.grey.shape != grey.shape or not _shows_motion(grey):
         return alone
     changed = _has_changed(previous.grey, grey)
@@ -99,15 +99,15 @@ def damp_flicker(previous: DampedDisparity | None, disparity: np.ndarray, rgb: n
     if changed.mean() > _GREY_MOVING or differs.mean() > _DEPTH_MOVING:
         return alone
     still = ~_spread(changed | differs)
-    weight = np.float32(min(keep, previous.pictures / (previous.pictures + 1)))
-    return DampedDisparity(
+    weight = np.float32(min(keep, previous.image_count / (previous.image_count + 1)))
+    return FilteredDisparity(
         np.where(still & known, weight * expected + (1 - weight) * disparity, disparity),
         np.where(still, weight * previous.grey + (1 - weight) * grey, grey),
-        previous.pictures + 1)
+        previous.image_count + 1)
 
 
 def _shows_motion(grey: np.ndarray) -> bool:
-    """Say whether the picture has edges, by which a motion of the camera would be seen."""
+    """Say whether the image has edges, by which a motion of the camera would be seen."""
     on_edges = sum(np.count_nonzero(np.abs(np.diff(lines, axis=axis)) > _EDGE_GREY_PER_PX)
                    for lines, axis in ((grey[::_STEP_PX], 1), (grey[:, ::_STEP_PX], 0)))
     return on_edges >= _FEWEST_ON_EDGES
@@ -158,6 +158,6 @@ def _differs(disparity: np.ndarray, expected: np.ndarray, known: np.ndarray) -> 
 
 
 def _block_means(values: np.ndarray) -> np.ndarray:
-    """Return the means of blocks of the picture, as nearly square as its sides allow."""
+    """Return the means of blocks of the image, as nearly square as its sides allow."""
     height, width = (max(1, round(side / _BLOCK_PX)) for side in values.shape)
     return cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images of another resolution than the picture they are registered to."""
+"""Depth images of another resolution than the image they are registered to."""
 
 from __future__ import annotations
 

@@ -21,12 +21,12 @@ _COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equid
 @dataclass(frozen=True)
 class Rectification:
     """
-    Where each pixel of the rectified picture comes from.
+    Where each pixel of the rectified image comes from.
 
     Attributes
     ----------
     map_x, map_y : (H, W) float32
-        Column and row in the picture of the lens, in pixels.
+        Column and row in the image of the lens, in pixels.
     depth_factor : (H, W) float32
         Depth along the rectified optical axis per depth along the original one: 1 where the
         camera is not rotated.
@@ -37,8 +37,8 @@ class Rectification:
     map_y: np.ndarray
     depth_factor: np.ndarray
 
-    def picture(self, rgb: np.ndarray) -> np.ndarray:
-        """Rectify a picture (H, W, 3) uint8; black outside of the original."""
+    def image(self, rgb: np.ndarray) -> np.ndarray:
+        """Rectify an image (H, W, 3) uint8; black outside of the original."""
         self._check(rgb)
         return cv2.remap(rgb, self.map_x, self.map_y, cv2.INTER_LINEAR,
                          borderMode=cv2.BORDER_CONSTANT)
@@ -51,7 +51,7 @@ class Rectification:
         return nearest * self.depth_factor
 
     def inside(self) -> np.ndarray:
-        """Return which pixels (H, W) the original picture covers, bool."""
+        """Return which pixels (H, W) the original image covers, bool."""
         height, width = self.map_x.shape
         return ((self.map_x >= 0) & (self.map_x <= width - 1)
                 & (self.map_y >= 0) & (self.map_y <= height - 1))
@@ -59,7 +59,7 @@ class Rectification:
     def _check(self, image: np.ndarray) -> None:
         (height, width), (map_height, map_width) = image.shape[:2], self.map_x.shape
         if (height, width) != (map_height, map_width):
-            raise ValueError(f'the picture is {width} x {height}, its calibration is for '
+            raise ValueError(f'the image is {width} x {height}, its calibration is for '
                              f'{map_width} x {map_height}')
 
 
@@ -76,13 +76,13 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     distortion : (N,) float64
         Its coefficients.
     camera_matrix : (3, 3) float64
-        Of the picture as it comes (K).
+        Of the image as it comes (K).
     rotation : (3, 3) float64
         From the camera's frame to the rectified one (R); all zeros is taken as none.
     rectified_matrix : (3, 3) float64
-        Of the rectified picture (the left part of P).
+        Of the rectified image (the left part of P).
     size : (int, int)
-        Width and height of both pictures.
+        Width and height of both images.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     """
     if model not in _COEFFICIENTS:
         raise ValueError(f'distortion model {model!r} is not known: '
-                         f'{", ".join(_COEFFICIENTS)} are; rectify the picture before this node')
+                         f'{", ".join(_COEFFICIENTS)} are; rectify the image before this node')
     if len(distortion) not in _COEFFICIENTS[model]:
         counts = ' or '.join(str(count) for count in _COEFFICIENTS[model])
         raise ValueError(f'{model} has {counts} coefficients, not {len(distortion)}')

@@ -104,7 +104,7 @@ def refine_gravity(planes: Sequence[Plane], coarse_down_camera: np.ndarray,
     -------
     (3,) float64 or None
         The mean normal of the level planes, where planes upright to them exist and both together
-        are most of the picture's; None where they are not, and nothing can be said.
+        are most of the image's; None where they are not, and nothing can be said.
 
     """
     if not planes:

@@ -128,14 +128,14 @@ def confidence(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """
     Return the probability (K,) that each plane is one of the scene.
 
-    Logistic in the logarithms of its share of the picture and of the standard deviation of its
+    Logistic in the logarithms of its share of the image and of the standard deviation of its
     normal, fitted to whether planes of rendered rooms, of boxes and lived in, match a true one:
     ``python3 -m plane_detector.evaluation.benchmark confidence`` fits and checks it.
 
     Parameters
     ----------
     share : (K,) float64
-        Of the picture's pixels.
+        Of the image's pixels.
     covariance : (K, 4, 4) float64
         Of (normal, offset).
 

@@ -57,7 +57,7 @@ def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntri
     """
     Return the outline of the largest connected patch, its holes filled.
 
-    The border is followed in the picture and simplified there to 2 pixels (Douglas and Peucker);
+    The border is followed in the image and simplified there to 2 pixels (Douglas and Peucker);
     then the points of its corners are brought onto the plane along the normal. Unlike a convex
     hull it keeps an L-shaped floor L-shaped.
 
@@ -68,7 +68,7 @@ def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntri
     depth_m : (H, W) float32
         Depth.
     intrinsics : CameraIntrinsics
-        Of the picture.
+        Of the image.
     plane : Plane
         Where the outline is laid.
 

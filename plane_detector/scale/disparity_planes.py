@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The planes of a picture as affine functions of a disparity of unknown scale and shift.
+The planes of an image as affine functions of a disparity of unknown scale and shift.
 
 With the ray (x, y, 1) of a pixel, a plane is D = p x + q y + r in any disparity that is affine
 in 1/z. Where 1/z = scale * (D + tau), its normal is proportional to (p, q, r + tau): the only
@@ -17,7 +17,7 @@ import numpy as np
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.types import CameraIntrinsics
 
-# More pixels than these only cost time: the noise of disparity is smooth over the picture.
+# More pixels than these only cost time: the noise of disparity is smooth over the image.
 MAX_SAMPLES = 80_000
 MIN_SAMPLES = 30
 # Neighbouring errors of a depth map are alike; about this share of the width apart they are not.

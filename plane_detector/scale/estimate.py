@@ -11,7 +11,7 @@ import numpy as np
 from plane_detector.geometry.disparity import to_depth
 
 RELATIVE = 'relative'
-# Depths beyond this multiple of the picture's own unit are invalid where metres are unknown.
+# Depths beyond this multiple of the image's own unit are invalid where metres are unknown.
 MAX_RELATIVE_DEPTH = 1000.0
 
 
@@ -23,7 +23,7 @@ class ScaleEstimate:
     Attributes
     ----------
     scale, shift : float
-        1/metres, or 1/unit where the unit is unknown: then the middle depth of the picture
+        1/metres, or 1/unit where the unit is unknown: then the middle depth of the image
         that the unit was chosen on is 1.
     method : str
         ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
@@ -34,11 +34,11 @@ class ScaleEstimate:
         Whether the angles between planes are those of the scene. False for ``relative``.
     uncertainty : float
         Standard deviation of depth by that of scale and shift, as a share of depth, at the far
-        tenth of the picture; NaN where it is not known.
+        tenth of the image; NaN where it is not known.
     note : str
         What the method found, or why the others refused; for the log and the diagnostics.
     span : (3,) tuple of float
-        Disparity of the far tenth, the middle and the near tenth of the picture.
+        Disparity of the far tenth, the middle and the near tenth of the image.
 
     """
 

@@ -69,7 +69,7 @@ def estimate_shift(planes: DisparityPlanes, lowest_disparity: float,
         tau = shifts[best]
     final = _support(planes, np.array([tau]), axes)[0]
     apart = turn_deg(planes, np.array([tau]), shifts) @ planes.pixel_share > MAX_TOLERANCE_DEG
-    objection = _objection(planes, final, score[apart].max(initial=0.0))
+    objection = _reason_to_refuse(planes, final, score[apart].max(initial=0.0))
     if objection:
         return _refused(objection)
     return ManhattanVote(tau, _sigma(planes, tau, axes), axes, '')
@@ -149,7 +149,7 @@ def _sigma(planes: DisparityPlanes, tau: float, axes: np.ndarray) -> float:
     return float(np.sqrt(variance / max(np.count_nonzero(used) - 1, 1)))
 
 
-def _objection(planes: DisparityPlanes, support: np.ndarray, rival: float) -> str:
+def _reason_to_refuse(planes: DisparityPlanes, support: np.ndarray, rival: float) -> str:
     explained = support.sum() / planes.pixel_share.sum()
     if explained < MIN_EXPLAINED_SHARE:
         return f'only {explained:.0%} of the planes agree with the known directions'

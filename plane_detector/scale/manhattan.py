@@ -73,7 +73,7 @@ class _Frames:
     upright: np.ndarray      # (C,) the same for planes along or across the best single axis
 
 
-def vote_shift(planes: DisparityPlanes, lowest_disparity: float,
+def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
                down_camera: np.ndarray | None = None,
                down_tolerance_deg: float = 0.0) -> ManhattanVote:
     """
@@ -106,7 +106,7 @@ def vote_shift(planes: DisparityPlanes, lowest_disparity: float,
     best = int(frames.votes.argmax())
     tau, sigma, axes = _refine(planes, frames, best, -lowest_disparity)
     winner = _judge(planes, np.array([tau]), axes[None])
-    objection = _objection(planes, winner, frames, sigma)
+    objection = _reason_to_refuse(planes, winner, frames, sigma)
     return _refused(objection) if objection else ManhattanVote(tau, sigma, axes, '')
 
 
@@ -208,7 +208,8 @@ def _align(planes: DisparityPlanes, tau: float, axes: np.ndarray, axis: np.ndarr
     return float(np.degrees(1) ** 2 * (weights * sine2).sum()), axes
 
 
-def _objection(planes: DisparityPlanes, winner: _Frames, frames: _Frames, sigma: float) -> str:
+def _reason_to_refuse(planes: DisparityPlanes, winner: _Frames, frames: _Frames,
+                      sigma: float) -> str:
     """Return why the winner must not be believed, empty if it may."""
     axis, share = winner.axis[0], winner.weight[0] / winner.weight[0].sum()
     aligned = share[axis >= 0].sum()

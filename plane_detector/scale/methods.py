@@ -23,7 +23,7 @@ from plane_detector.scale.disparity_planes import DisparityPlanes, fit_disparity
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
 from plane_detector.scale.known_axes import estimate_shift
-from plane_detector.scale.manhattan import ManhattanVote, vote_shift
+from plane_detector.scale.manhattan import ManhattanVote, estimate_manhattan_shift
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.types import CameraIntrinsics
 
@@ -34,7 +34,7 @@ SPAN_QUANTILES = (0.1, 0.5, 0.9)
 
 
 @dataclass(frozen=True)
-class _Picture:
+class _Evidence:
     """What the methods look at."""
 
     disparity: np.ndarray
@@ -95,18 +95,18 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
 
     """
     config = config or ScaleConfig()
-    picture = _picture(disparity, labels, intrinsics, config, output, gravity_camera,
-                       level_axes, sensor_depth_m)
+    evidence = _evidence(disparity, labels, intrinsics, config, output, gravity_camera,
+                         level_axes, sensor_depth_m)
     refusals, unitless = [], None
     for method in _methods(config):
-        estimate = METHODS[method](picture)
+        estimate = METHODS[method](evidence)
         if isinstance(estimate, str):
             refusals.append(f'{method}: {estimate}')
         elif estimate.is_metric:
             return estimate
         else:
             unitless = unitless or estimate
-    return unitless or _relative(picture, '; '.join(refusals) or 'asked for by scale.method')
+    return unitless or _relative(evidence, '; '.join(refusals) or 'asked for by scale.method')
 
 
 def _methods(config: ScaleConfig) -> tuple[str, ...]:
@@ -115,114 +115,115 @@ def _methods(config: ScaleConfig) -> tuple[str, ...]:
     return () if config.method == 'none' else (config.method,)
 
 
-def _picture(disparity, labels, intrinsics, config, output, gravity_camera, level_axes,
-             sensor_depth_m) -> _Picture:
+def _evidence(disparity, labels, intrinsics, config, output, gravity_camera, level_axes,
+              sensor_depth_m) -> _Evidence:
     finite = disparity[::4, ::4]
     finite = finite[np.isfinite(finite)]
     lowest, *span = (np.quantile(finite, (FAR_QUANTILE, *SPAN_QUANTILES)) if finite.size
                      else (0.0, 0.0, 0.0, 0.0))
     gravity = config.gravity if gravity_camera is None else gravity_camera
     level_axes = np.zeros((0, 3)) if level_axes is None else level_axes
-    return _Picture(disparity, labels, intrinsics, config, output, unit_direction(gravity),
-                    level_axes, sensor_depth_m, float(lowest),
-                    tuple(float(value) for value in span))
+    return _Evidence(disparity, labels, intrinsics, config, output, unit_direction(gravity),
+                     level_axes, sensor_depth_m, float(lowest),
+                     tuple(float(value) for value in span))
 
 
-def _relative(picture: _Picture, note: str) -> ScaleEstimate:
+def _relative(evidence: _Evidence, note: str) -> ScaleEstimate:
     """Leave the shift as it is, unless disparity is negative somewhere."""
-    return _unitless(picture, max(0.0, -1.01 * picture.lowest), RELATIVE, False, np.nan, note)
+    return _unitless(evidence, max(0.0, -1.01 * evidence.lowest), RELATIVE, False, np.nan, note)
 
 
-def _unitless(picture: _Picture, tau: float, method: str, has_true_angles: bool,
+def _unitless(evidence: _Evidence, tau: float, method: str, has_true_angles: bool,
               tau_sigma: float, note: str) -> ScaleEstimate:
-    """Choose the unit so that the middle depth of the picture is 1."""
-    middle = picture.span[1] + tau
+    """Choose the unit so that the middle depth of the image is 1."""
+    middle = evidence.span[1] + tau
     scale = 1.0 / middle if middle > 0 else 1.0
     estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
-                             picture.span)
+                             evidence.span)
     return estimate.with_covariance(np.diag([0.0, (scale * tau_sigma) ** 2]))
 
 
-def _metric(picture: _Picture) -> ScaleEstimate | str:
-    if picture.output == 'relative_disparity':
+def _metric(evidence: _Evidence) -> ScaleEstimate | str:
+    if evidence.output == 'relative_disparity':
         return 'the network gives no metres'
     return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, 'the network\'s metres',
-                         picture.span)
+                         evidence.span)
 
 
-def _depth_topic(picture: _Picture) -> ScaleEstimate | str:
-    if picture.sensor_depth_m is None:
+def _depth_topic(evidence: _Evidence) -> ScaleEstimate | str:
+    if evidence.sensor_depth_m is None:
         return 'no measured depth'
-    fit = fit_measured_depth(picture.disparity, picture.sensor_depth_m)
+    fit = fit_measured_depth(evidence.disparity, evidence.sensor_depth_m)
     if fit.refusal:
         return fit.refusal
     estimate = ScaleEstimate(fit.scale, fit.shift, 'depth_topic', True, True, np.nan,
-                             f'{fit.point_count} points of measured depth', picture.span)
+                             f'{fit.point_count} points of measured depth', evidence.span)
     return estimate.with_covariance(fit.covariance)
 
 
-def _camera_height(picture: _Picture) -> ScaleEstimate | str:
-    config, down = picture.config, picture.down_camera
+def _camera_height(evidence: _Evidence) -> ScaleEstimate | str:
+    config, down = evidence.config, evidence.down_camera
     if config.camera_height == 0 or down is None:
         return 'scale.camera_height and the direction of gravity are not both known'
     if config.gravity_tolerance > COARSE_GRAVITY_DEG:
         return 'gravity is known too coarsely'
-    fit = fit_floor(picture.planes, picture.lowest, down, config.camera_height,
+    fit = fit_floor(evidence.planes, evidence.lowest, down, config.camera_height,
                     config.gravity_tolerance)
     if fit is None:
         return 'no plane can be the floor'
     note = f'floor {config.camera_height:.4g} m below'
-    vote = _vote(picture)
+    vote = _vote(evidence)
     if not vote.refusal:
         fit, note = with_right_angles(fit, vote.tau, vote.sigma), f'{note}, right angles'
-    return _from_floor(picture, fit, 'camera_height', note)
+    return _from_floor(evidence, fit, 'camera_height', note)
 
 
-def _from_floor(picture: _Picture, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
-    estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan, note, picture.span)
+def _from_floor(evidence: _Evidence, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
+    estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan, note, evidence.span)
     return estimate.with_covariance(fit.covariance)
 
 
-def _manhattan(picture: _Picture) -> ScaleEstimate | str:
-    vote = _vote(picture)
+def _manhattan(evidence: _Evidence) -> ScaleEstimate | str:
+    vote = _vote(evidence)
     if vote.refusal:
         return vote.refusal
-    return _manhattan_metric(picture, vote) or _unitless(
-        picture, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
+    return _manhattan_metric(evidence, vote) or _unitless(
+        evidence, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
 
 
-def _vote(picture: _Picture) -> ManhattanVote:
+def _vote(evidence: _Evidence) -> ManhattanVote:
     """Return the shift by gravity, by the level axes too, or by right angles of any direction."""
-    config, down = picture.config, picture.down_camera
+    config, down = evidence.config, evidence.down_camera
     if down is not None and config.gravity_tolerance <= COARSE_GRAVITY_DEG:
-        axes = np.vstack([down, picture.level_axes])
+        axes = np.vstack([down, evidence.level_axes])
         for count in sorted({1, len(axes)}):
-            found = estimate_shift(picture.planes, picture.lowest, axes[:count])
+            found = estimate_shift(evidence.planes, evidence.lowest, axes[:count])
             if not found.refusal:
                 return found
-    return vote_shift(picture.planes, picture.lowest, down, config.gravity_tolerance)
+    return estimate_manhattan_shift(evidence.planes, evidence.lowest, down,
+                                    config.gravity_tolerance)
 
 
-def _manhattan_metric(picture: _Picture, vote: ManhattanVote) -> ScaleEstimate | None:
-    height_m, down = picture.config.camera_height, picture.down_camera
+def _manhattan_metric(evidence: _Evidence, vote: ManhattanVote) -> ScaleEstimate | None:
+    height_m, down = evidence.config.camera_height, evidence.down_camera
     if height_m == 0 or down is None:
         return None
-    fit = fit_floor_of_frame(picture.planes, vote.tau, vote.sigma, vote.axes, down, height_m)
+    fit = fit_floor_of_frame(evidence.planes, vote.tau, vote.sigma, vote.axes, down, height_m)
     if fit is None:
         return None
-    return _from_floor(picture, fit, 'manhattan',
+    return _from_floor(evidence, fit, 'manhattan',
                        f'right angles between the planes, floor {height_m:.4g} m below')
 
 
-def _fixed(picture: _Picture) -> ScaleEstimate | str:
-    config = picture.config
+def _fixed(evidence: _Evidence) -> ScaleEstimate | str:
+    config = evidence.config
     if config.disparity_scale == 0:
         return 'scale.disparity_scale is not given'
     return ScaleEstimate(config.disparity_scale, config.disparity_shift, 'fixed', True, True,
-                         np.nan, 'scale and shift as given', picture.span)
+                         np.nan, 'scale and shift as given', evidence.span)
 
 
 # In the order of auto.
-METHODS: dict[str, Callable[[_Picture], ScaleEstimate | str]] = {
+METHODS: dict[str, Callable[[_Evidence], ScaleEstimate | str]] = {
     'metric': _metric, 'depth_topic': _depth_topic, 'camera_height': _camera_height,
     'manhattan': _manhattan, 'fixed': _fixed}

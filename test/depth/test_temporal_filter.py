@@ -10,7 +10,7 @@ import pytest
 
 from plane_detector.config import Config, DepthConfig, TrackingConfig
 from plane_detector.depth.observation import DepthFunction
-from plane_detector.depth.temporal_filter import damp_flicker
+from plane_detector.depth.temporal_filter import filter_disparity
 from plane_detector.evaluation.benchmark import flicker as benchmark_damping
 from plane_detector.evaluation.scenes.sequences import FRAMES, Motion, sequence
 from plane_detector.pipeline import PlaneDetector
@@ -47,7 +47,7 @@ def damped(pictures, disparities, keep=0.8, same_scale=True):
     """Return the state after these."""
     state = None
     for rgb, disparity in zip(pictures, disparities, strict=True):
-        state = damp_flicker(state, disparity, rgb, keep, same_scale=same_scale)
+        state = filter_disparity(state, disparity, rgb, keep, same_scale=same_scale)
     return state
 
 
@@ -64,7 +64,7 @@ def rms(state, truth=TRUTH):
 def test_the_first_pictures_count_alike():
     pictures, disparities = still(4)
     state = damped(pictures, disparities)
-    assert state.pictures == 4
+    assert state.image_count == 4
     np.testing.assert_allclose(state.disparity, np.mean(disparities, axis=0), atol=1e-6)
 
 
@@ -84,7 +84,7 @@ def test_a_camera_that_turns_is_left_alone(pixels):
     pictures, disparities = still(6)
     pictures[-1] = seen(moved(scenery(), pixels), np.random.default_rng(2))
     state = damped(pictures, disparities)
-    assert state.pictures == 1
+    assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
@@ -94,8 +94,8 @@ def test_slow_motion_adds_up_and_never_lags_by_a_pixel():
     state = None
     for index in range(40):
         rgb = seen(moved(scenery(), 0.1 * index), rng)
-        state = damp_flicker(state, flickering(rng), rgb, 0.8, same_scale=True)
-        starts.append(state.pictures == 1)
+        state = filter_disparity(state, flickering(rng), rgb, 0.8, same_scale=True)
+        starts.append(state.image_count == 1)
     assert not any(np.convolve(~np.array(starts), np.ones(10), 'valid') == 10)
 
 
@@ -103,7 +103,7 @@ def test_something_that_moves_ends_the_average_of_the_whole_picture():
     pictures, disparities = still(6)
     pictures[-1][100:120, 100:120] = 255
     state = damped(pictures, disparities)
-    assert state.pictures == 1
+    assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
@@ -111,7 +111,7 @@ def test_a_speck_is_no_motion_and_is_not_averaged_itself():
     pictures, disparities = still(6)
     pictures[-1][110, 110] = 255
     state = damped(pictures, disparities)
-    assert state.pictures == 6
+    assert state.image_count == 6
     assert state.disparity[110, 112] == disparities[-1][110, 112]
     assert rms(state) < NOISE / 2
 
@@ -120,29 +120,29 @@ def test_depth_that_changes_behind_the_same_picture_is_new():
     pictures, disparities = still(6)
     disparities[-1][100:150, 100:150] += 0.3
     state = damped(pictures, disparities)
-    assert state.pictures == 1
+    assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
 def test_another_light_is_another_picture():
     pictures, disparities = still(6)
     pictures[-1] = cv2.add(pictures[-1], np.full_like(pictures[-1], 12))
-    assert damped(pictures, disparities).pictures == 1
+    assert damped(pictures, disparities).image_count == 1
 
 
 def test_without_edges_nothing_tells_that_the_camera_stands_still():
     _, disparities = still(3)
     rng = np.random.default_rng(3)
     blank = [seen(np.full((*SHAPE, 3), 128, np.uint8), rng) for _ in disparities]
-    assert damped(blank, disparities).pictures == 1
+    assert damped(blank, disparities).image_count == 1
 
 
 def test_another_size_starts_anew():
     pictures, disparities = still(2)
     rng = np.random.default_rng(3)
-    state = damp_flicker(damped(pictures, disparities), flickering(rng, TRUTH[:120]),
+    state = filter_disparity(damped(pictures, disparities), flickering(rng, TRUTH[:120]),
                          seen(scenery((120, 320)), rng), 0.8, same_scale=True)
-    assert state.pictures == 1
+    assert state.image_count == 1
     assert state.disparity.shape == (120, 320)
 
 
@@ -153,13 +153,14 @@ def test_relative_disparity_of_any_scale_and_shift():
     told = [scale * one + shift for one, (scale, shift) in zip(disparities, lines, strict=True)]
     state = damped(pictures, [one.astype(np.float32) for one in told], same_scale=False)
     scale, shift = lines[-1]
-    assert state.pictures == 20
+    assert state.image_count == 20
     assert rms(state, scale * TRUTH + shift) < 0.45 * scale * NOISE
 
 
 def test_a_disparity_turned_round_is_no_scale():
     pictures, disparities = still(2)
-    assert damped(pictures, [disparities[0], 1 - disparities[1]], same_scale=False).pictures == 1
+    turned = damped(pictures, [disparities[0], 1 - disparities[1]], same_scale=False)
+    assert turned.image_count == 1
 
 
 def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
@@ -168,7 +169,7 @@ def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
         disparity[:40] = np.nan
     disparities[-1][-40:] = np.inf
     state = damped(pictures, disparities)
-    assert state.pictures == 4
+    assert state.image_count == 4
     assert not np.isfinite(state.disparity[-40:]).any()
     np.testing.assert_array_equal(state.disparity[:40], disparities[-1][:40])
     assert np.isfinite(state.disparity[:-40]).all()
@@ -187,7 +188,7 @@ def test_pictures_of_any_size(shape):
     state = None
     for _ in range(3):
         rgb = rng.integers(0, 256, (*shape, 3)).astype(np.uint8)
-        state = damp_flicker(state, np.ones(shape), rgb, 0.8, same_scale=True)
+        state = filter_disparity(state, np.ones(shape), rgb, 0.8, same_scale=True)
     assert state.disparity.shape == shape
 
 
@@ -196,7 +197,7 @@ def test_inputs_are_not_changed():
     before = damped(pictures[:2], disparities[:2])
     copies = [array.copy() for array in (before.disparity, before.grey, disparities[2],
                                          pictures[2])]
-    damp_flicker(before, disparities[2], pictures[2], 0.8, same_scale=True)
+    filter_disparity(before, disparities[2], pictures[2], 0.8, same_scale=True)
     for array, copy in zip((before.disparity, before.grey, disparities[2], pictures[2]), copies,
                            strict=True):
         np.testing.assert_array_equal(array, copy)

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from plane_detector.config import Config
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.temporal_filter import DampedDisparity, damp_flicker
+from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.real_images import collect_frames, load_network
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
@@ -63,9 +63,10 @@ def judged(views: Sequence[View], sigma: float, seed: int, relative: bool,
     seen = np.isfinite(scene.depth_m)
     numbers = []
     for keep in keeps:
-        state: DampedDisparity | None = None
+        state: FilteredDisparity | None = None
         for view, (disparity, _, _) in zip(views, told, strict=True):
-            state = damp_flicker(state, disparity, view.scene.rgb, keep, same_scale=not relative)
+            state = filter_disparity(state, disparity, view.scene.rgb, keep,
+                                     same_scale=not relative)
         _, scale, shift = told[-1]
         labels = _labels(state.disparity)
         found = score(scene.labels, scene.planes, labels, _unknown_planes(labels), seen)
@@ -137,7 +138,7 @@ def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
               keeps: Sequence[float]) -> list[float]:
     """Return the SC between the planes of consecutive images for each value of damping."""
     rng = np.random.default_rng(0)
-    states: list[DampedDisparity | None] = [None] * len(keeps)
+    states: list[FilteredDisparity | None] = [None] * len(keeps)
     labels: list[list[np.ndarray]] = [[] for _ in keeps]
     for index in range(FRAMES):
         noisy = np.clip(rgb + rng.normal(0, sigma, rgb.shape), 0, 255).astype(np.uint8)
@@ -147,7 +148,8 @@ def agreement(rgb: np.ndarray, estimate: DepthEstimator, sigma: float,
         relative = estimate.output == 'relative_disparity'
         known = estimate.noise_share * noise_reference(disparity)
         for k, keep in enumerate(keeps):
-            states[k] = damp_flicker(states[k], disparity, noisy, keep, same_scale=not relative)
+            states[k] = filter_disparity(states[k], disparity, noisy, keep,
+                                         same_scale=not relative)
             if index >= FRAMES - _JUDGED:
                 labels[k].append(_labels(states[k].disparity, known))
     everywhere = np.ones(rgb.shape[:2], bool)

@@ -93,7 +93,7 @@ class PictureConverter:
             return Picture(rgb, intrinsics, depth_m, lens=self._lens_left(info))
         rectification = self._rectification_of(info, reduction)
         depth_m = None if depth_m is None else rectification.depth(depth_m)
-        return Picture(rectification.picture(rgb), intrinsics, depth_m, rectification.inside())
+        return Picture(rectification.image(rgb), intrinsics, depth_m, rectification.inside())
 
     def _is_to_rectify(self, info: CameraInfo, rectify: str) -> bool:
         if rectify == 'auto':
