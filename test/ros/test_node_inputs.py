@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from node_helpers import CAMERA, assert_true_to, send, small_room, start
+from onnx_models import write_depth_network
 from ros_helpers import camera_info_msg, header, image_array, image_msg
 from sensor_msgs.msg import CompressedImage
 
@@ -111,6 +112,22 @@ def test_a_picture_that_overtakes_the_calibration_of_its_size_is_processed(robot
     robot.publish('camera_info', camera_info_msg(replace(CAMERA, width=160, height=120), 1.1))
     assert robot.wait_for('planes', 2)[1].header == header(1.1)
     assert robot.diagnosis()[1]['frames_skipped'] == '0'
+
+
+def test_a_network_that_gives_no_depth_is_told_frame_by_frame(robot, room, tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(1, 0, 0))
+    start(robot, depth__model=str(path), depth__output='metric_depth', depth__mean=[0.0] * 3,
+          depth__std=[1.0] * 3)
+    robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
+    without_red = room.rgb * np.array([0, 1, 1], np.uint8)
+    without_red[::2] //= 2
+    robot.publish('image', image_msg(without_red, 'rgb8', 1.0))
+    assert robot.is_logged('n.onnx: its output is zero everywhere')
+    status, values = robot.diagnosis()
+    assert status.level == DiagnosticStatus.WARN
+    assert 'n.onnx: its output is zero everywhere' in values['last_error']
+    send(robot, room, 2.0)
+    assert robot.wait_for('planes')[0].header == header(2.0)
 
 
 def test_depth_that_cannot_belong_to_the_picture_is_skipped(robot, room):
