@@ -83,6 +83,9 @@ def track_directions(previous: TrackedDirections | None, found: SceneDirections,
     if turn is None:
         return alone
     before = _turned(previous.directions, cv2.Rodrigues(turn)[0])
+    doubt = (TURN_ERROR_RATIO * np.linalg.norm(turn) / RANDOM_RAD) ** 2
+    if doubt > 1:
+        before = replace(before, pairs=())  # their azimuth is not known any more
     seen = found.down_camera
     if seen is None or seen @ before.down_camera < np.cos(np.radians(JUMP_DEG)):
         most = HELD_IMAGES if seen is None else JUMPS_BELIEVED - 1
@@ -92,7 +95,6 @@ def track_directions(previous: TrackedDirections | None, found: SceneDirections,
             np.eye(3) - np.outer(before.down_camera, before.down_camera))
         held = replace(before, covariance=before.covariance + added)
         return TrackedDirections(held, segments, previous.images, previous.held + 1)
-    doubt = (TURN_ERROR_RATIO * np.linalg.norm(turn) / RANDOM_RAD) ** 2
     gain = max(MIN_GAIN, 1.0 / (previous.images + 1), doubt / (doubt + 1.0))
     return TrackedDirections(_averaged(before, found, gain), segments, previous.images + 1, 0)
 

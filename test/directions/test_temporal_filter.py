@@ -101,6 +101,15 @@ def test_what_an_image_refuses_is_held_for_a_while_and_turned():
     assert tracked.directions.down_camera is None
 
 
+def test_level_axes_are_not_held_while_the_camera_turns():
+    tracked = track_directions(None, rotated(np.eye(3)), lines())
+    assert track_directions(tracked, refused(), lines()).directions.pairs
+    rotation = turn(0, 1.0, 0)
+    turning = track_directions(tracked, refused(), lines(rotation))
+    assert turning.directions.down_camera is not None
+    assert not turning.directions.pairs
+
+
 def test_another_answer_must_be_given_again():
     tracked = track_directions(None, rotated(np.eye(3)), lines())
     other = rotated(turn(0, 0, 20))
