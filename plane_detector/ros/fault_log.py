@@ -38,28 +38,30 @@ def plain(text: str, most: int = MOST_CHARACTERS) -> str:
 
 class FaultLog:
     """
-    Logs why frames are skipped.
+    Logs why something from outside cannot be used.
 
     The kind of a fault is its type and the line of code that raised it, not its text.
 
     Parameters
     ----------
     logger : rclpy's logger
+    what : str
+        What each line begins with.
 
     """
 
-    def __init__(self, logger: Any):
-        self._logger = logger
+    def __init__(self, logger: Any, what: str):
+        self._logger, self._what = logger, what
         self._told_s: dict[tuple[type, str, int], float] = {}
 
     def tell(self, error: Exception) -> str:
-        """Log why a frame is skipped, if it is time to, and return it in one line."""
+        """Log the reason, if it is time to, and return it in one line."""
         reason = plain(str(error) if isinstance(error, ValueError)
                        else f'{type(error).__name__}: {error}')
         raised_at = traceback.extract_tb(error.__traceback__)
         last = raised_at[-1] if raised_at else traceback.FrameSummary('', 0, '')
         if self._is_due((type(error), last.filename, last.lineno)):
-            self._logger.warning(f'frame skipped: {reason}')
+            self._logger.warning(f'{self._what}: {reason}')
             if not isinstance(error, ValueError):  # a bug, or a part that is missing
                 self._logger.warning('raised at\n' + ''.join(traceback.format_list(raised_at)))
         return reason

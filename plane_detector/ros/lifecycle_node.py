@@ -88,7 +88,7 @@ class PlaneDetectorNode(LifecycleNode):
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
         self._requests = FrameRequests(self._wake)
-        self._faults = FaultLog(self.get_logger())
+        self._faults = FaultLog(self.get_logger(), 'frame skipped')
         self._health = Health(self.get_logger())
         self.create_service(Trigger, '~/detect', self._on_detect,
                             callback_group=ReentrantCallbackGroup())

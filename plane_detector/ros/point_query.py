@@ -10,11 +10,14 @@ from rclpy.lifecycle import LifecycleNode
 
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import qos
+from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import Result
 
 # derived: a click is a few pixels off; a plane that is farther away is another one.
 REACH_PX = 8
+# derived: more than people click between two frames; nothing from outside may grow.
+_MOST_CLICKS = 16
 
 
 class PointQuery:
@@ -31,6 +34,7 @@ class PointQuery:
     def __init__(self, node: LifecycleNode):
         self._node = node
         self._clicks: list[PointStamped] = []
+        self._faults = FaultLog(node.get_logger(), 'clicked point')
         self._publisher = node.create_lifecycle_publisher(
             PoseStamped, '~/clicked_plane', qos.output_profile(),
             qos_overriding_options=qos.overriding_options())
@@ -55,7 +59,7 @@ class PointQuery:
             try:
                 index = plane_at(result, point_in_camera(result, click))
             except ValueError as error:
-                self._node.get_logger().warning(f'clicked point: {error}')
+                self._faults.tell(error)
                 continue
             pose = messages.poses_to_msg(result.target_header,
                                          result.target_detection.planes).poses[index]
@@ -63,7 +67,7 @@ class PointQuery:
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
 
     def _on_click(self, msg: PointStamped) -> None:
-        self._clicks = [*self._clicks, msg]
+        self._clicks = [*self._clicks, msg][-_MOST_CLICKS:]
 
 
 def point_in_camera(result: Result, click: PointStamped) -> np.ndarray:

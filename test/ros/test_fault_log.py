@@ -2,9 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults in the log: cut, escaped, and told by their kind."""
 
-import pytest
+from types import SimpleNamespace
 
-from plane_detector.ros import fault_log
+import pytest
+from geometry_msgs.msg import PointStamped
+
+from plane_detector.ros import fault_log, point_query
 from plane_detector.ros.fault_log import FaultLog, plain
 
 
@@ -50,7 +53,7 @@ def test_long_text_is_cut_with_its_length():
 
 def test_the_kind_is_the_line_that_raised_and_not_the_text():
     logger = Logger()
-    log = FaultLog(logger)
+    log = FaultLog(logger, 'frame skipped')
     for k in range(100):
         assert log.tell(caught(lambda k=k: wrong_text(f'fault {k}'))) == f'fault {k}'
     assert logger.lines == ['frame skipped: fault 0']
@@ -65,8 +68,21 @@ def test_a_fault_that_stays_is_told_again(monkeypatch):
     now_s = [100.0]
     monkeypatch.setattr(fault_log.time, 'monotonic', lambda: now_s[0])
     logger = Logger()
-    log = FaultLog(logger)
+    log = FaultLog(logger, 'frame skipped')
     for step_s in (0, fault_log.WARN_PERIOD_S - 1, 2):
         now_s[0] += step_s
         log.tell(caught(lambda: wrong_text('again')))
     assert len(logger.lines) == 2
+
+
+def test_clicks_that_wait_for_a_frame_do_not_pile_up(monkeypatch):
+    monkeypatch.setattr(point_query, 'qos', SimpleNamespace(output_profile=lambda: None,
+                                                            overriding_options=lambda: None))
+    subscribed = []
+    node = SimpleNamespace(
+        create_lifecycle_publisher=lambda *_, **__: None, get_logger=Logger,
+        create_subscription=lambda _type, _topic, callback, *_, **__: subscribed.append(callback))
+    query = point_query.PointQuery(node)
+    for _ in range(1000):
+        subscribed[0](PointStamped())
+    assert len(query._clicks) < 100
