@@ -24,8 +24,9 @@ setup(
     # ONNX Runtime: loading can be stopped from 1.22 on. OpenCV: the wheels before 4.8.1.78 hold
     # a libwebp with CVE-2023-4863; rosdep brings Ubuntu's own instead, and webp is not decoded.
     install_requires=[
-        'joblib>=1.3', 'numpy>=1.26', 'onnxruntime>=1.22', 'opencv-python-headless>=4.8.1.78',
-        'pyyaml', 'scikit-learn', 'scipy', 'setuptools', 'threadpoolctl>=3.0', 'tqdm'],
+        'joblib>=1.3', 'numba>=0.58', 'numpy>=1.26', 'onnxruntime>=1.22',
+        'opencv-python-headless>=4.8.1.78', 'pyyaml', 'scikit-learn', 'scipy', 'setuptools',
+        'threadpoolctl>=3.0', 'tqdm'],
     extras_require={
         'benchmark': ['h5py', 'matplotlib', 'pyransac3d'],
         'dask': ['dask[distributed]'],

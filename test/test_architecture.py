@@ -21,8 +21,8 @@ LAYERS = (('stopping',), ('settings', 'stage_timer'), ('node_config',), ('config
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
-SEGMENTATION_LAYERS = (('threads',), ('cells',), ('search',), ('regions',), ('pixels',),
-                       ('fine_pass',), ('segment',), ('baselines',))
+SEGMENTATION_LAYERS = (('threads', 'compilation'), ('cells',), ('search',), ('regions',),
+                       ('pixels',), ('fine_pass',), ('segment',), ('baselines',))
 PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
 CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in
         ('ros', 'tools', 'evaluation')]
@@ -32,7 +32,7 @@ MOST_FILE_LINES, MOST_FUNCTION_LINES = 300, 40
 ROSDEP_KEYS = {
     'cv2': 'python3-opencv',
     'joblib': 'python3-sklearn',  # which depends on it
-    'numpy': 'python3-numpy',
+    'numba': 'python3-numba', 'numpy': 'python3-numpy',
     'onnxruntime': 'python3-onnxruntime-pip', 'rosbags': 'python3-rosbags-pip',
     'scipy': 'python3-scipy', 'skimage': 'python3-skimage', 'sklearn': 'python3-sklearn',
     'tf2_ros': 'tf2_ros_py', 'threadpoolctl': 'python3-sklearn',  # which depends on it

@@ -15,7 +15,12 @@ import numpy as np
 
 from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.labels import count_labels, renumber
+from plane_detector.segmentation.cells.labels import (
+    TINY_DISPARITY,
+    count_labels,
+    relabel_sequential,
+    relative_squares,
+)
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
@@ -23,7 +28,6 @@ from plane_detector.types import CameraIntrinsics, Plane
 
 # The smooth part of the noise is alike in about this many neighbouring cells.
 CORRELATED_CELLS = 9.0
-TINY_DISPARITY = 1e-9
 # Structure that is everywhere looks like noise; above this share of the typical disparity it is
 # none, and what fits so loosely is no plane.
 MAX_NOISE_SHARE = 0.125
@@ -94,9 +98,10 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
         kept[:] = False
     order = np.argsort(-total, kind='stable')
     order = order[kept[order]]
-    labels = renumber(regions.labels, order, len(regions.coefficients))
+    labels = relabel_sequential(regions.labels, order, len(regions.coefficients))
     planes, parts = regions.coefficients[order], _Parts.of(counts[:, order])
-    rms = _relative_rms(regions.disparity, grid, labels, parts, planes)
+    square = relative_squares(grid, regions.disparity, labels, planes)
+    rms = np.sqrt(square / np.maximum(parts.total(1.0), 1))
     return _measure(grid, parts, planes, rms, noise, intrinsics), labels
 
 
@@ -165,37 +170,6 @@ def _cell_rays(grid: CellGrid, intrinsics: CameraIntrinsics) -> tuple[np.ndarray
     u_px = grid.mean[:, 0] * intrinsics.width + (intrinsics.width - 1) / 2
     v_px = grid.mean[:, 1] * intrinsics.width + (intrinsics.height - 1) / 2
     return ((u_px - intrinsics.cx) / intrinsics.fx, (v_px - intrinsics.cy) / intrinsics.fy)
-
-
-def _relative_rms(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
-                  parts: _Parts, planes: np.ndarray) -> np.ndarray:
-    """
-    Return the rms (K,) of (1/z - plane) / (1/z); times the offset it is the distance in metres.
-
-    By the moments of the cells that have one plane only, by the pixels of all others.
-    """
-    whole = parts.count == grid.moments[parts.cell, cells.N]
-    cell, plane = parts.cell[whole], parts.plane[whole]
-    square = (grid.moments @ cells.error_weights(planes).T)[cell, plane]
-    square = np.maximum(square, 0) / np.maximum(grid.mean[cell, 2], TINY_DISPARITY) ** 2
-    total = (np.bincount(plane, square, len(planes))
-             + _squares_of_pixels(disparity, grid, labels, np.unique(parts.cell[~whole]), planes))
-    return np.sqrt(total / np.maximum(parts.total(1.0), 1))
-
-
-def _squares_of_pixels(disparity: np.ndarray, grid: CellGrid, labels: np.ndarray,
-                       cell: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """Return the sum of squared relative residuals of each plane's pixels in some cells, (K,)."""
-    at_row, at_column = np.divmod(cell, grid.shape[1])
-    label, d = (cells.pixels_of_cells(image, grid.size_px, at_row, at_column, fill)
-                for image, fill in ((labels, -1), (disparity, 0)))
-    x, y = (values.astype(np.float32)
-            for values in cells.block_coordinates(grid, at_row, at_column))
-    # Pixels of no plane are counted too, as the first of one plane more.
-    index = label.astype(int) + 1
-    a, b, c = np.vstack([np.zeros(3), planes]).T.astype(np.float32).take(index, axis=1)
-    residual = 1 - (a * x + b * y + c) / np.maximum(d, np.float32(TINY_DISPARITY))
-    return np.bincount(index.ravel(), (residual * residual).ravel(), len(planes) + 1)[1:]
 
 
 def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,

@@ -11,7 +11,6 @@ plane's points takes the artefacts away. pyransac3d is an optional extra and onl
 from __future__ import annotations
 
 import random
-from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -21,16 +20,18 @@ from plane_detector.geometry.disparity import to_depth, to_disparity, zero_fille
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.segmentation.cells.grid import (
     CellGrid,
-    fit_planes,
-    make_cells,
-    picture_coordinates,
+    DisparityImage,
+    build_cell_grid,
+    image_coordinates,
 )
-from plane_detector.segmentation.cells.labels import count_labels, renumber
-from plane_detector.segmentation.cells.model import make_model
+from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
+from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.plane_fit import fit_planes
+from plane_detector.segmentation.search.dbscan import Neighbourhood
 from plane_detector.segmentation.search.point_clusters import point_clusters
-from plane_detector.segmentation.search.ransac import peel_planes
+from plane_detector.segmentation.search.ransac import SequentialRansac
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.stopping import raise_if_stopped
@@ -70,10 +71,10 @@ def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_
     """
     rng = rng or np.random.default_rng(config.ransac.seed)
     labels, _ = paper_labels(to_depth(disparity), intrinsics, config, rng)
-    disparity, valid = zero_filled(disparity)
-    grid = make_cells(disparity, valid)
+    image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
+    grid = build_cell_grid(image)
     planes, labels = fit_labels(grid, labels)
-    return PixelRegions(disparity, labels, planes, grid, estimate_noise(grid, noise_floor))
+    return PixelRegions(image.values, labels, planes, grid, estimate_noise(grid, noise_floor))
 
 
 def fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -98,7 +99,7 @@ def fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndarr
     whole = (count == grid.moments[:, :1]) & grid.usable[:, None]
     planes = fit_planes(whole.T.astype(float) @ grid.moments)
     kept = np.flatnonzero(np.isfinite(planes).all(axis=1))
-    return planes[kept], renumber(labels, kept, len(planes))
+    return planes[kept], relabel_sequential(labels, kept, len(planes))
 
 
 def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
@@ -225,16 +226,8 @@ def _to_picture(equations: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarr
     return np.stack([a, b, c], axis=1)
 
 
-class Everywhere:
-    """The clustering that is none: inliers of a plane belong together wherever they are."""
-
-    def __call__(self, mask: np.ndarray) -> np.ndarray:
-        """Return one cluster, 0, of all set cells of (R, C) bool."""
-        return np.where(mask, 0, -1).astype(np.int32)
-
-    def largest_piece(self, mask: np.ndarray, weight: np.ndarray) -> float:
-        """Return the weight of all set cells."""
-        return float(weight[mask].sum())
+# Inliers of a plane belong together wherever they are.
+EVERYWHERE = Neighbourhood(np.zeros((0, 2), np.int64), 1)
 
 
 @one_blas_thread
@@ -258,21 +251,21 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
 
     """
     config = config or Config()
-    disparity, valid = zero_filled(to_disparity(depth_m))
-    grid = make_cells(disparity, valid)
+    image = DisparityImage(*zero_filled(np.ascontiguousarray(to_disparity(depth_m))))
+    grid = build_cell_grid(image)
     noise = estimate_noise(grid, metric_noise_floor(config))
-    min_pixels = config.segmentation.min_plane_share * depth_m.size
-    search = peel_planes(make_model(grid, noise), min_pixels, config.ransac, Everywhere(),
-                         np.random.default_rng(config.ransac.seed))
-    planes = [plane for plane, _ in islice(search, config.segmentation.max_planes)]
-    return np.where(valid, _nearest_plane(disparity, planes, noise,
-                                          config.ransac.inlier_threshold), -1)
+    search = SequentialRansac(weigh_cells(grid, noise),
+                              config.segmentation.min_plane_share * depth_m.size, config.ransac,
+                              EVERYWHERE, np.random.default_rng(config.ransac.seed))
+    planes = search.find(config.segmentation.max_planes).coefficients
+    return np.where(image.valid, _nearest_plane(image.values, planes, noise,
+                                                config.ransac.inlier_threshold), -1)
 
 
-def _nearest_plane(disparity: np.ndarray, planes: list[np.ndarray], noise: Noise,
+def _nearest_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
                    threshold: float) -> np.ndarray:
     """Return for each pixel the plane that it lies nearest to, -1 beyond the threshold."""
-    x, y = picture_coordinates(disparity.shape)
+    x, y = image_coordinates(disparity.shape)
     best = threshold**2 * (noise.mean**2 + noise.grain**2 + noise.floor(disparity))
     labels = np.full(disparity.shape, -1, np.int32)
     for k, (a, b, c) in enumerate(planes):

@@ -1,140 +1,135 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes too narrow for whole cells, looked for with smaller ones in what is left."""
+"""Planes too small or narrow for whole cells, searched with half-size cells in what is left."""
 
 from __future__ import annotations
 
-from itertools import islice
+from dataclasses import replace
 
-import cv2
 import numpy as np
 
-from plane_detector.config import Config
-from plane_detector.segmentation.cells.grid import N, error_weights, make_cells
-from plane_detector.segmentation.cells.labels import without
-from plane_detector.segmentation.cells.model import CellModel, Patches, make_model
+from plane_detector.segmentation.cells.grid import DisparityImage, N, build_cell_grid
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.plane_fit import squared_errors
+from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.bends import find_bent
-from plane_detector.segmentation.regions.curvature import drop_curved
-from plane_detector.segmentation.regions.merging import MAX_JOINT_VARIANCES, memberships
-from plane_detector.segmentation.search.connected_components import flat_components
-from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE, search_planes
-from plane_detector.segmentation.search.ransac import collect
+from plane_detector.segmentation.regions.adjacency import MAX_JOINT_VARIANCES, sum_up_regions
+from plane_detector.segmentation.regions.curved import find_curved, remove_curved
+from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clusters
+from plane_detector.segmentation.search.plane_search import (
+    TYPICAL_FOCAL_SHARE,
+    Search,
+    find_planes,
+)
 
-# Cells of fewer pixels say nothing of their slope.
+# derived: three pixels are the least that a slope and its error need.
 MIN_CELL_SIZE_PX = 3
-# Half of a plane's pixels may lie in cells that straddle its border.
+# derived: half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
 # Pieces of one plane are no farther apart than this many of the smaller cells.
-REACH_CELLS = 2
+REACH_CELLS = 3
+_CROSS = Neighbourhood(np.array([[0, 0], [0, 1], [1, 0], [0, -1], [-1, 0]]), 1)
 
-Cut = tuple[slice, slice]
 
-
-def add_narrow(disparity: np.ndarray, valid: np.ndarray, labels: np.ndarray, model: CellModel,
-               noise: Noise, planes: np.ndarray, config: Config,
-               rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: WeightedCells,
+                     coefficients: np.ndarray, noise: Noise,
+                     search: Search) -> tuple[np.ndarray, np.ndarray]:
     """
     Find more planes among the pixels without a label.
 
     Parameters
     ----------
-    disparity : (H, W) float32
-    valid : (H, W) bool
+    image : DisparityImage
     labels : (H, W) int32
-    model : CellModel
-        That the others were found with.
+    coarse : WeightedCells
+        Those that the other planes were found with.
+    coefficients : (K, 3) float64
+        The other planes.
     noise : Noise
-    planes : (K, 3) float64
-        The others.
-    config : Config
-    rng : numpy.random.Generator
+    search : Search
+        The search that found the others.
 
     Returns
     -------
     labels : (H, W) int32
-        A new plane that only goes on where another one was found too wide has that one's label.
-    planes : (K + L, 3) float64
+        A new plane that only continues another one has that one's label.
+    coefficients : (K + L, 3) float64
         With the new planes behind the others; some may have no pixels.
 
     """
-    size, min_pixels = model.grid.size_px // 2, config.segmentation.min_plane_share * labels.size
-    room = config.segmentation.max_planes - len(planes)
-    # The errors of a network are as smooth as narrow planes: smaller cells would only find them.
-    if noise.known > 0 or size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(model, noise):
-        return labels, planes
-    left, cut = _large_pieces(valid, labels, min_pixels)
-    if cut is None:
-        return labels, planes
-    disparity = disparity[cut]
-    grid = make_cells(np.where(left, disparity, np.float32(0)), left, size,
-                      (cut[0].start, cut[1].start), labels.shape)
-    smaller = make_model(grid, noise.for_smaller_cells(model.grid.size_px, size))
-    min_cell_pixels, threshold = MIN_CELL_SHARE * min_pixels, config.ransac.inlier_threshold
-    if grid.moments[smaller.planar, N].sum() < min_cell_pixels:
-        return labels, planes
-    exact = noise.is_exact(model.grid.typical_disparity)
-    plain = flat_components(smaller, min_cell_pixels, threshold) if exact else []
-    search = search_planes(smaller, plain, min_cell_pixels, config, rng)
-    patches = drop_curved(smaller, collect(smaller, list(islice(search, room))), noise)
-    new = label_pixels(disparity, left, smaller, patches, noise, threshold)
-    bent = find_bent(smaller, patches, noise)
-    new, _ = without(new, patches.planes, bent)
-    patches = Patches(*without(patches.labels, patches.planes, bent))
-    labels, whole = labels.copy(), labels[cut]
-    labels[cut] = np.where(new >= 0, new + len(planes), whole)
-    planes = np.vstack([planes, patches.planes])
-    return _with_continuations(labels, cut, smaller, patches, planes), planes
+    config, size = search.config, coarse.grid.size_px // 2
+    room = config.segmentation.max_planes - len(coefficients)
+    min_pixels, threshold = search.min_pixels, config.ransac.inlier_threshold
+    if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(coarse, noise):
+        return labels, coefficients
+    left = DisparityImage(image.values, image.valid & (labels < 0))
+    grid = build_cell_grid(left, size)
+    kind = noise.kind(coarse.grid.typical_disparity)
+    noise = noise.at_cell_size(coarse.grid.size_px, size)
+    cells = _in_large_pieces(weigh_cells(grid, noise), min_pixels / MIN_CELL_SHARE)
+    if grid.moments[cells.is_planar, N].sum() < min_pixels:
+        return labels, coefficients
+    regions = find_planes(replace(search, grid=grid), cells, noise, room)
+    regions = remove_curved(cells, regions, noise.mean**2)
+    new = label_pixels(left, cells, regions, noise, threshold)
+    curved = np.append(np.zeros(len(regions.coefficients), bool), False)
+    curved[find_curved(cells, regions, kind)] = True
+    labels = np.where((new >= 0) & ~curved[new], new + len(coefficients), labels)
+    coefficients = np.vstack([coefficients, regions.coefficients])
+    return _joined(labels, cells, regions, coefficients), coefficients
 
 
-def _sees_width(model: CellModel, noise: Noise) -> bool:
+def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
     """Say whether the noise is less than what a thing as wide as a smaller cell stands out by."""
-    width = model.grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * model.grid.width_px)
-    return noise.mean < width * model.grid.typical_disparity
+    width = cells.grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * cells.grid.width_px)
+    return noise.mean < width * cells.grid.typical_disparity
 
 
-def _with_continuations(labels: np.ndarray, cut: Cut, model: CellModel, patches: Patches,
-                        planes: np.ndarray) -> np.ndarray:
+def _in_large_pieces(cells: WeightedCells, min_pixels: float) -> WeightedCells:
+    """Return the cells, planar only in connected pieces of enough pixels."""
+    count = cells.grid.moments[:, N]
+    filled = np.where(2 * count >= cells.grid.size_px**2, 0, -1).astype(np.int32)
+    pieces, number = label_clusters(filled.reshape(cells.grid.shape), _CROSS)
+    pixels = np.bincount(pieces.ravel() + 1, count, number + 1)
+    pixels[0] = 0
+    return replace(cells, is_planar=cells.is_planar & (pixels[pieces.ravel() + 1] >= min_pixels))
+
+
+def _joined(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
+            coefficients: np.ndarray) -> np.ndarray:
     """Give new planes and what they continue, touching and coplanar, the first label of these."""
-    first = len(planes) - len(patches.planes)
-    members = memberships(model, patches)
-    square = members @ model.grid.mean_moments @ error_weights(planes).T
-    fits = square <= MAX_JOINT_VARIANCES * (members @ model.variances.mean)[:, None]
-    target = np.arange(len(planes) + 1)
-    reach = REACH_CELLS * model.grid.size_px
-    around = labels[tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in cut)]
-    square_px = np.ones((2 * reach + 1,) * 2, np.uint8)
-    for k in np.flatnonzero(fits.sum(axis=1) > 1):
-        near = cv2.dilate((around == first + k).astype(np.uint8), square_px) > 0
-        same = [j for j in np.unique(around[near]) if j >= 0 and fits[k, j]]
-        if same:
-            target[np.isin(target, target[same])] = target[same].min()
-    if (target[:-1] == np.arange(len(planes))).all():
+    count, new = len(coefficients), len(regions.coefficients)
+    if not new:
         return labels
+    sums = sum_up_regions(cells, regions)
+    fits = np.array([squared_errors(coefficients, np.repeat(moments[None], count, axis=0))
+                     for moments in sums.moments])
+    fits = fits <= MAX_JOINT_VARIANCES * (sums.variance * sums.count)[:, None]
+    touching = _touching(labels, cells.grid.size_px, count)
+    target = np.arange(count + 1)
+    for k in range(count - new, count):
+        same = np.flatnonzero((fits[k - count + new] & touching[k]) | (np.arange(count) == k))
+        if len(same) > 1:
+            target[np.isin(target, target[same])] = target[same].min()
     target[-1] = -1
-    return target.astype(np.int32).take(labels, mode='wrap')
+    return target.astype(np.int32)[labels]
 
 
-def _large_pieces(valid: np.ndarray, labels: np.ndarray,
-                  min_pixels: float) -> tuple[np.ndarray, Cut | None]:
-    """
-    Return the connected pieces without label that are large enough, as seen at half the size.
-
-    They are cut out of the picture; with them the part that holds them all, None for none.
-    """
-    half = (valid[::2, ::2] & (labels[::2, ::2] < 0)).view(np.uint8)
-    if 4 * cv2.countNonZero(half) < min_pixels:
-        return valid, None
-    _, pieces, statistics, _ = cv2.connectedComponentsWithStats(half, connectivity=4,
-                                                                ltype=cv2.CV_16U)
-    large = 4 * statistics[:, cv2.CC_STAT_AREA] >= min_pixels
-    large[0] = False
-    if not large.any():
-        return valid, None
-    left, top, width, height = statistics[large, :4].T
-    cut = (slice(2 * int(top.min()), 2 * int((top + height).max())),
-           slice(2 * int(left.min()), 2 * int((left + width).max())))
-    whole = large[pieces].repeat(2, axis=1).repeat(2, axis=0)[cut]
-    left = valid[cut] & (labels[cut] < 0)
-    return left & whole[:left.shape[0], :left.shape[1]], cut
+@kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')
+def _touching(labels, size, count):
+    """Say which labels lie within reach of each other, seen at one pixel of each cell."""
+    touching = np.zeros((count, count), np.bool_)
+    for v in range(size // 2, labels.shape[0], size):
+        for u in range(size // 2, labels.shape[1], size):
+            one = labels[v, u]
+            if one < 0:
+                continue
+            for reach in range(1, REACH_CELLS + 1):
+                if u + reach * size < labels.shape[1] and labels[v, u + reach * size] >= 0:
+                    other = labels[v, u + reach * size]
+                    touching[one, other] = touching[other, one] = True
+                if v + reach * size < labels.shape[0] and labels[v + reach * size, u] >= 0:
+                    other = labels[v + reach * size, u]
+                    touching[one, other] = touching[other, one] = True
+    return touching

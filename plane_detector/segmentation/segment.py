@@ -10,24 +10,28 @@ changes nothing about which pixels form a plane.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
-from plane_detector.segmentation.cells.grid import CellGrid, make_cells
-from plane_detector.segmentation.cells.labels import without
-from plane_detector.segmentation.cells.noise import Noise, with_rounding
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.labels import remove_regions
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
+from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_narrow
+from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.bends import find_bent, join_bowed
-from plane_detector.segmentation.regions.curvature import drop_curved
-from plane_detector.segmentation.regions.depth_steps import split_at_steps
-from plane_detector.segmentation.regions.icm import relabel
-from plane_detector.segmentation.regions.merging import merge_patches
-from plane_detector.segmentation.regions.occlusion import join_hidden
-from plane_detector.segmentation.search.plane_search import find_patches
+from plane_detector.segmentation.regions.bowed_walls import merge_bowed_walls
+from plane_detector.segmentation.regions.curved import find_curved, remove_curved
+from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
+from plane_detector.segmentation.regions.icm import compete_for_cells
+from plane_detector.segmentation.regions.merging import merge_adjacent
+from plane_detector.segmentation.regions.occlusion import merge_occluded
+from plane_detector.segmentation.search.plane_search import Search, search_planes, sees_creases
 from plane_detector.segmentation.threads import one_blas_thread
 
 # What exact planes of a disparity of unknown unit may stray by, as a share of its range.
@@ -92,30 +96,77 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
 
     """
     rng = rng or np.random.default_rng(config.ransac.seed)
-    disparity, valid = zero_filled(disparity)
-    grid = make_cells(disparity, valid)
-    noise_floor = with_rounding(noise_floor, disparity, valid)
-    labels, planes, noise = _label(disparity, valid, grid, noise_floor, config, rng)
+    image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
+    grid = build_cell_grid(image)
+    min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
+    search = Search(grid, min_pixels, config, rng)
+    cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
+    stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
+    labels, planes = stages[noise.kind(grid.typical_disparity)](
+        Frame(image, cells, noise, search), regions)
     if guide is not None:
-        labels = np.where(valid, snap_to_image_edges(labels, guide), -1)
-    return PixelRegions(disparity, labels, planes, grid, noise)
+        labels = np.where(image.valid, snap_to_image_edges(labels, guide), -1)
+    return PixelRegions(image.values, labels, planes, grid, noise)
 
 
-def _label(disparity: np.ndarray, valid: np.ndarray, grid: CellGrid, noise_floor: Noise,
-           config: Config, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, Noise]:
-    """Return labels (H, W), planes (K, 3) of the cells' coordinates, and the noise."""
-    threshold = config.ransac.inlier_threshold
-    min_cell_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * disparity.size
-    model, patches, noise = find_patches(grid, noise_floor, min_cell_pixels, config, rng)
-    patches = relabel(model, patches, threshold, min_cell_pixels, config.dbscan)
-    patches = join_hidden(model, merge_patches(model, patches, noise), noise)
-    if noise.is_exact(grid.typical_disparity):
-        patches = drop_curved(model, patches, noise)
-    else:
-        patches = split_at_steps(disparity, valid, model, patches, noise, min_cell_pixels)
-        patches = join_bowed(model, patches, noise)
-    labels = label_pixels(disparity, valid, model, patches, noise, threshold)
-    labels, planes = add_narrow(disparity, valid, labels, model, noise, patches.planes, config,
-                                rng)
+@dataclass(frozen=True)
+class Frame:
+    """What all stages after the search look at."""
+
+    image: DisparityImage
+    cells: WeightedCells
+    noise: Noise
+    search: Search
+
+
+def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixel labels and planes of depth without errors to speak of."""
+    cells = frame.cells
+    regions = _compete(frame, regions)
+    regions = merge_adjacent(cells, regions, None)
+    regions = merge_occluded(cells, regions, None)
+    regions = remove_curved(cells, regions, frame.noise.mean**2)
+    labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
     # Curved regions are removed last, so that no plane can grow into their pixels.
-    return *without(labels, planes, find_bent(model, patches, noise)), noise
+    return remove_regions(labels, planes, find_curved(cells, regions, DepthKind.EXACT))
+
+
+def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixel labels and planes of the depth of a sensor, with grain and smooth noise."""
+    cells, noise = frame.cells, frame.noise
+    regions = _compete(frame, regions)
+    correlation = Correlation.of(cells, regions, noise)
+    regions = merge_adjacent(cells, regions, correlation)
+    regions = merge_occluded(cells, regions, correlation)
+    regions = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
+                                   frame.search.min_pixels)
+    if correlation is not None and sees_creases(frame.search, noise):
+        regions = remove_curved(cells, regions, correlation.density)
+    labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
+    return remove_regions(labels, planes, find_curved(cells, regions, DepthKind.MEASURED))
+
+
+def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixel labels and planes of depth whose errors have bends and steps of their own."""
+    regions = _compete(frame, regions)
+    regions = merge_adjacent(frame.cells, regions, None)
+    regions = merge_occluded(frame.cells, regions, None)
+    regions = merge_bowed_walls(frame.cells, regions)
+    return _label_pixels(frame, regions), regions.coefficients
+
+
+def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
+    config, search = frame.search.config, frame.search
+    return compete_for_cells(frame.cells, regions, config.ransac.inlier_threshold,
+                             search.min_pixels, config.dbscan)
+
+
+def _label_pixels(frame: Frame, regions: PlaneRegions) -> np.ndarray:
+    return label_pixels(frame.image, frame.cells, regions, frame.noise,
+                        frame.search.config.ransac.inlier_threshold)
+
+
+def _add_small_planes(frame: Frame, labels: np.ndarray,
+                      regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+    return add_small_planes(frame.image, labels, frame.cells, regions.coefficients, frame.noise,
+                            frame.search)

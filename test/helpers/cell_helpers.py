@@ -12,9 +12,10 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, camera_rotation, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
 from plane_detector.geometry.disparity import to_disparity, zero_filled
-from plane_detector.segmentation.cells.grid import fit_planes, make_cells
-from plane_detector.segmentation.cells.model import Patches, make_model
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.model import PlaneRegions, region_moments, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
+from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 EXACT = Noise(Config().ransac.noise_floor)
@@ -56,8 +57,13 @@ def millimetres(depth_m):
     return (np.rint(depth_m * 1000) / 1000).astype(np.float32)
 
 
+def disparity_image(depth_m):
+    """Return the disparity of a depth image and where it is valid."""
+    return DisparityImage(*zero_filled(to_disparity(depth_m)))
+
+
 def cell_model(depth_m, noise=EXACT):
-    return make_model(make_cells(*zero_filled(to_disparity(depth_m))), noise)
+    return weigh_cells(build_cell_grid(disparity_image(depth_m)), noise)
 
 
 def noisy(scene, seed, sigma=0.01, **kind):
@@ -67,7 +73,7 @@ def noisy(scene, seed, sigma=0.01, **kind):
 
 def cells_and_noise(depth_m):
     """Return the cells of a depth image and the noise that is estimated from them."""
-    noise = estimate_noise(make_cells(*zero_filled(to_disparity(depth_m))), EXACT)
+    noise = estimate_noise(build_cell_grid(disparity_image(depth_m)), EXACT)
     return cell_model(depth_m, noise), noise
 
 
@@ -95,9 +101,9 @@ def relative_labels(disparity):
 
 
 def hand_made(model, labels):
-    """Return patches of given labels (R, C) with the planes that fit their flat cells."""
-    members = (labels.ravel() == np.arange(labels.max() + 1)[:, None]) & model.planar
-    return Patches(labels.astype(np.int32), fit_planes(members @ model.grid.moments))
+    """Return regions of given labels (R, C) with the planes that fit their flat cells."""
+    labels = labels.astype(np.int32)
+    return PlaneRegions(labels, fit_planes(region_moments(model, labels, labels.max() + 1)))
 
 
 def one_patch(model):

@@ -12,8 +12,8 @@ from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.segmentation.cells.grid import make_cells
-from plane_detector.segmentation.cells.labels import count_labels, renumber
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
 
 SEEDS = (0, 1, 2)
@@ -30,7 +30,7 @@ def segmented(seed, sigma):
     scene = room(seed)
     depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
     points_m = depth_to_points(depth_m, scene.intrinsics).astype(float)
-    grid = make_cells(*zero_filled(to_disparity(depth_m)))
+    grid = build_cell_grid(DisparityImage(*zero_filled(to_disparity(depth_m))))
     return points_m, grid, segment_planes(depth_m, scene.intrinsics)
 
 
@@ -77,13 +77,14 @@ def test_labels_are_counted_as_in_a_loop(shape, size, count, patchy):
     labels = rng.integers(-1, count, shape).astype(np.int32)
     if patchy:  # most cells have one label
         labels = labels[::5, ::5].repeat(5, axis=0).repeat(5, axis=1)[:shape[0], :shape[1]]
-    grid = make_cells(np.ones(shape, np.float32), np.ones(shape, bool), size)
+    grid = build_cell_grid(DisparityImage(np.ones(shape, np.float32), np.ones(shape, bool)), size)
     np.testing.assert_array_equal(count_labels(grid, labels, count), counted(labels, size, count))
 
 
 @pytest.mark.parametrize(('label', 'count'), [(-1, 0), (-1, 3), (2, 3)])
 def test_a_picture_of_one_label_is_counted(label, count):
-    grid = make_cells(np.ones((37, 53), np.float32), np.ones((37, 53), bool), 4)
+    grid = build_cell_grid(DisparityImage(np.ones((37, 53), np.float32),
+                                          np.ones((37, 53), bool)), 4)
     counts = count_labels(grid, np.full((37, 53), label, np.int32), count)
     assert counts.shape == (10 * 14, count)
     np.testing.assert_array_equal(counts.sum(axis=0), [37 * 53 * (k == label)
@@ -92,17 +93,17 @@ def test_a_picture_of_one_label_is_counted(label, count):
 
 def test_renumber_by_hand():
     labels = np.array([[-1, 0, 1], [2, 3, 2]], np.int32)
-    np.testing.assert_array_equal(renumber(labels, np.array([2, 0]), 4),
+    np.testing.assert_array_equal(relabel_sequential(labels, np.array([2, 0]), 4),
                                   [[-1, 1, -1], [0, -1, 0]])
-    np.testing.assert_array_equal(renumber(labels, np.arange(4), 4), labels)
-    assert (renumber(labels, np.array([], int), 4) == -1).all()
+    np.testing.assert_array_equal(relabel_sequential(labels, np.arange(4), 4), labels)
+    assert (relabel_sequential(labels, np.array([], int), 4) == -1).all()
 
 
 def test_renumber_more_labels_than_a_byte_holds():
     labels = np.arange(-1, 399, dtype=np.int32).reshape(20, 20)
     for count in (255, 256, 399):
         kept, some = np.arange(count)[::-2], np.minimum(labels, count - 1)
-        found = renumber(some, kept, count)
+        found = relabel_sequential(some, kept, count)
         assert found.dtype == np.int32
         expected = [[list(kept).index(k) if k in kept else -1 for k in row] for row in some]
         np.testing.assert_array_equal(found, expected)

@@ -25,7 +25,7 @@ from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.planes.measurement import measure_planes
 from plane_detector.segmentation import baselines
 from plane_detector.segmentation.baselines import fit_labels, paper_labels, ransac_alone
-from plane_detector.segmentation.cells.grid import make_cells
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.stopping import Background, Stopped
@@ -122,7 +122,7 @@ def test_without_depth_there_is_no_plane(depth_m):
 
 def test_labels_of_the_truth_give_its_planes(room):
     scene = room(3)
-    grid = make_cells(*zero_filled(to_disparity(scene.depth_m)))
+    grid = build_cell_grid(DisparityImage(*zero_filled(to_disparity(scene.depth_m))))
     planes, labels = fit_labels(grid, scene.labels)
     regions = PixelRegions(to_disparity(scene.depth_m), labels, planes, grid, Noise(0.0005))
     measured, order = measure_planes(regions, scene.intrinsics, 1500)

@@ -4,16 +4,14 @@
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, best_iou, cell_model, view, wall
+from cell_helpers import EXACT, best_iou, cell_model, disparity_image, view, wall
 
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
-from plane_detector.geometry.disparity import to_disparity, zero_filled
-from plane_detector.segmentation.cells.grid import make_cells, picture_coordinates
-from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.fine_pass import add_narrow
+from plane_detector.segmentation.cells.grid import build_cell_grid, image_coordinates
+from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.search.plane_search import find_patches
+from plane_detector.segmentation.search.plane_search import Search, search_planes
 from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()
@@ -30,13 +28,13 @@ def strip(width_px, roll_deg=0.0, first_px=FIRST_PX, yaw_deg=0.0):
 
 
 def before_narrow(depth_m, config=CONFIG, least=EXACT):
-    """Return what :func:`add_narrow` takes: what the search on whole cells leaves."""
-    disparity, valid = zero_filled(to_disparity(depth_m))
-    rng = np.random.default_rng(0)
-    model, patches, noise = find_patches(make_cells(disparity, valid), least, 600, config,
-                                         rng)
-    labels = label_pixels(disparity, valid, model, patches, noise, 3.0)
-    return disparity, valid, labels, model, noise, patches.planes, config, rng
+    """Return what :func:`add_small_planes` takes: what the search on whole cells leaves."""
+    image = disparity_image(depth_m)
+    least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
+    search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0))
+    cells, regions, noise = search_planes(search, least)
+    labels = label_pixels(image, cells, regions, noise, 3.0)
+    return image, labels, cells, regions.coefficients, noise, search
 
 
 @pytest.mark.parametrize('width_px', [8, 10, 12, 14, 16, 18])
@@ -54,15 +52,15 @@ def test_a_narrow_strip_is_found(width_px, roll_deg):
 def test_the_others_are_unchanged(roll_deg):
     scene = strip(12, roll_deg)
     given = before_narrow(scene.depth_m)
-    before = given[2].copy()
-    assert len(given[5]) == 2, 'whole cells do not find the strip'
-    labels, planes = add_narrow(*given)
+    before = given[1].copy()
+    assert len(given[3]) == 2, 'whole cells do not find the strip'
+    labels, planes = add_small_planes(*given)
     assert len(planes) == 3
-    np.testing.assert_array_equal(planes[:2], given[5])
+    np.testing.assert_array_equal(planes[:2], given[3])
     np.testing.assert_array_equal(labels[before >= 0], before[before >= 0])
     np.testing.assert_array_equal(np.unique(labels[(before < 0) & (labels >= 0)]), [2])
     assert (labels[scene.labels == 1] == 2).mean() > 0.85
-    np.testing.assert_array_equal(given[2], before, 'the input is not modified')
+    np.testing.assert_array_equal(given[1], before, 'the input is not modified')
 
 
 @pytest.mark.parametrize('first_px', [323, 450])
@@ -70,13 +68,13 @@ def test_the_plane_is_in_coordinates_of_the_picture(first_px):
     """It is found in a cut-out, whose own coordinates are others."""
     scene = strip(12, 10.0, first_px, yaw_deg=15)
     given = before_narrow(scene.depth_m)
-    labels, planes = add_narrow(*given)
+    labels, planes = add_small_planes(*given)
     own = np.bincount(labels[(scene.labels == 1) & (labels >= 0)]).argmax()
-    x, y = picture_coordinates(labels.shape)
+    x, y = image_coordinates(labels.shape)
     rows, columns = np.nonzero(labels == own)
     assert len(rows) > 0.8 * np.count_nonzero(scene.labels == 1)
     a, b, c = planes[own]
-    np.testing.assert_allclose(a * x[columns] + b * y[rows] + c, given[0][rows, columns],
+    np.testing.assert_allclose(a * x[columns] + b * y[rows] + c, given[0].values[rows, columns],
                                atol=1e-4)
 
 
@@ -87,19 +85,14 @@ def test_two_strips_are_two(second_px):
     scene = view([wall(2.5), wall(NEAR_M, *edges_m[:2]), wall(NEAR_M + 1e-2, *edges_m[2:])],
                  angles_deg=(0, 0, 10))
     given = before_narrow(scene.depth_m)
-    labels, planes = add_narrow(*given)
-    assert len(planes) == len(given[5]) + 2
+    labels, planes = add_small_planes(*given)
+    assert len(planes) == len(given[3]) + 2
     assert best_iou(scene, labels)[1:].min() > 0.8
 
 
 def unchanged(given):
-    labels, planes = add_narrow(*given)
-    return np.array_equal(planes, given[5]) and np.array_equal(labels, given[2])
-
-
-def test_none_is_looked_for_where_the_noise_of_a_network_is_known():
-    assert unchanged(before_narrow(strip(12, 10.0).depth_m,
-                                   least=Noise(EXACT.depth_floor_m, known=0.002)))
+    labels, planes = add_small_planes(*given)
+    return np.array_equal(planes, given[3]) and np.array_equal(labels, given[1])
 
 
 @pytest.mark.parametrize('most', [2, 3])
@@ -116,7 +109,7 @@ def test_no_plane_is_smaller_than_wanted():
 def test_where_all_pixels_have_a_plane_none_is_added():
     scene = view([wall(2)])
     given = before_narrow(scene.depth_m)
-    assert (given[2] == 0).all()
+    assert (given[1] == 0).all()
     assert unchanged(given)
 
 
@@ -125,5 +118,5 @@ def test_a_small_picture_has_no_smaller_cells():
     scene = view([wall(LEFT_M, right_m=0), wall(RIGHT_M, 0)], intrinsics=camera)
     assert cell_model(scene.depth_m).grid.size_px < 6
     given = before_narrow(scene.depth_m)
-    given[2][:, 60:90] = -1
+    given[1][:, 60:90] = -1
     assert unchanged(given)

@@ -140,7 +140,9 @@ def test_scale_and_shift_of_disparity_change_hardly_a_label(room, factor, shift,
     disparity = 1 / noisy(room(SEEDS[1]), sigma, 0)
     before = relative_labels(disparity)
     after = relative_labels((factor * disparity + shift).astype(np.float32))
-    assert (before == after).mean() > 0.99
+    # Labels may have other numbers: each is compared with the one it shares most pixels with.
+    pairs = np.bincount((before + 1).ravel() * 300 + after.ravel() + 1, minlength=300**2)
+    assert pairs.reshape(300, 300).max(axis=1).sum() > 0.99 * before.size
 
 
 @pytest.mark.parametrize('sigma', SIGMAS)

@@ -13,10 +13,11 @@ The same estimator serves depth of any noise, so that there is no gap between ex
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 
-from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
 # Cells between those of a second difference: smooth noise is alike in nearer ones.
 # derived: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
@@ -37,6 +38,20 @@ SLOPE_PER_NOISE = 8.0
 GRAIN_PER_NOISE = 0.25
 # Sums in float32 leave this much of the variance that the slope makes within a cell.
 ROUNDING = 1e-6
+
+
+class DepthKind(Enum):
+    """
+    What is known of the errors of depth: which stages of the segmentation serve it.
+
+    EXACT: smaller than the floor; whatever is there can be seen. MEASURED: grain and smooth noise,
+    as of a sensor. NETWORK: specified for its source; with bends and steps of their own, as those
+    of networks and of rounded disparity.
+    """
+
+    EXACT = 'exact'
+    MEASURED = 'measured'
+    NETWORK = 'network'
 
 
 @dataclass(frozen=True)
@@ -77,6 +92,12 @@ class Noise:
         """Say whether at this disparity the smooth part is less than the floor."""
         return self.mean**2 < self.floor(disparity)
 
+    def kind(self, disparity: float) -> DepthKind:
+        """Return the kind of depth at this disparity."""
+        if self.known > 0:
+            return DepthKind.NETWORK
+        return DepthKind.EXACT if self.is_exact(disparity) else DepthKind.MEASURED
+
     def with_smooth_part(self, mean: float, slope: float) -> Noise:
         """Return the noise with another smooth part, at least what is known."""
         return replace(self, mean=max(float(mean), self.known),
@@ -92,7 +113,7 @@ class Noise:
         return Noise(self.depth_floor_m / scale, *(scale * sigma for sigma in (
             self.disparity_floor, self.known, self.mean, self.slope, self.grain)))
 
-    def for_smaller_cells(self, size_px: int, smaller_px: int) -> Noise:
+    def at_cell_size(self, size_px: int, smaller_px: int) -> Noise:
         """
         Return the noise of smaller cells.
 
@@ -175,7 +196,7 @@ def _neighbour_differences(grid: CellGrid) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(steps), np.concatenate(bends)
 
 
-def with_rounding(least: Noise, disparity: np.ndarray, valid: np.ndarray) -> Noise:
+def with_quantisation(least: Noise, image: DisparityImage) -> Noise:
     """
     Return the noise with what rounded disparities leave, as matching by whole pixels gives them.
 
@@ -185,10 +206,10 @@ def with_rounding(least: Noise, disparity: np.ndarray, valid: np.ndarray) -> Noi
     Parameters
     ----------
     least : Noise
-    disparity : (H, W) float32
-    valid : (H, W) bool
+    image : DisparityImage
 
     """
+    disparity, valid = image.values, image.valid
     if min(disparity.shape) < 2:
         return least
     # Along whole lines no step of a slope is left out.

@@ -10,20 +10,24 @@ same error many times where they agree, and misses how little may change from on
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from plane_detector.segmentation.cells.model import CellModel, Patches
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.compilation import kernel
 
-# Smaller patches fit themselves to the noise.
-MIN_PATCH_CELLS = 100
+# Smaller regions fit themselves to the noise.
+MIN_REGION_CELLS = 100
 # Residuals are cut off at this many deviations.
 MAX_RESIDUAL = 3.0
-# What differs from cell to cell is at least this share of the variance, and at most all but it.
+# derived: what differs from cell to cell is at least next to none and at most next to all.
 LEAST_SHARE = 1e-3
 CORRELATION_RANGE = (0.02, 0.98)
 POWER_RANGE = (0.5, 2.0)
+# derived: noise that is alike over more of the image is a bend of it.
+MAX_LAG_CELLS = 20
 
 
 @dataclass(frozen=True)
@@ -49,16 +53,13 @@ class Correlation:
     power: float
 
     @classmethod
-    def of(cls, model: CellModel, patches: Patches, noise: Noise) -> Correlation | None:
+    def of(cls, model: WeightedCells, regions: PlaneRegions, noise: Noise) -> Correlation | None:
         """
-        Read it off the residuals of the largest patches.
+        Read it off the residuals of the largest regions.
 
-        None where it tells nothing: on exact depth, on that of a network, whose errors have
-        steps and creases of their own, and where no patch is large.
+        None where no region is large enough to tell.
         """
-        if noise.known > 0 or noise.is_exact(model.grid.typical_disparity):
-            return None
-        square, *at_lags = _covariances(model, patches, MAX_RESIDUAL * noise.mean)
+        square, *at_lags = _covariances(model, regions, MAX_RESIDUAL * noise.mean)
         if square <= 0:
             return None
         own = square * np.clip((noise.grain / model.grid.size_px) ** 2 / square,
@@ -73,56 +74,48 @@ class Correlation:
         apart = np.hypot(rows, columns)
         return self.smooth * np.exp(-self.decay * apart**self.power) + self.own * (apart == 0)
 
-    def matrix(self, model: CellModel, cell: np.ndarray) -> np.ndarray:
-        """Return the covariance (n, n) of some cells (n,)."""
-        rows, columns = (np.abs(at[:, None] - at) for at in np.divmod(cell, model.grid.shape[1]))
-        table = self.covariance(np.arange(rows.max() + 1.0)[:, None],
-                                np.arange(columns.max() + 1.0))
-        matrix = table[rows, columns]
-        # Where the floor of the noise rises, that of the depth, cells tell less.
-        variance = model.variances.mean[cell]
-        matrix[np.diag_indices(len(cell))] += variance - variance.min()
-        return matrix
+    @cached_property
+    def density(self) -> float:
+        """The variance of a cell times the number of cells that share their noise."""
+        apart = np.arange(-MAX_LAG_CELLS, MAX_LAG_CELLS + 1.0)
+        return float(self.covariance(apart[:, None], apart).sum())
+
+    def table(self, shape: tuple[int, int]) -> np.ndarray:
+        """Return the covariance (R, C) of cells so many rows and columns apart."""
+        return self.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
 
 
-def residuals(model: CellModel, planes: np.ndarray, cell: np.ndarray, label: np.ndarray,
-              limit: float) -> np.ndarray:
-    """
-    Return how far cells are off the planes of labels, 0 where that says nothing.
-
-    Parameters
-    ----------
-    model : CellModel
-    planes : (K, 3) float64
-    cell, label : (...) int
-        Broadcast against each other; label -1 is no plane.
-    limit : float
-        Cuts them off, per metre.
-
-    """
-    x, y, d = model.grid.mean.T[:, cell]
-    a, b, c = np.append(planes, np.zeros((1, 3)), axis=0).T[:, label]
-    residual = np.clip(d - (a * x + b * y + c), -limit, limit)
-    return np.where(model.planar[cell] & (label >= 0), residual, 0)
+def _covariances(model: WeightedCells, regions: PlaneRegions, limit: float) -> list[float]:
+    """Return the mean product of the residuals of cells of a region 0, 1 and 2 cells apart."""
+    sums = _products_at_lags(np.ascontiguousarray(regions.labels), regions.coefficients,
+                             model.table, model.is_planar, limit)
+    return list(sums[:, 0] / np.maximum(sums[:, 1], 1))
 
 
-def _covariances(model: CellModel, patches: Patches, limit: float) -> list[float]:
-    """Return the mean product of the residuals of cells of a patch 0, 1 and 2 cells apart."""
-    labels = patches.labels
-    size = np.bincount(labels.ravel() + 1, minlength=len(patches.planes) + 1)
-    size[0] = 0
-    used = (size[labels + 1] > MIN_PATCH_CELLS) & model.planar.reshape(labels.shape)
-    labels = np.where(used, labels, -1)
-    residual = residuals(model, patches.planes, np.arange(labels.size), labels.ravel(), limit)
-    return [_mean_product(residual.reshape(labels.shape), labels, lag) for lag in range(3)]
-
-
-def _mean_product(residual: np.ndarray, labels: np.ndarray, lag: int) -> float:
-    """Return it for cells (R, C) of one label that are so far apart in a row or column."""
-    total = count = 0
-    for first, second in ((np.s_[lag:], np.s_[:len(labels) - lag]),
-                          (np.s_[:, lag:], np.s_[:, :labels.shape[1] - lag])):
-        same = (labels[first] == labels[second]) & (labels[first] >= 0)
-        total += (residual[first] * residual[second])[same].sum()
-        count += np.count_nonzero(same)
-    return total / max(count, 1)
+@kernel('float64[:, ::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1], float64)')
+def _products_at_lags(labels, planes, table, is_planar, limit):
+    """Return the sum of products of residuals and their number, 0, 1 and 2 cells apart."""
+    rows, columns = labels.shape
+    size, sums = np.zeros(len(planes), np.int64), np.zeros((3, 2))
+    for i in range(labels.size):
+        if labels[i // columns, i % columns] >= 0:
+            size[labels[i // columns, i % columns]] += 1
+    residual = np.full((rows, columns), np.nan)
+    for i in range(labels.size):
+        k = labels[i // columns, i % columns]
+        if k >= 0 and is_planar[i] and size[k] > MIN_REGION_CELLS:
+            error = table[i, 2] - (planes[k, 0] * table[i, 0] + planes[k, 1] * table[i, 1]
+                                   + planes[k, 2])
+            residual[i // columns, i % columns] = min(max(error, -limit), limit)
+    for row in range(rows):
+        for column in range(columns):
+            if np.isnan(residual[row, column]):
+                continue
+            for lag in range(3):
+                for down in range(2):
+                    r, c = row + lag * down, column + lag * (1 - down)
+                    if (r < rows and c < columns and not np.isnan(residual[r, c])
+                            and labels[r, c] == labels[row, column]):
+                        sums[lag, 0] += residual[row, column] * residual[r, c]
+                        sums[lag, 1] += 1
+    return sums

@@ -1,24 +1,81 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least-squares fits to any set of cells, from products that are added up once."""
+"""Least-squares planes from moments, and quadric surfaces from products, added up once."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.segmentation.compilation import kernel
+
+# derived: pixels on a line have no plane; wider than a thousandth of their length they have.
+MIN_WIDTH_SQUARED = 1e-6
 # Of terms of like size: what a fit to too few cells leaves open.
 LEAST_EIGENVALUE = 1e-10
+
+
+@kernel('UniTuple(float64, 3)(float64[::1])')
+def fit_plane(moments):
+    """
+    Fit the least-squares plane d = a x + b y + c.
+
+    Parameters
+    ----------
+    moments : (10,) float64
+        Of the columns of :mod:`plane_detector.segmentation.cells.grid`, added up.
+
+    Returns
+    -------
+    a, b, c : float
+        NaN where the pixels lie on a line or are fewer than three.
+
+    """
+    n = max(moments[0], 1.0)
+    x, y, d = moments[1] / n, moments[2] / n, moments[6] / n
+    xx, xy, yy = moments[3] / n - x * x, moments[4] / n - x * y, moments[5] / n - y * y
+    xd, yd = moments[7] / n - x * d, moments[8] / n - y * d
+    determinant = xx * yy - xy * xy
+    if not determinant > MIN_WIDTH_SQUARED * (xx + yy) ** 2:
+        return np.nan, np.nan, np.nan
+    a, b = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
+    return a, b, d - a * x - b * y
+
+
+@kernel('float64(float64, float64, float64, float64[::1])')
+def squared_error(a, b, c, moments):
+    """Return the squared error of a plane over the pixels of moments (10,)."""
+    return (moments[9] + c * (c * moments[0] + 2 * (a * moments[1] + b * moments[2] - moments[6]))
+            + a * (a * moments[3] + 2 * (b * moments[4] - moments[7]))
+            + b * (b * moments[5] - 2 * moments[8]))
+
+
+@kernel('float64[:, ::1](float64[:, ::1])')
+def fit_planes(moments):
+    """Fit a plane to each row of moments (K, 10), as :func:`fit_plane` does; (K, 3)."""
+    planes = np.empty((len(moments), 3))
+    for k in range(len(moments)):
+        planes[k, 0], planes[k, 1], planes[k, 2] = fit_plane(moments[k])
+    return planes
+
+
+@kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
+def squared_errors(planes, moments):
+    """Return the squared error (K,) of planes (K, 3) over the pixels of moments (K, 10)."""
+    error = np.empty(len(planes))
+    for k in range(len(planes)):
+        error[k] = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], moments[k])
+    return error
 
 
 def quadratic_products(members: np.ndarray, x: np.ndarray, y: np.ndarray,
                        d: np.ndarray) -> np.ndarray:
     """
-    Add up what fits of surfaces need over the cells of each patch.
+    Add up what fits of surfaces need over the cells of each region.
 
     Parameters
     ----------
     members : (K, n) float64
-        1 or 0: the cells of each patch.
+        1 or 0: the cells of each region.
     x, y, d : (n,) float64
         Place and disparity of each cell.
 
@@ -71,3 +128,39 @@ def pseudo_inverse(matrix: np.ndarray, least: float) -> np.ndarray:
     large = size > least * size.max(axis=1, keepdims=True)
     inverse = np.divide(1, values, out=np.zeros_like(values), where=large)
     return (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)
+
+
+@kernel('float64(float64[:, ::1], int64, float64[::1])')
+def solve_least_squares(products, terms, coefficients):
+    """
+    Fit what is linear in its coefficients, by Gauss-Jordan elimination.
+
+    Parameters
+    ----------
+    products : (m, m) float64
+        Sums of the products of two of the terms and, last, the values.
+    terms : int
+        How many of the first terms to use.
+    coefficients : (m,) float64
+        The first ``terms`` are written; 0 for terms that the data leave open.
+
+    Returns
+    -------
+    float
+        Squared error.
+
+    """
+    last = len(products) - 1
+    work = products.copy()
+    for k in range(terms):
+        pivot = work[k, k]
+        is_open = pivot <= LEAST_EIGENVALUE * products[k, k]
+        for j in range(last + 1):
+            work[k, j] = 0.0 if is_open else work[k, j] / pivot
+        for i in range(last + 1):
+            factor = 0.0 if i == k else work[i, k]
+            for j in range(last + 1):
+                work[i, j] -= factor * work[k, j]
+    for k in range(terms):
+        coefficients[k] = work[k, last]
+    return max(work[last, last], 0.0)

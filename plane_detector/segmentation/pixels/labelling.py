@@ -4,47 +4,42 @@
 Labels of cells to labels of pixels.
 
 A cell whose whole neighbourhood agrees hands its label to its pixels. In the cells along borders
-every pixel chooses among the planes nearby: where two planes meet in a crease, by the side of the
-crease that it lies on, which no noise blurs; at a step, by its own residual.
+every pixel chooses among the planes nearby: where two planes intersect along their border, by the
+side of the intersection that it lies on, which no noise blurs; at a step, by its own residual.
 """
 
 from __future__ import annotations
 
-from itertools import combinations
-
 import cv2
 import numpy as np
 
-from plane_detector.segmentation.cells.grid import (
-    around,
-    block_coordinates,
-    median,
-    pixels_of_cells,
-)
-from plane_detector.segmentation.cells.model import CellModel, Patches
+from plane_detector.geometry.robust import median
+from plane_detector.segmentation.cells.grid import DisparityImage
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.pixels.creases import find_creases
+from plane_detector.segmentation.compilation import kernel
+from plane_detector.segmentation.regions.adjacency import find_adjacency
 
 # Grain over this many times the floor is smoothed before pixels are told apart.
+# tuned: evaluation.benchmark living; flat from 1 to 4.
 SMOOTHED_GRAIN = 2.0
-MEDIAN_SIDE_PX = 5
-# The median of 25 pixels has about 1.25 / 5 of their standard deviation.
-MEDIAN_NOISE_SHARE = 0.25
+# derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
+MEDIAN_SIDE_PX, MEDIAN_NOISE_SHARE = 3, 0.41
 # A pixel among those of a plane may stray this much more than the cells that found it.
-RELEASE = 1.3
+# tuned: evaluation.benchmark rooms, living; flat from 1.1 to 1.6.
+PIXEL_TOLERANCE = 1.3
 
 
-def label_pixels(disparity: np.ndarray, valid: np.ndarray, model: CellModel, patches: Patches,
-                 noise: Noise, threshold: float) -> np.ndarray:
+def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions, noise: Noise,
+                 threshold: float) -> np.ndarray:
     """
     Label every pixel.
 
     Parameters
     ----------
-    disparity : (H, W) float32
-    valid : (H, W) bool
-    model : CellModel
-    patches : Patches
+    image : DisparityImage
+    cells : WeightedCells
+    regions : PlaneRegions
     noise : Noise
     threshold : float
         A pixel within this many standard deviations of a plane may belong to it.
@@ -55,92 +50,136 @@ def label_pixels(disparity: np.ndarray, valid: np.ndarray, model: CellModel, pat
         Index into the planes, -1 for none and where not valid.
 
     """
-    size, (rows, columns) = model.grid.size_px, patches.labels.shape
-    certain = _certain_cells(model, patches, threshold)
-    canvas = np.where(certain, patches.labels, -1).astype(np.int32)
-    canvas = canvas.repeat(size, axis=1).repeat(size, axis=0)
-    near = cv2.dilate((patches.labels + 1).astype(np.uint16), _square(1)) > 0
-    at_row, at_column = np.nonzero(near & ~certain)
-    if len(at_row):
-        smooth, grain = _smoothed(disparity, noise)
-        cells = canvas.reshape(rows, size, columns, size)
-        cells[at_row, :, at_column, :] = _choose(
-            smooth, model, patches, noise, grain, threshold, at_row, at_column)
-    labels = canvas[:disparity.shape[0], :disparity.shape[1]]
-    if not valid.all():
-        labels = np.where(valid, labels, -1)
-    return np.ascontiguousarray(labels)
+    smooth, grain = _smoothed(image.values, noise)
+    grid = cells.grid
+    frame = np.array([grid.width_px, *grid.origin, threshold**2, noise.mean**2 + grain**2,
+                      noise.depth_floor_m**2, noise.disparity_floor**2])
+    return _label(smooth, image.valid, np.ascontiguousarray(regions.labels), cells.is_planar,
+                  (np.ascontiguousarray(regions.coefficients),
+                   find_intersections(cells, regions)), (grid.size_px, frame))
 
 
-def _square(reach: int) -> np.ndarray:
-    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarray:
+    """
+    Find the pairs of touching regions whose planes intersect along their border.
 
+    Returns
+    -------
+    (K, K) int8
+        Entry i, j is the sign of plane min(i, j) less the other, as 1/z, where min(i, j) is seen;
+        0: one is in front of the other or they do not touch.
 
-def _certain_cells(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
-    """Return the flat cells (R, C) whose eight neighbours all have the same plane."""
-    label = (patches.labels + 1).astype(np.uint16)
-    same = (cv2.dilate(label, _square(1)) == cv2.erode(label, _square(1))) & (label > 0)
-    return same & model.planar.reshape(label.shape)
+    """
+    signs = np.zeros((len(regions.coefficients),) * 2, np.int8)
+    adjacency = find_adjacency(cells, regions.labels)
+    here, there = adjacency.sides(regions.coefficients)
+    crossing = here * there < 0
+    first, second = adjacency.first[crossing], adjacency.second[crossing]
+    signs[first, second] = signs[second, first] = np.sign(here[crossing])
+    return signs
 
 
 def _smoothed(disparity: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
     """Return the disparity with less grain, edges kept, and the grain that is left."""
-    if not noise.grain:
-        return disparity, 0.0
     typical = median(disparity[::7, ::7].ravel())
     if noise.grain <= SMOOTHED_GRAIN * np.sqrt(noise.floor(typical)):
         return disparity, noise.grain
     return cv2.medianBlur(disparity, MEDIAN_SIDE_PX), MEDIAN_NOISE_SHARE * noise.grain
 
 
-def _choose(disparity: np.ndarray, model: CellModel, patches: Patches, noise: Noise,
-            grain: float, threshold: float, at_row: np.ndarray, at_column: np.ndarray):
-    """Return the labels (n, s, s) of the pixels of some cells, by least residual."""
-    size = model.grid.size_px
-    x, y = (values.astype(np.float32) for values in
-            block_coordinates(model.grid, at_row, at_column))
-    d = pixels_of_cells(disparity, size, at_row, at_column)
-    candidates = _candidates(patches.labels, at_row, at_column)
-    planes = patches.planes.astype(np.float32)
-    # Every cell here has a first candidate, few have more.
-    a, b, c = planes[candidates[:, 0]].T[..., None, None]
-    best = (d - c - a * x - b * y) ** 2
-    chosen = np.repeat(candidates[:, :1], size**2, axis=1).reshape(d.shape)
-    for rank in candidates.T[1:]:
-        active = np.flatnonzero(rank >= 0)
-        a, b, c = planes[rank[active]].T[..., None, None]
-        error = (d[active] - c - a * x[active] - b * y[active]) ** 2
-        better = error < best[active]
-        best[active] = np.where(better, error, best[active])
-        chosen[active] = np.where(better, rank[active, None, None], chosen[active])
-    variance = noise.mean**2 + grain**2 + noise.floor(d)
-    chosen[best > (RELEASE * threshold) ** 2 * variance] = -1
-    if noise.is_exact(model.grid.typical_disparity):
-        return chosen  # residuals as exact as that draw the creases themselves
-    return _by_side(chosen, candidates, model, patches, x, y, threshold**2 * variance)
+@kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], int32[:, ::1], boolean[::1], '
+        'Tuple((float64[:, ::1], int8[:, ::1])), Tuple((int64, float64[::1])))')
+def _label(disparity, valid, cell_labels, is_planar, planes, geometry):
+    """Return the label of every pixel."""
+    (coefficients, signs), (size, frame) = planes, geometry
+    height, width = disparity.shape
+    labels = np.full((height, width), np.int32(-1))
+    near, local = np.empty(9, np.int32), np.empty((9, 3), np.float32)
+    for i in range(cell_labels.size):
+        row, column = i // cell_labels.shape[1], i % cell_labels.shape[1]
+        count, agree = _labels_around(cell_labels, row, column, near)
+        if count == 0:
+            continue
+        top, left = row * size, column * size
+        bottom, right = min(top + size, height), min(left + size, width)
+        if count == 1 and agree and is_planar[i]:
+            for v in range(top, bottom):
+                for u in range(left, right):
+                    labels[v, u] = near[0] if valid[v, u] else -1
+            continue
+        _at_corner(coefficients, near[:count], frame, (top, left), local)
+        for v in range(top, bottom):
+            _choose(disparity[v, left:right], valid[v, left:right], np.float32(v - top),
+                    local[:count], near[:count], frame[3:], labels[v, left:right])
+            if count > 1:
+                _choose_sides(disparity[v, left:right], np.float32(v - top), local[:count],
+                              near[:count], signs, frame[3:], labels[v, left:right])
+    return labels
 
 
-def _by_side(chosen: np.ndarray, candidates: np.ndarray, model: CellModel, patches: Patches,
-             x: np.ndarray, y: np.ndarray, unclear: np.ndarray) -> np.ndarray:
-    """Correct the pixels near creases, where the planes' square difference is unclear."""
-    signs, planes = find_creases(model, patches), patches.planes.astype(np.float32)
-    for i, j in combinations(range(candidates.shape[1]), 2):
-        first, second = candidates[:, i], candidates[:, j]
-        active = np.flatnonzero((second >= 0) & (signs[first, second] != 0))
-        first, second = first[active, None, None], second[active, None, None]
-        a, b, c = np.moveaxis(planes[first] - planes[second], -1, 0)
-        difference = c + a * x[active] + b * y[active]
-        side = np.where(signs[first, second] * difference > 0, first, second)
-        own = chosen[active]
-        close = ((own == first) | (own == second)) & (difference**2 < unclear[active])
-        chosen[active] = np.where(close, side, own)
-    return chosen
+@kernel('void(float64[:, ::1], int32[::1], float64[::1], UniTuple(int64, 2), float32[:, ::1])')
+def _at_corner(coefficients, near, frame, corner, local):
+    """Write planes as affine functions of the pixels' columns and rows from a corner."""
+    width, x, y = frame[0], frame[1] + corner[1] / frame[0], frame[2] + corner[0] / frame[0]
+    for k in range(len(near)):
+        a, b, c = coefficients[near[k], 0], coefficients[near[k], 1], coefficients[near[k], 2]
+        local[k, 0], local[k, 1], local[k, 2] = a / width, b / width, a * x + b * y + c
 
 
-def _candidates(labels: np.ndarray, at_row: np.ndarray, at_column: np.ndarray) -> np.ndarray:
-    """Return the different labels around each cell, (n, m), filled up with -1."""
-    found = around(labels, at_row * labels.shape[1] + at_column)
-    found.sort(axis=1)
-    found[:, 1:][found[:, 1:] == found[:, :-1]] = -1
-    ordered = -np.sort(-found, axis=1)
-    return ordered[:, :int((ordered >= 0).sum(axis=1).max(initial=1))]
+@kernel('Tuple((int64, boolean))(int32[:, ::1], int64, int64, int32[::1])')
+def _labels_around(labels, row, column, near):
+    """Write the different labels of the nine cells around one; say how many, and if all agree."""
+    count, agree = 0, True
+    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
+        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
+            label, is_new = labels[r, c], labels[r, c] >= 0
+            agree &= label >= 0
+            for k in range(count):
+                is_new &= near[k] != label
+            if is_new:
+                near[count] = label
+                count += 1
+    return count, agree
+
+
+@kernel('void(float32[::1], boolean[::1], float32, float32[:, ::1], int32[::1], float64[::1], '
+        'int32[::1])')
+def _choose(disparity, valid, v, local, near, limits, chosen):
+    """Write the plane of least residual of the pixels of one row of a cell, -1 none."""
+    threshold2, variance, depth_floor2, disparity_floor2 = (
+        np.float32(limits[0] * PIXEL_TOLERANCE**2), np.float32(limits[1]), np.float32(limits[2]),
+        np.float32(limits[3]))
+    for u in range(len(chosen)):
+        d = disparity[u]
+        square = d * d
+        best = threshold2 * (variance + disparity_floor2 + depth_floor2 * square * square)
+        label = np.int32(-1)
+        for k in range(len(near)):
+            error = d - (local[k, 0] * np.float32(u) + local[k, 1] * v + local[k, 2])
+            if error * error <= best:
+                best, label = error * error, near[k]
+        chosen[u] = label if valid[u] else np.int32(-1)
+
+
+@kernel('void(float32[::1], float32, float32[:, ::1], int32[::1], int8[:, ::1], float64[::1], '
+        'int32[::1])')
+def _choose_sides(disparity, v, local, near, signs, limits, chosen):
+    """Correct the pixels close to intersections, where residuals say nothing, by their side."""
+    threshold2, variance, depth_floor2, disparity_floor2 = (
+        np.float32(limits[0]), np.float32(limits[1]), np.float32(limits[2]),
+        np.float32(limits[3]))
+    for i in range(len(near)):
+        for j in range(len(near)):
+            if near[i] >= near[j] or signs[near[i], near[j]] == 0:
+                continue
+            a, b, c = (local[i, 0] - local[j, 0], local[i, 1] - local[j, 1],
+                       local[i, 2] - local[j, 2])
+            for u in range(len(chosen)):
+                if chosen[u] != near[i] and chosen[u] != near[j]:
+                    continue
+                square = disparity[u] * disparity[u]
+                limit = threshold2 * (variance + disparity_floor2 + depth_floor2 * square * square)
+                difference = a * np.float32(u) + b * v + c
+                if difference * difference < limit:
+                    is_first = signs[near[i], near[j]] * difference > 0
+                    chosen[u] = near[i] if is_first else near[j]

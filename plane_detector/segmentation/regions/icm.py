@@ -5,46 +5,48 @@ All planes compete for every cell, and neighbours prefer to agree.
 
 Planes found one after the other keep whatever cell they met first; here each cell goes to the
 plane that explains it best, and the planes are refitted, as in PEaRL (Isack and Boykov 2012). The
-energy, a capped chi-squared per cell and a Potts term, is lowered by iterated conditional modes.
+energy, a truncated chi-squared per cell and a Potts term, is lowered by iterated conditional modes
+(Besag 1986).
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.cells import grid as cells
-from plane_detector.segmentation.cells.grid import around
-from plane_detector.segmentation.cells.model import CellModel, Patches, chi_squared
-from plane_detector.segmentation.search.dbscan import label_clusters
+from plane_detector.segmentation.cells.model import (
+    PlaneRegions,
+    WeightedCells,
+    chi_squared,
+    fit_regions,
+)
+from plane_detector.segmentation.compilation import kernel
+from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
 
-SWEEPS = 4
-# The labels are settled when no more than this share of the cells changes.
-SETTLED_SHARE = 0.004
+# derived: with no more than this share of the cells changing, another sweep changes next to none.
+SWEEPS, SETTLED_SHARE = 4, 0.004
 # Beyond this many squared thresholds every misfit is as bad.
-MISFIT_CAP = 3.0
+# tuned: evaluation.benchmark living, rooms; flat from 2 to 5.
+TRUNCATION = 3.0
 # A cell that may belong to a plane by its neighbours is let go only beyond this many.
-RELEASE = 1.6
+# tuned: evaluation.benchmark rooms; flat from 1.2 to 2.
+OUTLIER_COST = 1.6
 # What one neighbour's agreement is worth, in units of chi-squared.
-AGREEMENT = 1.5
-# A cell whose nine cells all agree stays if it fits this well: the ninth is for rounding.
-SURE_VOTES = 8
+# tuned: evaluation.benchmark rooms at 0.01; flat from 1 to 2.
+POTTS_WEIGHT = 1.5
 # A plane competes for cells up to this many cells away from its own.
 REACH_CELLS = 2
-# derived: CV_CN_MAX of OpenCV 5 (512 in OpenCV 4); an array with more is no image to it.
-MOST_CHANNELS = 128
 
 
-def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: float,
-            dbscan: DbscanConfig) -> Patches:
+def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: float,
+                      min_pixels: float, dbscan: DbscanConfig) -> PlaneRegions:
     """
     Reassign all cells to planes and refit the planes.
 
     Parameters
     ----------
-    model : CellModel
-    patches : Patches
+    cells : WeightedCells
+    regions : PlaneRegions
     threshold : float
         Beyond this many standard deviations a cell would rather belong to no plane.
     min_pixels : float
@@ -54,91 +56,63 @@ def relabel(model: CellModel, patches: Patches, threshold: float, min_pixels: fl
 
     Returns
     -------
-    Patches
+    PlaneRegions
 
     """
-    if len(patches.planes) == 0:
-        return patches
-    labels = _compete(model, patches, threshold)
-    return _split(model, labels, min_pixels, dbscan)
-
-
-def _compete(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
-    """Return the label (R, C) of each cell that lowers the energy."""
-    count = len(patches.planes)
-    cost = _costs(model, patches, threshold)
-    active = _unsettled(cost, patches.labels)
-    labels = np.where(patches.labels < 0, count, patches.labels)
+    if len(regions.coefficients) == 0:
+        return regions
+    labels = np.ascontiguousarray(regions.labels, np.int32)
     for _ in range(SWEEPS):
-        votes = _votes(labels, active, count + 1)
-        updated = labels.copy()
-        updated.ravel()[active] = (cost[active] - np.float32(AGREEMENT) * votes).argmin(axis=1)
-        changed, labels = updated != labels, updated
-        if np.count_nonzero(changed) <= SETTLED_SHARE * labels.size:
+        labels, changed = _sweep(labels, regions.coefficients, cells.table, cells.is_planar,
+                                 threshold**2)
+        if changed <= SETTLED_SHARE * labels.size:
             break
-        # Elsewhere the neighbours vote as before.
-        active = np.flatnonzero(cv2.dilate(changed.view(np.uint8), _square(1)))
-    return np.where(labels == count, -1, labels)
+    clusters, count = label_clusters(labels, neighbourhood(dbscan))
+    return fit_regions(cells, clusters, count, min_pixels)
 
 
-def _costs(model: CellModel, patches: Patches, threshold: float) -> np.ndarray:
-    """Return what each plane, and last no plane, costs each cell, (R * C, K + 1) float32."""
-    count = len(patches.planes)
-    cap = MISFIT_CAP * threshold**2
-    cost = np.empty((patches.labels.size, count + 1), np.float32)
-    cost[:, :count] = np.minimum(chi_squared(model, patches.planes), cap)
-    cost[:, count] = RELEASE * threshold**2
-    # A cell on an edge says nothing itself: its neighbours decide.
-    cost[~model.planar] = 0
-    members = np.eye(count + 1, count, dtype=np.uint8)[patches.labels]
-    near = _dilated_each(members).reshape(-1, count)
-    np.copyto(cost[:, :count], cap, where=near == 0)
-    return cost
+@kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], float64[:, ::1], float64[:, ::1], '
+        'boolean[::1], float64)')
+def _sweep(labels, planes, table, is_planar, threshold2):
+    """Return the label of each cell that lowers its energy, given the others, and the changes."""
+    rows, columns = labels.shape
+    updated, changed = labels.copy(), 0
+    near = np.empty((2 * REACH_CELLS + 1) ** 2, np.int32)
+    for i in range(labels.size):
+        row, column = i // columns, i % columns
+        count = 0
+        for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
+            for c in range(max(column - REACH_CELLS, 0), min(column + REACH_CELLS + 1, columns)):
+                label, known = labels[r, c], labels[r, c] < 0
+                for k in range(count):
+                    known |= near[k] == label
+                if not known:
+                    near[count] = label
+                    count += 1
+        if count == 0:
+            continue
+        best, lowest = -1, OUTLIER_COST * threshold2 if is_planar[i] else 0.0
+        lowest -= POTTS_WEIGHT * _votes(labels, row, column, -1)
+        for k in range(count):
+            cost, label = 0.0, near[k]
+            if is_planar[i]:  # a cell on an edge says nothing itself: its neighbours decide
+                cost = min(chi_squared(table, i, planes[label, 0], planes[label, 1],
+                                       planes[label, 2]), TRUNCATION * threshold2)
+            cost -= POTTS_WEIGHT * _votes(labels, row, column, label)
+            if cost < lowest or (cost == lowest and (best < 0 or label < best)):
+                best, lowest = label, cost
+        if best != labels[row, column]:
+            updated[row, column] = best
+            changed += 1
+    return updated, changed
 
 
-def _dilated_each(members: np.ndarray) -> np.ndarray:
-    """Return the members (R, C, K) uint8 of each plane, grown by the reach."""
-    starts = range(0, members.shape[2], MOST_CHANNELS)
-    parts = [cv2.dilate(np.ascontiguousarray(members[..., k:k + MOST_CHANNELS]),
-                        _square(REACH_CELLS)) for k in starts]
-    return np.concatenate([part.reshape(*members.shape[:2], -1) for part in parts], axis=2)
-
-
-def _unsettled(cost: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """
-    Return the cells whose label may change.
-
-    A cell amid its plane stays there when it fits it better than the agreement of its neighbours
-    is worth, and one without any plane in reach goes on having none.
-    """
-    known = (labels + 1).astype(np.uint16)
-    amid = cv2.dilate(known, _square(1)) == cv2.erode(known, _square(1))
-    own = cost[np.arange(labels.size), labels.ravel()].reshape(labels.shape)
-    settled = np.where(known > 0, amid & (own < SURE_VOTES * AGREEMENT),
-                       cv2.dilate(known, _square(REACH_CELLS)) == 0)
-    return np.flatnonzero(~settled)
-
-
-def _votes(labels: np.ndarray, cell: np.ndarray, classes: int) -> np.ndarray:
-    """Return how many of the nine cells around some (n,) have each label, (n, K + 1) float32."""
-    key = around(labels, cell) + classes * np.arange(len(cell))[:, None]
-    votes = np.bincount(key.ravel(), minlength=classes * len(cell))
-    return votes.reshape(-1, classes).astype(np.float32)
-
-
-def _square(reach: int) -> np.ndarray:
-    return np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-
-
-def _split(model: CellModel, labels: np.ndarray, min_pixels: float,
-           dbscan: DbscanConfig) -> Patches:
-    """Cut each label into its density clusters, drop the small ones and fit the others."""
-    clusters = label_clusters(labels, dbscan.eps, dbscan.min_samples).ravel()
-    pixels = np.bincount(clusters + 1, model.grid.moments[:, cells.N] * model.planar)[1:]
-    kept = np.flatnonzero(pixels >= max(min_pixels, 1)).astype(clusters.dtype)
-    members = (clusters == kept[:, None]) & model.planar
-    planes = cells.fit_planes(members.astype(float) @ model.grid.moments)
-    fitted = np.isfinite(planes).all(axis=1)
-    renumbered = np.full(len(pixels) + 1, -1, np.int32)
-    renumbered[kept[fitted]] = np.arange(fitted.sum())
-    return Patches(renumbered[clusters].reshape(labels.shape), planes[fitted])
+@kernel('int64(int32[:, ::1], int64, int64, int64)')
+def _votes(labels, row, column, label):
+    """Return how many of the nine cells around one have a label; the grid's last ones repeat."""
+    rows, columns = labels.shape
+    votes = 0
+    for r in range(row - 1, row + 2):
+        for c in range(column - 1, column + 2):
+            votes += labels[min(max(r, 0), rows - 1), min(max(c, 0), columns - 1)] == label
+    return votes

@@ -1,100 +1,202 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether two patches that lie within the noise of each other are two planes all the same.
+Whether two regions that lie within the noise of each other are two planes all the same.
 
-The smooth part of the noise moves whole patches, but it neither jumps nor bends sharply: from one
+The smooth part of the noise moves whole regions, but it neither jumps nor bends sharply: from one
 cell to the next it changes by far less than its standard deviation. Generalised least squares
-(Aitken 1936) makes use of that. Given how the errors of cells go together, it tells how much
+(Aitken 1936) makes use of that: a likelihood-ratio test under correlated noise says how much
 better the cells about a border are explained by two planes than by one.
 """
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
-from plane_detector.segmentation.cells.model import CellModel
+from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.plane_fit import least_squares
+from plane_detector.segmentation.cells.plane_fit import solve_least_squares
+from plane_detector.segmentation.compilation import kernel
 
-# How far from the smaller patch the cells of the larger one are looked at.
+# How far from the other region cells are looked at.
+# tuned: evaluation.benchmark living at 0.004; flat from 2 to 5.
 REACH_CELLS = 3
-# More cells than these, the nearest to the border, only cost time.
-MAX_CELLS = 300
-# A patch of fewer is no evidence.
+# The cells nearest to the border say most.
+# tuned: evaluation.benchmark living at 0.004, runtime; flat from 128 to 300.
+MAX_CELLS = 256
+# A region of fewer is no evidence.
 MIN_CELLS = 4
 # Twice the gain in log-likelihood that blurred noise hardly ever gives, times its power, 2:
 # rougher noise has more edges of its own.
-MIN_GAIN_TIMES_POWER = 24.0
-# A cell that the border cuts anywhere is off by this share of the step, squared, on average.
+# tuned: evaluation.benchmark living at 0.004; flat from 16 to 36.
+MIN_LOG_LIKELIHOOD_GAIN = 24.0
+# derived: a cell that the border cuts anywhere is off by this share of the step, squared, on
+# average.
 CUT_VARIANCE = 1 / 12
 
 
-def are_two(model: CellModel, labels: np.ndarray, correlation: Correlation | None,
-            first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Correlation | None,
+                      first: int, second: int) -> bool:
     """
-    Say which pairs of patches a step or a crease along their border keeps apart.
+    Say whether a step or a crease along their border keeps two regions apart.
 
     Parameters
     ----------
-    model : CellModel
+    cells : WeightedCells
     labels : (R, C) int32
-        Patch of each cell, -1 none.
+        Region of each cell, -1 none.
     correlation : Correlation or None
         None: nothing is kept apart.
-    first, second : (P,) int
-        The pairs.
+    first, second : int
+        The regions.
 
     Returns
     -------
-    (P,) bool
+    bool
         False where they do not touch.
 
     """
     if correlation is None:
-        return np.zeros(len(first), bool)
-    gain = [_gain(model, labels, correlation, i, j) for i, j in zip(first, second, strict=True)]
-    return np.array(gain) > MIN_GAIN_TIMES_POWER / correlation.power
+        return False
+    pair = np.array([first, second])
+    cell, is_small, is_cut = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
+    if min(np.count_nonzero(is_small), np.count_nonzero(~is_small)) < MIN_CELLS:
+        return False
+    gain = _gain(cells.table, cell, is_small, is_cut, correlation.table(cells.grid.shape))
+    return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
 
 
-def _gain(model: CellModel, labels: np.ndarray, correlation: Correlation, first: int,
-          second: int) -> float:
+@kernel('Tuple((int64[::1], boolean[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])')
+def _cells_about(labels, is_planar, pair):
+    """Return the cells (n,) nearest to a border, which are the smaller region's, which are cut."""
+    rows, columns = labels.shape
+    balance = 0
+    for i in range(labels.size):
+        label = labels[i // columns, i % columns]
+        balance += (label == pair[1]) - (label == pair[0])
+    small, large = (pair[0], pair[1]) if balance >= 0 else (pair[1], pair[0])
+    to_small, to_large = _distance(labels, small), _distance(labels, large)
+    # Sorted by distance: counted, then each put at its place.
+    distance, start = np.zeros(labels.size, np.int64), np.zeros(rows + columns + 2, np.int64)
+    for i in range(labels.size):
+        row, column = i // columns, i % columns
+        if is_planar[i] and labels[row, column] == small:
+            distance[i] = to_large[row, column]
+        elif (is_planar[i] and labels[row, column] == large
+                and to_small[row, column] <= REACH_CELLS):
+            distance[i] = to_small[row, column]
+        if distance[i] > 0:
+            start[distance[i] + 1] += 1
+    for k in range(1, len(start)):
+        start[k] += start[k - 1]
+    n = min(start[-1], MAX_CELLS)
+    cell, is_small, is_cut = np.empty(n, np.int64), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    for i in range(labels.size):
+        place = start[distance[i]]
+        if distance[i] > 0 and place < n:
+            cell[place], is_cut[place] = i, distance[i] == 1
+            is_small[place] = labels[i // columns, i % columns] == small
+        start[distance[i]] += distance[i] > 0
+    return cell, is_small, is_cut
+
+
+@kernel('int64[:, ::1](int32[:, ::1], int64)')
+def _distance(labels, label):
+    """Return the chessboard distance (R, C) of each cell to the nearest one of a label."""
+    rows, columns = labels.shape
+    distance = np.full((rows, columns), rows + columns)
+    for turn in range(2):
+        for i in range(labels.size):
+            at = i if turn == 0 else labels.size - 1 - i
+            row, column, towards = at // columns, at % columns, 2 * turn - 1
+            least = 0 if labels[row, column] == label else distance[row, column]
+            if 0 <= row + towards < rows:
+                for c in range(max(column - 1, 0), min(column + 2, columns)):
+                    least = min(least, distance[row + towards, c] + 1)
+            if 0 <= column + towards < columns:
+                least = min(least, distance[row, column + towards] + 1)
+            distance[row, column] = least
+    return distance
+
+
+@kernel('float64(float64[:, ::1], int64[::1], boolean[::1], boolean[::1], float64[:, ::1])')
+def _gain(table, cell, is_small, is_cut, covariance):
     """Return twice the gain in log-likelihood of two planes over one."""
-    cell, small, cut = _cells_about(model, labels, first, second)
-    if min(np.count_nonzero(small), np.count_nonzero(~small)) < MIN_CELLS:
-        return 0.0
-    x, y, d = (model.grid.mean[cell] - model.grid.mean[cell].mean(axis=0)).T
-    plane = np.stack([np.ones_like(x), x, y], axis=1)
-    basis = np.column_stack([plane, plane * small[:, None], d])
-    solved = np.linalg.solve(correlation.matrix(model, cell),
-                             np.hstack([basis, np.eye(len(cell))[:, cut]]))
-    weighted, inverse = solved[:, :7], solved[cut, 7:]
-    products = basis.T @ weighted
-    (one,), _ = least_squares(products[None], 3)
-    _, (two_planes,) = least_squares(products[None], 6)
-    # Cells that the border cuts have the disparity of neither plane (Woodbury's identity).
-    variance = CUT_VARIANCE * (plane[cut] @ two_planes[3:]) ** 2
-    scaled = np.eye(len(cut)) + inverse * variance
-    projected = weighted[cut]
-    products -= projected.T @ (variance[:, None] * np.linalg.solve(scaled, projected))
-    (two,), _ = least_squares(products[None], 6)
-    return float(one - two - np.linalg.slogdet(scaled)[1])
+    basis = _design(table, cell, is_small)
+    matrix = _covariance(table, cell, covariance)
+    offset = np.zeros(7)
+    products, determinant = _weighted_products(matrix.copy(), basis)
+    one = solve_least_squares(products, 3, offset)
+    solve_least_squares(products, 6, offset)
+    # Cells that the border cuts have the disparity of neither plane.
+    for i in range(len(cell)):
+        step = offset[3] + offset[4] * basis[1, i] + offset[5] * basis[2, i]
+        if is_cut[i]:
+            matrix[i, i] += CUT_VARIANCE * step * step
+    products, cut_determinant = _weighted_products(matrix, basis)
+    return one - solve_least_squares(products, 6, offset) - (cut_determinant - determinant)
 
 
-def _cells_about(model: CellModel, labels: np.ndarray, first: int,
-                 second: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return cells (n,), which are in the smaller patch (n,) bool, which are cut (m,) int."""
-    sides = labels == first, labels == second
-    small, large = sorted(sides, key=np.count_nonzero)
-    image = small.view(np.uint8)
-    reach = cv2.dilate(image, np.ones((2 * REACH_CELLS + 1,) * 2, np.uint8)).view(bool)
-    cell = np.flatnonzero((small | large & reach).ravel() & model.planar)
-    if len(cell) > MAX_CELLS:
-        to_border = np.where(small, cv2.distanceTransform(image, cv2.DIST_C, 3),
-                             cv2.distanceTransform(1 - image, cv2.DIST_C, 3)).ravel()[cell]
-        cell = np.sort(cell[np.argsort(to_border, kind='stable')[:MAX_CELLS]])
-    cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-    at_border = (small & cv2.dilate(large.view(np.uint8), cross).view(bool)
-                 | large & cv2.dilate(image, cross).view(bool)).ravel()[cell]
-    return cell, small.ravel()[cell], np.flatnonzero(at_border)
+@kernel('float64[:, ::1](float64[:, ::1], int64[::1], boolean[::1])')
+def _design(table, cell, is_small):
+    """Return 1, x, y of all cells, the same of the smaller region, and d, (7, n)."""
+    n, x, y, d = len(cell), 0.0, 0.0, 0.0
+    for i in range(n):
+        x += table[cell[i], 0] / n
+        y += table[cell[i], 1] / n
+        d += table[cell[i], 2] / n
+    basis = np.zeros((7, n))
+    for i in range(n):
+        basis[0, i], basis[1, i] = 1.0, table[cell[i], 0] - x
+        basis[2, i], basis[6, i] = table[cell[i], 1] - y, table[cell[i], 2] - d
+        for k in range(3):
+            basis[3 + k, i] = basis[k, i] if is_small[i] else 0.0
+    return basis
+
+
+@kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1])')
+def _covariance(table, cell, covariance):
+    """Return the lower triangle of the covariance (n, n) of cells."""
+    n, columns = len(cell), covariance.shape[1]
+    matrix, most = np.zeros((n, n)), 0.0
+    for i in range(n):
+        most = max(most, table[cell[i], 5])
+    for i in range(n):
+        for j in range(i + 1):
+            matrix[i, j] = covariance[abs(cell[i] // columns - cell[j] // columns),
+                                      abs(cell[i] % columns - cell[j] % columns)]
+        # Where the floor of the noise rises, that of the depth, cells tell less.
+        matrix[i, i] += 1 / table[cell[i], 5] - 1 / most
+    return matrix
+
+
+@kernel('Tuple((float64[:, ::1], float64))(float64[:, ::1], float64[:, ::1])')
+def _weighted_products(matrix, basis):
+    """
+    Return basis (m, n) times the inverse of a covariance times basis, and its log-determinant.
+
+    By Cholesky decomposition of the lower triangle of the covariance (n, n), which is overwritten.
+    """
+    n, m = len(matrix), len(basis)
+    determinant = 0.0
+    white = basis.copy()
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = np.sqrt(max(total, 1e-300)) if i == j else total / matrix[j, j]
+        determinant += 2 * np.log(matrix[i, i])
+        for row in range(m):
+            total = white[row, i]
+            for k in range(i):
+                total -= matrix[i, k] * white[row, k]
+            white[row, i] = total / matrix[i, i]
+    products = np.empty((m, m))
+    for i in range(m):
+        for j in range(m):
+            total = 0.0
+            for k in range(n):
+                total += white[i, k] * white[j, k]
+            products[i, j] = total
+    return products, determinant

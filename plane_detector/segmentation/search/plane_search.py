@@ -6,8 +6,8 @@ The planes on the cells, and the noise that they were found with.
 One cannot be known without the other:
 
 1. the noise is estimated from differences between neighbouring cells;
-2. where it lets creases be seen, the connected components of cells are tried: planes that cover
-   most of the image are planes indeed, and the search needs no hypotheses for them;
+2. where it lets creases be seen, the connected components of cells are tried: where planar ones
+   cover most of the image, they are its planes, and few hypotheses are left to test;
 3. the largest planes are found and the noise is taken from their residuals, in rounds, until it
    has converged;
 4. the other planes are found with this noise.
@@ -15,102 +15,109 @@ One cannot be known without the other:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import islice
+from dataclasses import dataclass
 
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.segmentation.cells import grid as cells
-from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import CellModel, Patches, make_model
+from plane_detector.segmentation.cells.grid import CellGrid, N
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
-from plane_detector.segmentation.search.calibration import calibrate, is_settled
-from plane_detector.segmentation.search.connected_components import flat_components
-from plane_detector.segmentation.search.dbscan import GridDbscan
-from plane_detector.segmentation.search.ransac import collect, peel_planes
+from plane_detector.segmentation.search.connected_components import planar_components
+from plane_detector.segmentation.search.dbscan import neighbourhood
+from plane_detector.segmentation.search.noise_from_planes import (
+    has_converged,
+    noise_from_planes,
+)
+from plane_detector.segmentation.search.ransac import SequentialRansac
 
 # Noise taken too high hides planes; taken too low, the planes raise it.
-# tuned: evaluation.benchmark rooms at 0.01, living at 0.004, flat from 0.5 to 0.8.
+# tuned: evaluation.benchmark rooms at 0.01, living at 0.004; flat from 0.5 to 0.8.
 START_SHARE = 0.7
-# The largest planes tell noise that is smooth over more than neighbouring cells.
-CALIBRATION_PLANES = 3
-CALIBRATION_ROUNDS = 5
-# Components are the planes when this share of the depth lies on flat ones.
+# The largest planes show noise that is smooth over more than neighbouring cells.
+# tuned: evaluation.benchmark living; flat from 2 to 4, from 4 to 8.
+CALIBRATION_PLANES, CALIBRATION_ROUNDS = 3, 5
+# derived: most of the depth. Components are the planes when so much of it lies on planar ones.
 MIN_COMPONENT_SHARE = 0.5
-# Creases of 30 degrees stay visible, at a common focal length over the width of the image.
-TYPICAL_FOCAL_SHARE, MIN_CREASE_SLOPE = 0.8, 0.577
+# A common lens: focal length over the width of the image. Angles need it where none is known.
+TYPICAL_FOCAL_SHARE = 0.8
+# derived: the tangent of 30 degrees; neighbours on planes at this angle must not link.
+MIN_CREASE_SLOPE = 0.577
 
-Found = tuple[np.ndarray, np.ndarray]
-"""A plane, 1/z = a x + b y + c, (3,) float64, and its cells, (R * C,) bool."""
+
+@dataclass(frozen=True)
+class Search:
+    """What a search needs beside the noise: the grid, the least plane, settings, randomness."""
+
+    grid: CellGrid
+    min_pixels: float
+    config: Config
+    rng: np.random.Generator
 
 
-def find_patches(grid: CellGrid, least: Noise, min_pixels: float, config: Config,
-                 rng: np.random.Generator) -> tuple[CellModel, Patches, Noise]:
+def search_planes(search: Search, floor: Noise) -> tuple[WeightedCells, PlaneRegions, Noise]:
     """
     Find planes and noise.
 
     Parameters
     ----------
-    grid : CellGrid
-    least : Noise
-        Its floors and what is known bound the noise from below.
-    min_pixels : float
-        Smallest plane.
-    config : Config
-    rng : numpy.random.Generator
+    search : Search
+    floor : Noise
+        Its floors and what is known of the source bound the noise from below.
 
     Returns
     -------
-    model : CellModel
-    patches : Patches
+    cells : WeightedCells
+        Weighted by the noise that is returned.
+    regions : PlaneRegions
     noise : Noise
 
     """
-    most, threshold = config.segmentation.max_planes, config.ransac.inlier_threshold
-    noise = estimate_noise(grid, least)
-    noise = noise.with_smooth_part(START_SHARE * noise.mean, noise.slope)
-    model, plain = make_model(grid, noise), []
-    if _sees_creases(grid, noise, threshold):
-        plain = flat_components(model, min_pixels, threshold)
-    is_plain = _share(model, plain) >= MIN_COMPONENT_SHARE
+    noise = _start_noise(search.grid, floor)
+    cells = weigh_cells(search.grid, noise)
+    by_components = _components_are_planes(search, cells, noise)
+    most = search.config.segmentation.max_planes
     for _ in range(CALIBRATION_ROUNDS):
-        search = search_planes(model, plain if is_plain else [], min_pixels, config, rng)
-        found = list(islice(search, min(CALIBRATION_PLANES, most)))
-        calibrated = calibrate(model, collect(model, found), noise)
-        if is_settled(model, noise, calibrated):
-            found += islice(search, most - len(found))
-            return model, collect(model, found), noise
-        noise, model = calibrated, make_model(grid, calibrated)
-        plain = flat_components(model, min_pixels, threshold) if is_plain else []
-    search = search_planes(model, plain, min_pixels, config, rng)
-    return model, collect(model, list(islice(search, most))), noise
+        ransac = _begin(search, cells, by_components)
+        largest = ransac.find(min(CALIBRATION_PLANES, most))
+        shown = noise_from_planes(cells, largest, noise)
+        if has_converged(cells, noise, shown):
+            return cells, ransac.find(most), noise
+        noise, cells = shown, weigh_cells(search.grid, shown)
+    return cells, _begin(search, cells, by_components).find(most), noise
 
 
-def _sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
-    """Say whether neighbours on two planes at an angle of 30 degrees differ beyond the noise."""
-    tolerance = threshold * 2**0.5 * noise.slope * TYPICAL_FOCAL_SHARE
-    return noise.known == 0 and tolerance < MIN_CREASE_SLOPE * grid.typical_disparity
+def _start_noise(grid: CellGrid, floor: Noise) -> Noise:
+    """Return the noise of the first round."""
+    noise = estimate_noise(grid, floor)
+    return noise.with_smooth_part(START_SHARE * noise.mean, noise.slope)
 
 
-def _share(model: CellModel, found: list[Found]) -> float:
-    """Return the share of the picture's pixels with depth that lie on planes."""
-    count = model.grid.moments[:, cells.N]
-    return (count @ _taken(model, found)) / max(count.sum(), 1)
+def find_planes(search: Search, cells: WeightedCells, noise: Noise, most: int) -> PlaneRegions:
+    """Find at most so many planes with a noise that is known."""
+    return _begin(search, cells, _components_are_planes(search, cells, noise)).find(most)
 
 
-def _taken(model: CellModel, found: list[Found]) -> np.ndarray:
-    """Return the cells of any of the planes, (R * C,) bool."""
-    taken = np.zeros(len(model.planar), bool)
-    for _, members in found:
-        taken |= members
-    return taken
+def sees_creases(search: Search, noise: Noise) -> bool:
+    """Say whether the noise is less than what neighbours on two planes differ by."""
+    tolerance = search.config.ransac.inlier_threshold * 2**0.5 * noise.slope * TYPICAL_FOCAL_SHARE
+    return noise.known == 0 and tolerance < MIN_CREASE_SLOPE * search.grid.typical_disparity
 
 
-def search_planes(model: CellModel, plain: list[Found], min_pixels: float, config: Config,
-                  rng: np.random.Generator) -> Iterator[Found]:
-    """Yield the planes that are plain to see, then those that RANSAC finds in what is left."""
-    yield from plain
-    clustering = GridDbscan(config.dbscan.eps, config.dbscan.min_samples)
-    yield from peel_planes(model, min_pixels, config.ransac, clustering, rng,
-                           _taken(model, plain))
+def _components_are_planes(search: Search, cells: WeightedCells, noise: Noise) -> bool:
+    """Say whether creases can be seen and planar components cover most of the depth."""
+    if not sees_creases(search, noise):
+        return False
+    count, threshold = search.grid.moments[:, N], search.config.ransac.inlier_threshold
+    components = planar_components(cells, search.min_pixels, threshold)
+    covered = count[components.labels.ravel() >= 0].sum()
+    return covered >= MIN_COMPONENT_SHARE * max(count.sum(), 1)
+
+
+def _begin(search: Search, cells: WeightedCells, by_components: bool) -> SequentialRansac:
+    """Return a search that starts from the components, or from nothing."""
+    config, start = search.config, None
+    if by_components:
+        start = planar_components(cells, search.min_pixels, config.ransac.inlier_threshold)
+    return SequentialRansac(cells, search.min_pixels, config.ransac,
+                            neighbourhood(config.dbscan), search.rng, start)

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The best plane: hypotheses from windows of cells, all scored at once, the best one refined.
+Sequential RANSAC: hypotheses from windows of cells, all scored at once, the best one refined.
 
 RANSAC (Fischler and Bolles 1981) with the truncated quadratic score of MSAC (Torr and Zisserman
 2000) and local optimisation (Chum et al. 2003). The samples are windows of cells, not triples of
@@ -10,226 +10,200 @@ points: a window is on one plane far more often than three points are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-
-import cv2
 import numpy as np
 
 from plane_detector.config import RansacConfig
-from plane_detector.segmentation.cells import grid as cells
-from plane_detector.segmentation.cells.model import CellModel, Patches, chi_squared, monomials
-from plane_detector.segmentation.search.dbscan import Clustering
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
+from plane_detector.segmentation.compilation import kernel
+from plane_detector.segmentation.search.dbscan import Neighbourhood
+from plane_detector.segmentation.search.plane_growth import refine
 from plane_detector.stopping import raise_if_stopped
 
 # Rows and columns: small windows find small planes, long ones narrow planes, and large ones see
 # through the noise.
-WINDOWS_CELLS = ((3, 3), (2, 7), (7, 2), (9, 9))
+WINDOWS_CELLS = np.array([[3, 3], [2, 7], [7, 2], [9, 9]])
+# tuned: evaluation.benchmark living; flat from 0.5 to 0.8.
 WINDOW_MIN_FREE = 0.7
+# derived: a window across a crease exceeds the mean of chi-squared, 1, by far.
 WINDOW_MAX_VARIANCES = 2.5
 # One round finds, with the configured confidence, the planes with this share of the free cells.
+# tuned: evaluation.benchmark rooms, runtime; flat from 0.07 to 0.15.
 ROUND_PLANE_SHARE = 0.1
-REFINEMENTS = 4
-# A plane is settled when its cells change by no more than this share.
-SETTLED_SHARE = 0.03
 # A hypothesis that refines to nothing costs time; after this many in a row the round is over.
 MAX_FAILURES = 3
 
 
-
-
-
-
-
-
-
-
-
-
-def collect(model: CellModel, found: list[tuple[np.ndarray, np.ndarray]]) -> Patches:
-    """Turn what :func:`peel_planes` yields, planes and their cells, into patches."""
-    labels = np.full(model.planar.shape, -1, np.int32)
-    for k, (_, members) in enumerate(found):
-        labels[members] = k
-    planes = np.array([plane for plane, _ in found]).reshape(-1, 3)
-    return Patches(labels.reshape(model.grid.shape), planes)
-
-
-def peel_planes(model: CellModel, min_pixels: float, ransac: RansacConfig,
-                clustering: Clustering, rng: np.random.Generator,
-                taken: np.ndarray | bool = False) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+class SequentialRansac:
     """
-    Find planes among the cells, take them out, go on until none is left.
+    Finds planes among the cells, takes them out, goes on until none is left.
 
     Parameters
     ----------
-    model : CellModel
+    cells : WeightedCells
     min_pixels : float
         Smallest plane.
-    ransac : RansacConfig
-    clustering : Clustering
-        Tells which inliers of a plane belong together.
+    config : RansacConfig
+    near : Neighbourhood
+        Which inliers belong together.
     rng : numpy.random.Generator
         Draws the windows.
-    taken : (R * C,) bool, optional
-        Cells that belong to planes already; default: none.
-
-    Yields
-    ------
-    plane : (3,) float64
-        1/z = a x + b y + c.
-    members : (R * C,) bool
-        Its cells.
+    start : PlaneRegions, optional
+        Planes that are known already; default: none.
 
     """
-    free, drawn, found = model.planar & np.logical_not(taken), 0, True
-    shape = model.grid.shape
-    count = model.grid.moments[:, cells.N].reshape(shape)
-    while (found and drawn < ransac.max_iterations
-           and clustering.largest_piece(free.reshape(shape), count) >= min_pixels):
-        raise_if_stopped()
-        found = False
-        batch = _draw(model, free, min_pixels, ransac, rng)
-        drawn += len(batch.planes)
-        for plane, members in _peel_batch(model, batch, free, min_pixels, ransac, clustering):
-            found = True
-            free &= ~members
-            yield plane, members
+
+    def __init__(self, cells: WeightedCells, min_pixels: float, config: RansacConfig,
+                 near: Neighbourhood, rng: np.random.Generator,
+                 start: PlaneRegions | None = None) -> None:
+        self._cells, self._min_pixels, self._config = cells, min_pixels, config
+        self._near, self._rng = near, rng
+        self._labels = np.full(cells.is_planar.shape, -1, np.int32)
+        self._planes = np.zeros((0, 3))
+        if start is not None:
+            self._labels, self._planes = start.labels.ravel().copy(), start.coefficients
+        self._free = cells.is_planar & (self._labels < 0)
+        self._drawn, self._is_exhausted = 0, False
+        self._batch: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
+
+    def find(self, most: int) -> PlaneRegions:
+        """Return all planes found so far, at most so many; goes on from call to call."""
+        while len(self._planes) < most and not self._is_exhausted:
+            raise_if_stopped()
+            if self._batch is None:
+                self._batch = self._draw()
+            before = len(self._planes)
+            self._peel(most - before)
+            if len(self._planes) < most:  # else the batch may hold more
+                self._batch = None
+                self._is_exhausted |= (len(self._planes) == self._before_batch
+                                       or self._drawn >= self._config.max_iterations)
+        labels = np.where(self._labels < most, self._labels, -1).reshape(self._cells.grid.shape)
+        return PlaneRegions(labels, self._planes[:most])
+
+    def _draw(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return new hypotheses (H, 3), their seed cells (H,) and what each gains (H,)."""
+        cells, config = self._cells, self._config
+        self._before_batch = len(self._planes)
+        pixels = cells.grid.moments[self._free, 0].sum()
+        if pixels < self._min_pixels:
+            self._drawn = config.max_iterations
+            return np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.float32)
+        share = max(ROUND_PLANE_SHARE, self._min_pixels / max(pixels, 1))
+        wanted = np.log1p(-config.confidence) / np.log1p(-min(share, 0.99))
+        wanted = int(np.clip(np.ceil(wanted), 1, config.max_iterations))
+        chance = self._rng.random((len(WINDOWS_CELLS), wanted))
+        variance = (cells.variances.mean + cells.variances.grain) * cells.grid.moments[:, 0]
+        planes, seeds = _window_planes(self._free.reshape(cells.grid.shape), cells.grid.moments,
+                                       variance, WINDOWS_CELLS, chance)
+        self._drawn += max(len(planes), 1)
+        gain = np.zeros(len(planes), np.float32)
+        add_support(gain, planes, cells.table, cells.grid.moments,
+                    np.flatnonzero(self._free), config.inlier_threshold**-2)
+        return planes, seeds, gain
+
+    def _peel(self, most: int) -> None:
+        """Take the planes of the best hypotheses out."""
+        cells, config = self._cells, self._config
+        limits = np.array([self._min_pixels, config.inlier_threshold**2, most,
+                           len(self._planes)], float)
+        found = _peel(self._batch, limits, (cells.table, cells.grid.moments),
+                      self._free.reshape(cells.grid.shape), self._labels,
+                      (self._near.offsets, self._near.min_samples))
+        self._planes = np.vstack([self._planes, found])
 
 
-@dataclass
-class _Batch:
-    """Hypotheses (H, 3), their seed cells (H,), and what of their support is still free."""
-
-    planes: np.ndarray
-    seeds: np.ndarray
-    cells: np.ndarray
-    support: np.ndarray
-    gain: np.ndarray
-
-    def remove(self, taken: np.ndarray) -> None:
-        """Take the support of newly assigned cells (R * C,) bool out of every gain."""
-        rows = taken[self.cells]
-        if rows.mean() > 0.25:  # a product with all of it is faster than a copy of much of it
-            self.gain -= rows.astype(float) @ self.support
-        else:
-            self.gain -= self.support[rows].sum(axis=0)
-
-
-def _draw(model: CellModel, free: np.ndarray, min_pixels: float, ransac: RansacConfig,
-          rng: np.random.Generator) -> _Batch:
-    """Fit planes to random windows of free cells and score them on all free cells."""
-    members = np.flatnonzero(free)
-    count = model.grid.moments[members, 0]
-    share = max(ROUND_PLANE_SHARE, min_pixels / max(count.sum(), 1))
-    wanted = np.log1p(-ransac.confidence) / np.log1p(-min(share, 0.99))
-    wanted = int(np.clip(np.ceil(wanted), 1, ransac.max_iterations))
-    planes, seeds = _window_planes(model, free, wanted, rng)
-    # MSAC: a cell supports a plane with its pixels, times 1 - (residual / threshold)**2.
-    weighted = model.quadratic[members] * (-count / ransac.inlier_threshold**2)[:, None]
-    weighted[:, 9] += count
-    support = weighted @ monomials(planes)
-    np.maximum(support, 0, out=support)
-    return _Batch(planes, seeds, members, support, np.ones(len(support)) @ support)
-
-
-def _window_planes(model: CellModel, free: np.ndarray, wanted: int,
-                   rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Return planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
-    shape = model.grid.shape
-    variance = (model.variances.mean + model.variances.grain) * model.grid.moments[:, cells.N]
-    integral = cv2.integral(free.reshape(shape).astype(np.uint8))
-    planes, middles = [np.zeros((0, 3))], [np.zeros(0, np.int64)]
-    for height, width in WINDOWS_CELLS:
-        if height > shape[0] or width > shape[1]:
-            continue
-        count = (integral[height:, width:] - integral[:-height, width:]
-                 - integral[height:, :-width] + integral[:-height, :-width])
-        starts = np.flatnonzero(count >= WINDOW_MIN_FREE * height * width)
-        if len(starts) > wanted:
-            starts = rng.choice(starts, wanted, replace=False)
-        rows, columns = np.unravel_index(starts, count.shape)
-        window = ((rows[:, None, None] + np.arange(height)[:, None]) * shape[1]
-                  + columns[:, None, None] + np.arange(width)).reshape(len(starts), height * width)
-        fitted, flat = _fit_windows(model, variance, free, window)
-        planes.append(fitted[flat])
-        middles.append(window[flat, height * width // 2])
-    return np.concatenate(planes), np.concatenate(middles)
+@kernel('Tuple((float64[:, ::1], int64[::1]))'
+        '(boolean[:, ::1], float64[:, ::1], float64[::1], int64[:, ::1], float64[:, ::1])')
+def _window_planes(free, moments, variance, windows, chance):
+    """Return the planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
+    rows, columns = free.shape
+    integral = np.zeros((rows + 1, columns + 1), np.int64)
+    for i in range(rows):
+        for j in range(columns):
+            integral[i + 1, j + 1] = (integral[i, j + 1] + integral[i + 1, j] - integral[i, j]
+                                      + free[i, j])
+    planes, seeds = np.empty((chance.size, 3)), np.empty(chance.size, np.int64)
+    starts, count = np.empty(rows * columns, np.int64), 0
+    total = np.empty(10)
+    for k in range(len(windows)):
+        height, width, n = windows[k, 0], windows[k, 1], 0
+        for i in range(rows - height + 1):
+            for j in range(columns - width + 1):
+                if (integral[i + height, j + width] - integral[i, j + width]
+                        - integral[i + height, j] + integral[i, j]
+                        >= WINDOW_MIN_FREE * height * width):
+                    starts[n] = i * columns + j
+                    n += 1
+        for draw in range(min(n, chance.shape[1])):
+            start = starts[int(chance[k, draw] * n) if n > chance.shape[1] else draw]
+            total[:], expected = 0.0, 0.0
+            for i in range(height):
+                for j in range(width):
+                    cell = start + i * columns + j
+                    if free[cell // columns, cell % columns]:
+                        total += moments[cell]
+                        expected += variance[cell]
+            a, b, c = fit_plane(total)
+            if squared_error(a, b, c, total) < WINDOW_MAX_VARIANCES * expected:
+                planes[count, 0], planes[count, 1], planes[count, 2] = a, b, c
+                seeds[count] = start + height // 2 * columns + width // 2
+                count += 1
+    return planes[:count], seeds[:count]
 
 
-def _fit_windows(model: CellModel, variance: np.ndarray, free: np.ndarray,
-                 window: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit planes (n, 3) to the free cells of windows (n, m), and say which are flat (n,)."""
-    taken = free[window].astype(float)
-    moments = (taken[:, None, :] @ model.grid.moments[window])[:, 0]
-    planes = cells.fit_planes(moments)
-    with np.errstate(invalid='ignore'):
-        flat = (cells.squared_error(planes, moments)
-                < WINDOW_MAX_VARIANCES * (taken * variance[window]).sum(axis=1))
-    return planes, flat
+@kernel('void(float32[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], int64[::1], '
+        'float64)')
+def add_support(gain, planes, table, moments, cell, weight):
+    """
+    Add to gain (H,) the pixels of some cells, times 1 - (residual / threshold)**2 (MSAC).
+
+    ``weight`` is one over the squared threshold; below 0 the support is taken away.
+    """
+    a, b, c = (planes[:, 0].astype(np.float32), planes[:, 1].astype(np.float32),
+               planes[:, 2].astype(np.float32))
+    zero, one = np.float32(0), np.float32(1)
+    for i in cell:
+        x, y, d = np.float32(table[i, 0]), np.float32(table[i, 1]), np.float32(table[i, 2])
+        slope_x, slope_y = np.float32(table[i, 3]), np.float32(table[i, 4])
+        w, s = np.float32(table[i, 5] * abs(weight)), np.float32(table[i, 6] * abs(weight))
+        pixels = np.float32(moments[i, 0] if weight > 0 else -moments[i, 0])
+        for h in range(len(gain)):
+            residual = d - c[h] - a[h] * x - b[h] * y
+            tilt_x, tilt_y = slope_x - a[h], slope_y - b[h]
+            support = (one - w * residual * residual
+                       - s * (tilt_x * tilt_x + tilt_y * tilt_y))
+            gain[h] += pixels * max(support, zero)
 
 
-def _peel_batch(model: CellModel, batch: _Batch, free: np.ndarray, min_pixels: float,
-                ransac: RansacConfig, clustering: Clustering):
-    """Yield plane and cells of the best hypothesis, take them out, and so on."""
-    count, failures = model.grid.moments[:, 0], 0
-    while len(batch.gain) and failures < MAX_FAILURES:
-        best = int(np.argmax(batch.gain))
-        if batch.gain[best] < min_pixels / 2:
-            return
-        plane, members = refine(model, batch.planes[best], batch.seeds[best], free, ransac,
-                                clustering)
-        if count[members].sum() < min_pixels:
-            batch.gain[best] = 0
+@kernel('float64[:, ::1](Tuple((float64[:, ::1], int64[::1], float32[::1])), float64[::1], '
+        'UniTuple(float64[:, ::1], 2), boolean[:, ::1], int32[::1], '
+        'Tuple((int64[:, ::1], int64)))')
+def _peel(batch, limits, sums, free, labels, near):
+    """Label the planes of the best hypotheses, take them out of ``free``, return them (n, 3)."""
+    (planes, seeds, gain), (table, moments) = batch, sums
+    min_pixels, threshold2, most, first = limits
+    found, count, failures = np.empty((int(most), 3)), 0, 0
+    while count < most and failures < MAX_FAILURES and len(gain):
+        best = np.argmax(gain)
+        if gain[best] < min_pixels / 2:
+            break
+        plane, members = refine(planes[best], seeds[best], threshold2, table, moments,
+                                (free, near[0], near[1]))
+        pixels = 0.0
+        for i in members:
+            pixels += moments[i, 0]
+        if pixels < max(min_pixels, 1.0):
+            gain[best] = 0
             failures += 1
             continue
         failures = 0
-        batch.remove(members)
-        yield plane, members
-
-
-def refine(model: CellModel, plane: np.ndarray, seed: int, free: np.ndarray,
-           ransac: RansacConfig, clustering: Clustering) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Refit a plane to its inliers until they settle.
-
-    Only the cluster of inliers around the seed counts, so that a plane does not
-    gather streaks off the surfaces that it happens to cut.
-
-    Returns
-    -------
-    plane : (3,) float64
-    members : (R * C,) bool
-        All False when the plane holds nothing.
-
-    """
-    members = np.zeros(len(free), bool)
-    members[seed] = True
-    for _ in range(REFINEMENTS):
-        inliers = (chi_squared(model, plane) < ransac.inlier_threshold**2) & free
-        grown = _around(members, inliers.reshape(model.grid.shape), clustering)
-        count = np.count_nonzero(grown)
-        if not count:
-            return plane, grown
-        if np.count_nonzero(grown != members) <= SETTLED_SHARE * count:
-            break
-        refitted = cells.fit_plane(grown.astype(float) @ model.grid.moments)
-        if np.isnan(refitted[0]):
-            return plane, np.zeros_like(members)
-        plane, members = refitted, grown
-    return plane, members
-
-
-def _around(members: np.ndarray, inliers: np.ndarray, clustering: Clustering) -> np.ndarray:
-    """
-    Return the cluster of inliers (R, C) that holds most members, (R * C,) bool.
-
-    A seed may be an outlier of its own plane: then the largest cluster.
-    """
-    clusters = clustering(inliers).ravel()
-    for counted in (clusters[members], clusters):
-        touched = np.bincount(counted + 1, minlength=2)[1:]
-        most = int(touched.argmax())
-        if touched[most]:
-            return clusters == most
-    return np.zeros_like(members)
+        for i in members:
+            labels[i] = int(first) + count
+            free[i // free.shape[1], i % free.shape[1]] = False
+        add_support(gain, planes, table, moments, members, -1 / threshold2)
+        found[count] = plane
+        count += 1
+    if count < most:
+        gain[:] = 0
+    return found[:count]

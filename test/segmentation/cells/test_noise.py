@@ -4,15 +4,15 @@
 
 import numpy as np
 import pytest
+from cell_helpers import disparity_image
 
 from plane_detector import segment_planes
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
-from plane_detector.geometry.disparity import to_disparity, zero_filled
-from plane_detector.segmentation.cells.grid import make_cells
-from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_rounding
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_quantisation
 
 LEAST = Noise(0.0005)
 
@@ -23,7 +23,7 @@ def rounded(depth_m, step):
 
 
 def known(depth_m, least=LEAST):
-    return with_rounding(least, *zero_filled(to_disparity(depth_m))).known
+    return with_quantisation(least, disparity_image(depth_m)).known
 
 
 @pytest.mark.parametrize('step', [0.001, 0.003, 0.01])
@@ -71,14 +71,15 @@ def test_what_is_known_is_not_lowered():
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (300, 2)])
 def test_small_pictures_are_taken(shape):
     disparity = np.full(shape, 0.5, np.float32)
-    assert with_rounding(LEAST, disparity, np.ones(shape, bool)) == LEAST
-    assert with_rounding(LEAST, 0 * disparity, np.zeros(shape, bool)) == LEAST
+    assert with_quantisation(LEAST, DisparityImage(disparity, np.ones(shape, bool))) == LEAST
+    assert with_quantisation(
+        LEAST, DisparityImage(0 * disparity, np.zeros(shape, bool))) == LEAST
 
 
 def test_noise_is_estimated_between_columns_without_depth():
     depth_m = with_disparity_noise(single_wall(yaw_deg=0).depth_m, 0.01, np.random.default_rng(0))
-    whole = estimate_noise(make_cells(*zero_filled(to_disparity(depth_m))), LEAST)
+    whole = estimate_noise(build_cell_grid(disparity_image(depth_m)), LEAST)
     depth_m[:, (np.arange(640) // 24) % 3 == 0] = np.nan
-    holed = estimate_noise(make_cells(*zero_filled(to_disparity(depth_m))), LEAST)
+    holed = estimate_noise(build_cell_grid(disparity_image(depth_m)), LEAST)
     assert holed.mean == pytest.approx(whole.mean, rel=0.4)
     assert len(segment_planes(depth_m, VGA).planes) >= 1

@@ -8,7 +8,7 @@ from cell_helpers import noisy, view, wall
 
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import to_disparity
-from plane_detector.segmentation.cells.grid import make_cells
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
@@ -27,7 +27,7 @@ def regions():
 def test_the_grid_is_that_of_the_rescaled_disparity(regions, scale, shift):
     valid = regions.disparity > 0
     rescaled = np.where(valid, scale * regions.disparity.astype(float) + shift, 0)
-    expected = make_cells(rescaled.astype(np.float32), valid)
+    expected = build_cell_grid(DisparityImage(rescaled.astype(np.float32), valid))
     found = regions.rescaled(scale, shift).grid
     for name in ('moments', 'mean', 'slope', 'inner_rms'):
         values = getattr(expected, name)

@@ -2,8 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a network bows is joined to one wall, real folds and measured depth are not."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from cell_helpers import cell_model, fold, hand_made, view, wall
@@ -12,7 +10,7 @@ from plane_detector import segment_planes
 from plane_detector.config import Config
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.regions.bends import join_bowed
+from plane_detector.segmentation.regions.bowed_walls import merge_bowed_walls
 
 KNOWN = 0.008
 NETWORK = Noise(Config().ransac.noise_floor, known=KNOWN, mean=KNOWN, slope=8 * KNOWN,
@@ -26,7 +24,7 @@ def bowed(depth_m, height):
 
 
 def halves(depth_m, noise=NETWORK):
-    """Return model and patches of the left and the right half of a picture."""
+    """Return model and regions of the left and the right half of a picture."""
     model = cell_model(depth_m, noise)
     labels = np.zeros(model.grid.shape, int)
     labels[:, labels.shape[1] // 2:] = 1
@@ -34,28 +32,22 @@ def halves(depth_m, noise=NETWORK):
 
 
 def test_the_halves_of_a_bowed_wall_are_one():
-    model, patches = halves(bowed(view([wall(2)]).depth_m, 0.06))
-    joined = join_bowed(model, patches, NETWORK)
-    assert joined.planes.shape == (1, 3)
+    model, regions = halves(bowed(view([wall(2)]).depth_m, 0.06))
+    joined = merge_bowed_walls(model, regions)
+    assert joined.coefficients.shape == (1, 3)
     assert (joined.labels == 0).all()
-
-
-def test_measured_depth_stays_as_it_is():
-    noise = replace(NETWORK, known=0.0)
-    model, patches = halves(bowed(view([wall(2)]).depth_m, 0.06), noise)
-    assert join_bowed(model, patches, noise) is patches
 
 
 @pytest.mark.parametrize('angle_deg', [30, 45, 90])
 def test_planes_that_meet_in_a_fold_stay_two(angle_deg):
     scene = view(fold(angle_deg, width_m=5))
-    assert len(join_bowed(*halves(scene.depth_m), NETWORK).planes) == 2
+    assert len(merge_bowed_walls(*halves(scene.depth_m)).coefficients) == 2
 
 
 def test_a_sharp_bend_and_a_step_stay_two():
-    assert len(join_bowed(*halves(bowed(view([wall(2)]).depth_m, 0.5)), NETWORK).planes) == 2
+    assert len(merge_bowed_walls(*halves(bowed(view([wall(2)]).depth_m, 0.5))).coefficients) == 2
     step = view([wall(2), wall(1.8, 0, 50)])
-    assert len(join_bowed(*halves(step.depth_m), NETWORK).planes) == 2
+    assert len(merge_bowed_walls(*halves(step.depth_m)).coefficients) == 2
 
 
 @pytest.mark.parametrize('height', [0.06, 0.09])

@@ -1,21 +1,30 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps cut patches apart, noise, quantisation and holes do not."""
+"""Steps cut regions apart, noise, quantisation and holes do not."""
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, best_iou, cell_model, hand_made, one_patch, rectangle, view, wall
+from cell_helpers import (
+    EXACT,
+    best_iou,
+    cell_model,
+    disparity_image,
+    hand_made,
+    one_patch,
+    rectangle,
+    view,
+    wall,
+)
 
 from plane_detector import segment_planes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, single_wall
-from plane_detector.geometry.disparity import to_disparity, zero_filled
-from plane_detector.segmentation.cells.grid import make_cells
+from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
-from plane_detector.segmentation.regions.depth_steps import split_at_steps
+from plane_detector.segmentation.cells.noise_correlation import Correlation
+from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 
 SIGMA = 0.01
 STEP = 0.003
@@ -44,11 +53,13 @@ def bare(seed):
 
 
 def split(depth_m, noise=None):
-    """Return the pieces that the whole picture, taken as one patch, is cut into."""
-    disparity, valid = zero_filled(to_disparity(depth_m))
-    noise = noise or estimate_noise(make_cells(disparity, valid), EXACT)
+    """Return the pieces that the whole picture, taken as one region, is cut into."""
+    image = disparity_image(depth_m)
+    noise = noise or estimate_noise(build_cell_grid(image), EXACT)
     model = cell_model(depth_m, noise)
-    return split_at_steps(disparity, valid, model, one_patch(model), noise, 600)
+    regions = one_patch(model)
+    return split_at_depth_steps(image, model, regions, noise,
+                                Correlation.of(model, regions, noise), 600)
 
 
 @pytest.mark.parametrize(('frame', 'gap_m', 'least'), [
@@ -66,24 +77,24 @@ def test_a_piece_takes_its_cells_and_both_get_planes_of_their_own():
     scene = framed('wide', 0.12)
     depth_m = with_disparity_noise(scene.depth_m, SIGMA, np.random.default_rng(0))
     pieces = split(depth_m, NOISE)
-    assert len(pieces.planes) == 2
+    assert len(pieces.coefficients) == 2
     middle = scene.labels[4::8, 4::8] == scene.labels[240, 320]
     assert ((pieces.labels == 1) & middle).sum() > 0.9 * middle.sum()
     assert ((pieces.labels == 1) & ~middle).sum() < 0.15 * middle.sum()
-    np.testing.assert_allclose(1 / pieces.planes[:, 2], [WALL_M, WALL_M - 0.12], atol=0.02)
-    fitted = hand_made(cell_model(depth_m, NOISE), pieces.labels).planes
-    np.testing.assert_allclose(pieces.planes, fitted, rtol=1e-6)
+    np.testing.assert_allclose(1 / pieces.coefficients[:, 2], [WALL_M, WALL_M - 0.12], atol=0.02)
+    fitted = hand_made(cell_model(depth_m, NOISE), pieces.labels).coefficients
+    np.testing.assert_allclose(pieces.coefficients, fitted, rtol=1e-6)
 
 
 def test_pixels_without_depth_do_not_hide_a_step():
     depth_m = with_disparity_noise(framed('wide', 0.12).depth_m, SIGMA, np.random.default_rng(0))
     depth_m[np.random.default_rng(5).random(depth_m.shape) < 0.05] = np.nan
-    assert len(split(depth_m).planes) == 2
+    assert len(split(depth_m).coefficients) == 2
 
 
 def test_a_bare_wall_stays_one_plane():
     """Alone in all of 30; in the whole 27 of 30, where a bulge may survive the merging."""
-    assert [len(split(bare(seed)).planes) for seed in range(30)] == 30 * [1]
+    assert [len(split(bare(seed)).coefficients) for seed in range(30)] == 30 * [1]
     counts = [len(segment_planes(bare(seed), VGA).planes) for seed in range(30)]
     assert counts.count(1) >= 27
     assert max(counts) <= 2
@@ -95,7 +106,7 @@ def test_rounded_disparity_does_not_fall_into_its_stripes(yaw_deg):
     depth_m = single_wall(yaw_deg=yaw_deg).depth_m
     rounded = np.rint(1 / depth_m / STEP)
     assert len(np.unique(rounded)) > 10
-    assert len(split((1 / (rounded * STEP)).astype(np.float32)).planes) <= 2
+    assert len(split((1 / (rounded * STEP)).astype(np.float32)).coefficients) <= 2
     # A little noise before the rounding, as any sensor has, and the whole sees one plane.
     noisy_m = with_disparity_noise(depth_m, STEP / 3, np.random.default_rng(0))
     rounded_m = (1 / (np.rint(1 / noisy_m / STEP) * STEP)).astype(np.float32)
@@ -107,18 +118,12 @@ def test_rounded_disparity_does_not_fall_into_its_stripes(yaw_deg):
 def test_holes_make_no_steps(hole, seed):
     depth_m = bare(seed).copy()
     depth_m[HOLES[hole]] = np.nan
-    assert len(split(depth_m).planes) == 1
-
-
-def test_errors_of_a_network_have_steps_of_their_own():
-    depth_m = with_disparity_noise(framed('wide', 0.12).depth_m, SIGMA, np.random.default_rng(0))
-    assert len(split(depth_m, replace(NOISE, known=0.005)).planes) == 1
+    assert len(split(depth_m).coefficients) == 1
 
 
 def test_nothing_to_split_is_returned_as_it_is():
     depth_m = np.full((480, 640), np.nan, np.float32)
-    disparity, valid = zero_filled(to_disparity(depth_m))
     model = cell_model(depth_m)
     none = one_patch(model)
-    none = type(none)(np.full(model.grid.shape, -1, np.int32), none.planes[:0])
-    assert split_at_steps(disparity, valid, model, none, EXACT, 600) is none
+    none = type(none)(np.full(model.grid.shape, -1, np.int32), none.coefficients[:0])
+    assert split_at_depth_steps(disparity_image(depth_m), model, none, EXACT, None, 600) is none

@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cells go to the plane that explains them, and those that none explains to none."""
 
+import cv2
 import numpy as np
 import pytest
 from cell_helpers import EXACT, cell_model, view, wall
 
 from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.cells.model import Patches
-from plane_detector.segmentation.regions import icm as relabelling
-from plane_detector.segmentation.regions.icm import relabel
+from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.regions import icm
+from plane_detector.segmentation.regions.icm import compete_for_cells
 
 
 def halves():
@@ -26,15 +27,15 @@ def labels_of(model, left, right):
 
 
 def relabelled(model, labels, planes):
-    return relabel(model, Patches(labels, planes), 3.0, 600, DbscanConfig())
+    return compete_for_cells(model, PlaneRegions(labels, planes), 3.0, 600, DbscanConfig())
 
 
 @pytest.mark.parametrize(('left', 'right', 'kept'), [(0, -1, 0), (-1, 0, 1)])
 def test_what_no_plane_explains_has_none(left, right, kept):
     model, planes = halves()
     found = relabelled(model, labels_of(model, left, right), planes[[kept]])
-    assert len(found.planes) == 1
-    np.testing.assert_allclose(found.planes[0], planes[kept], atol=1e-6)
+    assert len(found.coefficients) == 1
+    np.testing.assert_allclose(found.coefficients[0], planes[kept], atol=1e-6)
     own = labels_of(model, 0, -1) if kept == 0 else labels_of(model, -1, 0)
     assert (found.labels == own).mean() > 0.97
     assert set(np.unique(found.labels)) == {-1, 0}
@@ -47,56 +48,58 @@ def test_cells_near_their_plane_change_over():
     labels[:, columns - 2:columns] = 1
     found = relabelled(model, labels, planes)
     assert (found.labels == labels_of(model, 0, 1)).mean() > 0.99
-    np.testing.assert_allclose(found.planes, planes, atol=1e-6)
+    np.testing.assert_allclose(found.coefficients, planes, atol=1e-6)
 
 
 def test_pieces_far_apart_become_planes_of_their_own():
     model, planes = halves()
     labels = labels_of(model, 0, -1)
     labels[20:40] = -1
-    mask = model.planar.reshape(labels.shape).copy()
+    mask = model.is_planar.reshape(labels.shape).copy()
     mask[20:40] = False
-    model = type(model)(model.grid, model.variances, mask.ravel(), model.quadratic)
+    model = type(model)(model.grid, model.variances, mask.ravel(), model.table)
     labels[22:38] = -1
     found = relabelled(model, labels, planes[:1])
-    assert len(found.planes) == 2
-    np.testing.assert_allclose(found.planes, planes[[0, 0]], atol=1e-6)
+    assert len(found.coefficients) == 2
+    np.testing.assert_allclose(found.coefficients, planes[[0, 0]], atol=1e-6)
 
 
 def test_no_planes_are_no_planes():
     model, _ = halves()
-    none = Patches(labels_of(model, -1, -1), np.zeros((0, 3)))
-    assert relabel(model, none, 3.0, 600, DbscanConfig()) is none
+    none = PlaneRegions(labels_of(model, -1, -1), np.zeros((0, 3)))
+    assert compete_for_cells(model, none, 3.0, 600, DbscanConfig()) is none
 
 
-def competed(cost, labels):
-    """Return the labels after sweeps over all cells, as the energy is defined."""
-    count = cost.shape[1] - 1
-    labels = np.where(labels < 0, count, labels)
-    for _ in range(relabelling.SWEEPS):
-        padded = np.pad(labels, 1, mode='edge')
-        around = np.stack([padded[i:i + labels.shape[0], j:j + labels.shape[1]]
-                           for i in range(3) for j in range(3)], axis=-1)
-        votes = (around[..., None] == np.arange(count + 1)).sum(axis=2).reshape(-1, count + 1)
-        updated = (cost - np.float32(relabelling.AGREEMENT) * votes.astype(np.float32)).argmin(1)
-        changed, labels = (updated != labels.ravel()).sum(), updated.reshape(labels.shape)
-        if changed <= relabelling.SETTLED_SHARE * labels.size:
-            break
-    return np.where(labels == count, -1, labels)
+def energy(model, labels, planes):
+    """Return what each plane, and last none, costs each cell."""
+    table = model.table
+    count = len(planes)
+    cost = np.array([[icm.TRUNCATION * 9] * count + [icm.OUTLIER_COST * 9]] * labels.size)
+    for k, (a, b, c) in enumerate(planes):
+        residual = table[:, 2] - (a * table[:, 0] + b * table[:, 1] + c)
+        tilt = (table[:, 3] - a) ** 2 + (table[:, 4] - b) ** 2
+        cost[:, k] = np.minimum(residual**2 * table[:, 5] + tilt * table[:, 6], cost[:, k])
+    cost[~model.is_planar] = 0
+    return cost
 
 
-@pytest.mark.parametrize('seed', range(8))
-def test_only_cells_that_may_change_compete(seed):
-    """Leaving out the others changes nothing, whatever labels the sweeps start from."""
-    rng = np.random.default_rng(seed)
+def test_a_sweep_gives_each_cell_the_label_of_least_energy():
+    rng = np.random.default_rng(0)
     model = cell_model(view([wall(2.0)]).depth_m)
     # The second strays from the wall by 2 to 6 deviations, whose squares votes may outweigh.
     deviation = np.sqrt(EXACT.floor(0.5))
     planes = np.array([[0, 0, 0.5], [4 * deviation, 0, 0.5 + 4 * deviation]])
     labels = rng.integers(-1, 2, (12, 16)).astype(np.int32).repeat(5, axis=0).repeat(5, axis=1)
-    labels = labels[:model.grid.shape[0], :model.grid.shape[1]]
-    labels[rng.random(labels.shape) < 0.02 * seed] = seed % 3 - 1
-    patches = Patches(labels, planes)
-    expected = competed(relabelling._costs(model, patches, 3.0), labels)
-    assert (expected != labels).any()
-    np.testing.assert_array_equal(relabelling._compete(model, patches, 3.0), expected)
+    updated, changed = icm._sweep(labels, planes, model.table, model.is_planar, 9.0)
+    padded = np.pad(labels, 1, mode='edge')
+    around = np.stack([padded[i:i + 60, j:j + 80] for i in range(3) for j in range(3)], axis=-1)
+    votes = (around[..., None] == [0, 1, -1]).sum(axis=2).reshape(-1, 3)
+    best = (energy(model, labels, planes) - icm.POTTS_WEIGHT * votes).argmin(axis=1)
+    expected = np.array([0, 1, -1])[best].reshape(labels.shape)
+    far = cv2.dilate((labels >= 0).view(np.uint8), np.ones((5, 5), np.uint8)) == 0
+    assert (updated != labels).any()
+    np.testing.assert_array_equal(changed, (updated != labels).sum())
+    same_reach = np.array([[(labels[max(r - 2, 0):r + 3, max(c - 2, 0):c + 3] == k).any()
+                            for k in (0, 1)] for r in range(60) for c in range(80)]).all(axis=1)
+    np.testing.assert_array_equal(updated.ravel()[same_reach], expected.ravel()[same_reach])
+    assert (updated[far] == -1).all()

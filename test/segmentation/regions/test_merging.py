@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hand-made patches: which become one, and that merging them is exact."""
+"""Hand-made regions: which become one, and that merging them is exact."""
 
 from dataclasses import replace
 
@@ -9,14 +9,15 @@ import pytest
 from cell_helpers import EXACT, cell_model, hand_made, view, wall
 
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.segmentation.cells.grid import fit_planes
-from plane_detector.segmentation.regions.merging import (
+from plane_detector.segmentation.cells.noise_correlation import Correlation
+from plane_detector.segmentation.regions.adjacency import (
+    BORDER_REACH_CELLS,
     MAX_JOINT_VARIANCES,
-    find_borders,
+    find_adjacency,
     joint_misfit,
-    merge_patches,
-    merged,
+    merge,
 )
+from plane_detector.segmentation.regions.merging import merge_adjacent
 
 SIGMAS = (0.0, 0.004, 0.01)
 WEIGHED = replace(EXACT, mean=0.005, slope=0.2, grain=0.005)
@@ -40,6 +41,11 @@ def noisy_model(scene, sigma):
     return cell_model(depth_m, noise_of(sigma))
 
 
+def correlation_of(model, regions, sigma):
+    """Return the correlation of the noise, None where there is none."""
+    return Correlation.of(model, regions, noise_of(sigma)) if sigma else None
+
+
 def two_walls(step_m):
     return view([wall(2, right_m=0), wall(2 + step_m, 0)])
 
@@ -48,11 +54,11 @@ def two_walls(step_m):
 @pytest.mark.parametrize('count', [2, 5, 8])
 def test_stripes_of_one_wall_become_one(sigma, count):
     model = noisy_model(view([wall(2.5)], angles_deg=(30, 0, 0)), sigma)
-    patches = hand_made(model, stripes(model.grid.shape, count))
-    result = merge_patches(model, patches, noise_of(sigma))
+    regions = hand_made(model, stripes(model.grid.shape, count))
+    result = merge_adjacent(model, regions, correlation_of(model, regions, sigma))
     assert (result.labels == 0).all()
-    whole = fit_planes(model.planar.astype(float) @ model.grid.moments)
-    np.testing.assert_allclose(result.planes, whole[None], rtol=1e-9)
+    whole = hand_made(model, np.zeros(model.grid.shape, int)).coefficients
+    np.testing.assert_allclose(result.coefficients, whole, rtol=1e-9)
 
 
 @pytest.mark.parametrize(('step_m', 'sigma'), [(0.01, 0.0), (0.1, 0.004), (0.3, 0.01)])
@@ -62,8 +68,9 @@ def test_stripes_of_two_walls_become_two(step_m, sigma, turned):
     labels = stripes(model.grid.shape, 8)
     # The numbers say nothing: neighbours need not be neighbours in number.
     labels = np.array([5, 2, 7, 0, 3, 6, 1, 4])[labels] if turned else labels
-    result = merge_patches(model, hand_made(model, labels), noise_of(sigma))
-    assert len(result.planes) == 2
+    result = merge_adjacent(model, regions := hand_made(model, labels),
+                            correlation_of(model, regions, sigma))
+    assert len(result.coefficients) == 2
     left, right = result.labels[:, :40], result.labels[:, 40:]
     assert (left == left[0, 0]).all()
     assert (right == 1 - left[0, 0]).all()
@@ -84,19 +91,20 @@ def bulging_wall(height, width_px, is_box):
 def test_a_low_small_bulge_without_a_step_is_part_of_the_wall(height, width_px, radius_px, is_box,
                                                               count):
     model, off_px = bulging_wall(height, width_px, is_box)
-    patches = hand_made(model, (off_px < radius_px).astype(int))
-    assert joint_misfit(model, patches, np.array([0]), np.array([1])) > 1
-    assert len(merge_patches(model, patches, EXACT).planes) == count
+    regions = hand_made(model, (off_px < radius_px).astype(int))
+    assert joint_misfit(model, regions, np.array([0]), np.array([1]))[0] > 1
+    assert len(merge_adjacent(model, regions, None).coefficients) == count
 
 
 @pytest.mark.parametrize(('bend', 'count'), [(0.01, 1), (0.04, 3), (0.15, 5), (0.4, 8)])
 def test_of_what_bends_only_neighbours_merge_and_fit_what_they_hold(bend, count):
     disparity = np.tile(0.4 + bend * np.linspace(-0.5, 0.5, 640) ** 2, (480, 1))
     model = cell_model((1 / disparity).astype(np.float32), replace(WEIGHED, mean=0.001))
-    result = merge_patches(model, hand_made(model, stripes(model.grid.shape, 8)), EXACT)
-    assert len(result.planes) == count
+    result = merge_adjacent(model, hand_made(model, stripes(model.grid.shape, 8)), None)
+    assert len(result.coefficients) == count
     assert np.count_nonzero(np.diff(result.labels[0])) == count - 1
-    np.testing.assert_allclose(result.planes, hand_made(model, result.labels).planes, atol=1e-9)
+    refitted = hand_made(model, result.labels).coefficients
+    np.testing.assert_allclose(result.coefficients, refitted, atol=1e-9)
 
 
 @pytest.mark.parametrize(('gap', 'count'), [(0, 1), (1, 1), (2, 2), (9, 2)])
@@ -104,7 +112,7 @@ def test_patches_that_do_not_touch_stay_apart(gap, count):
     model = cell_model(view([wall(2.5)]).depth_m)
     labels = np.full(model.grid.shape, -1)
     labels[:, :30], labels[:, 30 + gap:] = 0, 1
-    assert len(merge_patches(model, hand_made(model, labels), EXACT).planes) == count
+    assert len(merge_adjacent(model, hand_made(model, labels), None).coefficients) == count
 
 
 @pytest.mark.parametrize('length', [1, 2])
@@ -113,47 +121,52 @@ def test_a_border_needs_more_than_one_pair_of_cells(length):
     labels = np.full(model.grid.shape, -1)
     labels[10:20, 10:20], labels[20 - length:30, 22:32] = 0, 1
     labels[20 - length:20, 20] = 0
-    assert find_borders(labels).count.tolist() == [length]
-    assert len(merge_patches(model, hand_made(model, labels), EXACT).planes) == 3 - length
+    found = find_adjacency(model, labels.astype(np.int32))
+    assert found.count.tolist() == [length] * (length > 1)
+    assert len(merge_adjacent(model, hand_made(model, labels), None).coefficients) == 3 - length
 
 
 def test_several_disjoint_pairs_at_once():
     model = noisy_model(view([wall(2.5)]), 0.004)
-    patches = hand_made(model, labels := stripes(model.grid.shape, 8))
-    result = merged(model, patches, np.array([0, 4, 2]), np.array([1, 7, 3]))
+    regions = hand_made(model, labels := stripes(model.grid.shape, 8))
+    result = merge(model, regions, np.array([0, 4, 2]), np.array([1, 7, 3]))
     expected = np.array([0, 0, 1, 1, 2, 3, 4, 2])[labels]
     np.testing.assert_array_equal(result.labels, expected)
-    refitted = hand_made(model, expected).planes
-    np.testing.assert_allclose(result.planes[:3], refitted[:3], rtol=1e-9)
-    np.testing.assert_array_equal(result.planes[3:], patches.planes[5:7])
+    refitted = hand_made(model, expected).coefficients
+    np.testing.assert_allclose(result.coefficients[:3], refitted[:3], rtol=1e-9)
+    np.testing.assert_array_equal(result.coefficients[3:], regions.coefficients[5:7])
 
 
 def test_joint_misfit_by_hand():
     """The worse side's mean square about the joint plane, in variances, over the most."""
     model = noisy_model(two_walls(0.05), 0.004)
-    patches = hand_made(model, stripes(model.grid.shape, 2))
-    x, y, d = model.grid.mean[model.planar].T
+    regions = hand_made(model, stripes(model.grid.shape, 2))
+    x, y, d = model.grid.mean[model.is_planar].T
     design = np.stack([x, y, np.ones_like(x)], axis=1)
     error = d - design @ np.linalg.lstsq(design, d, rcond=None)[0]
-    label, variance = patches.labels.ravel()[model.planar], model.variances.mean[model.planar]
+    label = regions.labels.ravel()[model.is_planar]
+    variance = model.variances.mean[model.is_planar]
     worse = max(np.mean(error[label == k]**2) / variance[label == k].mean() for k in (0, 1))
-    misfit = joint_misfit(model, patches, np.array([0]), np.array([1]))
+    misfit, _ = joint_misfit(model, regions, np.array([0]), np.array([1]))
     assert misfit == pytest.approx([worse / MAX_JOINT_VARIANCES], rel=1e-3)
 
 
-@pytest.mark.parametrize('reach', [1, 2, 3])
-def test_borders_equal_a_loop_over_pairs_of_cells(reach):
-    labels = np.random.default_rng(reach).integers(-1, 5, (9, 11))
+def test_adjacency_equals_a_loop_over_pairs_of_cells():
+    model = cell_model(view([wall(2.5)]).depth_m)
+    labels = np.random.default_rng(0).integers(-1, 5, model.grid.shape).astype(np.int32)
+    mean = model.grid.mean.reshape(*labels.shape, 3)
     pairs = {}
-    for row, column in np.ndindex(9, 11):
-        for gap in range(1, reach + 1):
+    for row, column in np.ndindex(labels.shape):
+        for gap in range(1, BORDER_REACH_CELLS + 1):
             for other in ((row + gap, column), (row, column + gap)):
-                if other[0] < 9 and other[1] < 11:
-                    i, j = sorted((labels[row, column], labels[other]))
-                    if 0 <= i < j:
-                        pairs[i, j] = pairs.get((i, j), 0) + 1
-    borders = find_borders(labels, reach)
-    found = zip(borders.first.tolist(), borders.second.tolist(), strict=True)
-    assert dict(zip(found, borders.count.tolist(), strict=True)) == pairs
-    for side, cell in ((borders.first, borders.cell_first), (borders.second, borders.cell_second)):
-        np.testing.assert_array_equal(labels.ravel()[cell], side[borders.pair])
+                if other[0] < labels.shape[0] and other[1] < labels.shape[1]:
+                    ends = sorted([(row, column), other], key=lambda at: labels[at])
+                    if 0 <= labels[ends[0]] < labels[ends[1]]:
+                        key = labels[ends[0]], labels[ends[1]]
+                        pairs.setdefault(key, []).append([mean[end] for end in ends])
+    found = find_adjacency(model, labels)
+    assert sorted(pairs) == list(zip(found.first, found.second, strict=True))
+    for k, key in enumerate(sorted(pairs)):
+        assert found.count[k] == len(pairs[key])
+        np.testing.assert_allclose([found.mean_first[k], found.mean_second[k]],
+                                   np.mean(pairs[key], axis=0), atol=1e-9)

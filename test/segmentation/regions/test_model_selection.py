@@ -1,8 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Steps and creases within the noise keep patches apart, the noise's own borders do not."""
-
-from dataclasses import replace
+"""Steps and creases within the noise keep regions apart, the noise's own borders do not."""
 
 import cv2
 import numpy as np
@@ -22,7 +20,7 @@ from cell_helpers import (
 
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions import model_selection as seams
-from plane_detector.segmentation.regions.model_selection import are_two
+from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 
 SEEDS = range(12)
 WALL_M = 2.5
@@ -30,17 +28,17 @@ LEFT, MIDDLE = np.zeros((60, 80), int), np.zeros((60, 80), int)
 LEFT[:, 40:], MIDDLE[20:40, 30:50] = 1, 1
 
 
-def two(depth_m, labels, known=0.0):
-    """Say whether the two patches of these labels are kept apart."""
+def two(depth_m, labels):
+    """Say whether the two regions of these labels are kept apart."""
     model, noise = cells_and_noise(depth_m)
-    patches = hand_made(model, labels)
-    correlation = Correlation.of(model, patches, replace(noise, known=known))
-    return bool(are_two(model, patches.labels, correlation, np.array([0]), np.array([1]))[0])
+    regions = hand_made(model, labels)
+    correlation = Correlation.of(model, regions, noise)
+    return prefer_two_planes(model, regions.labels, correlation, 0, 1)
 
 
 @pytest.mark.parametrize(('gap_m', 'least'), [(0.06, 9), (0.08, 12), (0.12, 12)])
 def test_a_step_of_about_the_noise_is_seen(gap_m, least):
-    """1.4 to 3 deviations of the smooth part; the border of the patch is the frame's."""
+    """1.4 to 3 deviations of the smooth part; the border of the region is the frame's."""
     frame = rectangle([-0.35, WALL_M - gap_m, -0.25], [0.8, 0, 0], [0, 0, 0.6])
     scene = view([wall(WALL_M), frame])
     labels = (scene.labels[4::8, 4::8] == scene.labels[240, 320]).astype(int)
@@ -61,7 +59,7 @@ def test_a_border_drawn_on_a_wall_is_none(labels):
 def own_border(depth_m):
     """Return as label 1 the largest piece of a wall that its noise lifts off it."""
     model, _ = cells_and_noise(depth_m)
-    (a, b, c), (x, y, d) = one_patch(model).planes[0], model.grid.mean.T
+    (a, b, c), (x, y, d) = one_patch(model).coefficients[0], model.grid.mean.T
     lifted = (d - (a * x + b * y + c)).reshape(model.grid.shape)
     lifted = cv2.medianBlur(lifted.astype(np.float32), 5) > 0.5 * lifted.std()
     _, pieces, statistics, _ = cv2.connectedComponentsWithStats(lifted.view(np.uint8))
@@ -74,16 +72,14 @@ def test_borders_that_the_noise_draws_are_hardly_ever_any(monkeypatch):
         lambda seed: noisy(bare_wall(), seed), lambda seed: rough_wall(0.85, seed)))
     assert sum(two(depth_m, own_border(depth_m)) for depth_m in blurred) <= 3
     assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) <= 3
-    monkeypatch.setattr(seams, 'MIN_GAIN_TIMES_POWER', 0.85 / 2 * seams.MIN_GAIN_TIMES_POWER)
+    monkeypatch.setattr(seams, 'MIN_LOG_LIKELIHOOD_GAIN', 0.85 / 2 * seams.MIN_LOG_LIKELIHOOD_GAIN)
     assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) > 3
 
 
-def test_nothing_is_known_of_exact_depth_of_a_network_or_of_small_patches():
+def test_small_regions_say_nothing():
     scene = view([wall(2, right_m=0), wall(2.3, 0)])
     depth_m = noisy(scene, 0)
     assert two(depth_m, LEFT)
-    assert not two(depth_m, LEFT, known=0.005)
-    assert not two(scene.depth_m, LEFT)
     small = np.full(LEFT.shape, -1)
     small[20:27, 33:40], small[20:27, 40:47] = 0, 1
     assert not two(depth_m, small)
@@ -101,13 +97,16 @@ def test_the_gain_is_that_of_the_likelihood():
     model, noise = cells_and_noise(noisy(view([wall(WALL_M), wall(WALL_M - 0.08, 0, 0.7)]), 3))
     labels = np.zeros((60, 80), int)
     labels[:, 40:52] = 1
-    patches = hand_made(model, labels)
-    correlation = Correlation.of(model, patches, noise)
-    cell, small, cut = seams._cells_about(model, patches.labels, 0, 1)
+    regions = hand_made(model, labels)
+    correlation = Correlation.of(model, regions, noise)
+    cell, small, is_cut = seams._cells_about(regions.labels, model.is_planar, np.array([0, 1]))
     x, y, d = model.grid.mean[cell].T
     one = np.stack([np.ones_like(x), x, y], axis=1)
     both = np.hstack([one, one * small[:, None]])
-    covariance = correlation.matrix(model, cell)
+    row, column = np.divmod(cell, 80)
+    covariance = correlation.covariance(row[:, None] - row, column[:, None] - column)
+    variance = model.variances.mean[cell]
+    covariance[np.diag_indices(len(cell))] += variance - variance.min()
 
     def fit(design, covariance):
         root = np.linalg.cholesky(covariance)
@@ -119,17 +118,18 @@ def test_the_gain_is_that_of_the_likelihood():
     alone, _ = fit(one, covariance)
     _, coefficients = fit(both, covariance)
     wider = covariance.copy()
+    cut = np.flatnonzero(is_cut)
     wider[cut, cut] += seams.CUT_VARIANCE * (one[cut] @ coefficients[3:]) ** 2
     expected = alone - fit(both, wider)[0]
     assert expected > 10
-    for pair in ((0, 1), (1, 0)):
-        found = seams._gain(model, patches.labels, correlation, *pair)
-        assert found == pytest.approx(expected, rel=1e-6)
+    found = seams._gain(model.table, cell, small, is_cut, correlation.table(model.grid.shape))
+    assert found == pytest.approx(expected, rel=1e-6)
 
 
 def test_only_the_cells_nearest_to_a_long_border_are_used():
     model, _ = cells_and_noise(noisy(bare_wall(), 0))
-    cell, small, cut = seams._cells_about(model, LEFT, 0, 1)
+    cell, small, cut = seams._cells_about(LEFT.astype(np.int32), model.is_planar,
+                                          np.array([0, 1]))
     column = cell % 80
     assert len(cell) <= seams.MAX_CELLS
     assert (np.abs(column - 39.5) <= seams.REACH_CELLS).all()

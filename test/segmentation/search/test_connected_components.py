@@ -4,15 +4,17 @@
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, rectangle, view, wall
+from cell_helpers import EXACT, cell_model, disparity_image, rectangle, view, wall
 
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, bumps, staircase
 from plane_detector.evaluation.scenes.surfaces import cone
-from plane_detector.geometry.disparity import to_disparity, zero_filled
-from plane_detector.segmentation.cells.grid import N, make_cells
+from plane_detector.segmentation.cells.grid import N, build_cell_grid
 from plane_detector.segmentation.cells.noise import estimate_noise
-from plane_detector.segmentation.search.connected_components import MAX_VARIANCES, flat_components
+from plane_detector.segmentation.search.connected_components import (
+    MAX_VARIANCES,
+    planar_components,
+)
 from plane_detector.types import CameraIntrinsics
 
 MIN_PIXELS, THRESHOLD = 1000, 3.0
@@ -25,14 +27,16 @@ def tiles(angle_deg):
 
 
 def components(depth_m, noise=EXACT):
+    """Return model and components, each a plane and its cells (R * C,) bool."""
     model = cell_model(depth_m, noise)
-    return model, flat_components(model, MIN_PIXELS, THRESHOLD)
+    found = planar_components(model, MIN_PIXELS, THRESHOLD)
+    return model, [(plane, found.labels.ravel() == k)
+                   for k, plane in enumerate(found.coefficients)]
 
 
 def estimated(depth_m):
     """Return model and components as they are with the noise that the picture shows."""
-    grid = make_cells(*zero_filled(to_disparity(depth_m)))
-    return components(depth_m, estimate_noise(grid, EXACT))
+    return components(depth_m, estimate_noise(build_cell_grid(disparity_image(depth_m)), EXACT))
 
 
 def true_plane(model, scene, label):
@@ -51,7 +55,7 @@ def test_tiles_that_meet_in_a_crease_are_two(angle_deg):
     for plane, members in found:
         label = scene.labels[240, 100 if members.reshape(model.grid.shape)[30, 12] else 540]
         np.testing.assert_allclose(plane, true_plane(model, scene, label), atol=2e-4)
-        assert members.sum() >= 0.97 * model.planar.sum() / 2
+        assert members.sum() >= 0.97 * model.is_planar.sum() / 2
 
 
 @pytest.mark.parametrize(('angle_deg', 'count'), [(0.2, 1), (0.7, 0)])
@@ -77,12 +81,12 @@ def test_components_are_flat_apart_large_and_in_order(room, sigma, seed):
     depth_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
     model, found = estimated(depth_m)
     assert len(found) >= (5 if sigma <= 0.002 else 0)
-    taken = np.zeros(len(model.planar), int)
+    taken = np.zeros(len(model.is_planar), int)
     for plane, members in found:
         x, y, d = model.grid.mean[members].T
         error = d - plane @ np.array([x, y, np.ones_like(x)])
         assert np.mean(error**2) < MAX_VARIANCES * model.variances.mean[members].mean()
-        assert model.planar[members].all()
+        assert model.is_planar[members].all()
         taken += members
     assert taken.max() <= 1
     pixels = [model.grid.moments[members, N].sum() for _, members in found]

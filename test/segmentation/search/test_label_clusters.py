@@ -1,14 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Labels clustered all at once, and linked cells, against scikit-learn and a flood fill."""
+"""Labels clustered all at once, against scikit-learn."""
 
 import numpy as np
 import pytest
 from sklearn.cluster import DBSCAN
 
-from plane_detector.segmentation.search.dbscan import label_clusters, linked_components
+from plane_detector.config import DbscanConfig
+from plane_detector.segmentation.search import dbscan
 
 SHAPE = (23, 31)
+
+
+def label_clusters(labels, eps, min_samples):
+    """Return the clusters alone, without their number."""
+    clusters, count = dbscan.label_clusters(
+        labels, dbscan.neighbourhood(DbscanConfig(eps, min_samples)))
+    assert count == clusters.max() + 1
+    return clusters
 
 
 def random_labels(rng, kinds=4, share=0.75):
@@ -63,44 +72,6 @@ def test_corners_link_when_the_radius_reaches_them(eps, pieces):
 @pytest.mark.parametrize('eps', [1.0, 1.5, 2.5])
 def test_no_label_is_no_cluster(eps):
     assert (label_clusters(np.full((4, 5), -1, np.int32), eps, 3) == -1).all()
-
-
-def flooded(mask, right, down):
-    """Return the components by a flood fill, one cell after the other."""
-    components, count = np.full(mask.shape, -1), 0
-    for start in np.argwhere(mask):
-        waiting = [tuple(start)] if components[tuple(start)] < 0 else []
-        count += bool(waiting)
-        while waiting:
-            row, column = waiting.pop()
-            if components[row, column] >= 0:
-                continue
-            components[row, column] = count - 1
-            links = [(column < right.shape[1] and right[row, column], (row, column + 1)),
-                     (column > 0 and right[row, column - 1], (row, column - 1)),
-                     (row < down.shape[0] and down[row, column], (row + 1, column)),
-                     (row > 0 and down[row - 1, column], (row - 1, column))]
-            waiting += [cell for linked, cell in links if linked]
-    return components
-
-
-@pytest.mark.parametrize('shape', [(1, 1), (1, 9), (9, 1), (2, 2), (17, 26)])
-@pytest.mark.parametrize('share', [0.3, 0.6, 1.0])
-def test_linked_components_equal_a_flood_fill(shape, share):
-    rng = np.random.default_rng(int(10 * share))
-    mask = rng.random(shape) < 0.8
-    right = (rng.random((shape[0], shape[1] - 1)) < share) & mask[:, 1:] & mask[:, :-1]
-    down = (rng.random((shape[0] - 1, shape[1])) < share) & mask[1:] & mask[:-1]
-    components = linked_components(mask, right, down)
-    np.testing.assert_array_equal(components < 0, ~mask)
-    np.testing.assert_array_equal(np.unique(components[mask]), np.arange(components.max() + 1))
-    np.testing.assert_array_equal(numbered(components), numbered(flooded(mask, right, down)))
-
-
-def test_neighbours_without_a_link_are_apart():
-    mask = np.ones((3, 4), bool)
-    components = linked_components(mask, np.ones((3, 3), bool), np.zeros((2, 4), bool))
-    assert (components == np.arange(3)[:, None]).all()
 
 
 def test_input_is_not_modified():

@@ -13,13 +13,14 @@ from plane_detector.config import Config
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.surfaces import cone
-from plane_detector.segmentation.cells.labels import without
-from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.regions.bends import find_bent
+from plane_detector.segmentation.cells.labels import remove_regions
+from plane_detector.segmentation.cells.noise import DepthKind, Noise
+from plane_detector.segmentation.regions.curved import find_curved
 
 ROOM = [wall(4), FLOOR]
 SIGMA = 0.004
 NOISE = Noise(Config().ransac.noise_floor, mean=SIGMA, slope=0.05, grain=SIGMA)
+MEASURED = DepthKind.MEASURED
 
 
 def column(radius):
@@ -32,7 +33,7 @@ def noisy(scene, sigma, seed=0):
 
 
 def strips(scene, count=2, noise=NOISE, sigma=SIGMA / 4, width=32):
-    """Return model and upright patches that touch, together so many cells wide."""
+    """Return model and upright regions that touch, together so many cells wide."""
     model = cell_model(noisy(scene, sigma), noise)
     labels = np.full(model.grid.shape, -1)
     labels[10:50, 40 - width // 2:40 + width // 2] = np.arange(width) * count // width
@@ -40,70 +41,64 @@ def strips(scene, count=2, noise=NOISE, sigma=SIGMA / 4, width=32):
 
 
 def facets(count=3):
-    """Return model and patches of the front of a column."""
+    """Return model and regions of the front of a column."""
     return strips(view([], column(0.7).curved_pieces()), count)
 
 
 @pytest.mark.parametrize('count', [2, 3, 4])
 def test_facets_of_a_column_are_bent(count):
-    assert find_bent(*facets(count), NOISE).tolist() == list(range(count))
-
-
-def test_with_a_network_nothing_is_bent():
-    """The errors of a network bend walls."""
-    model, patches = facets()
-    assert find_bent(model, patches, replace(NOISE, known=SIGMA)).size == 0
+    assert find_curved(*facets(count), MEASURED).tolist() == list(range(count))
 
 
 def test_one_patch_and_none_are_not_bent():
-    model, patches = facets(1)
-    assert find_bent(model, patches, NOISE).size == 0
-    assert find_bent(model, replace(patches, labels=np.full_like(patches.labels, -1),
-                                    planes=np.zeros((0, 3))), NOISE).size == 0
+    model, regions = facets(1)
+    assert find_curved(model, regions, MEASURED).size == 0
+    assert find_curved(model, replace(regions, labels=np.full_like(regions.labels, -1),
+                                    coefficients=np.zeros((0, 3))), MEASURED).size == 0
 
 
 def test_patches_of_cells_in_a_line_spoil_nothing():
-    model, patches = facets()
-    labels = patches.labels.copy()
+    model, regions = facets()
+    labels = regions.labels.copy()
     labels[2, 38:43] = 3
-    planes = np.vstack([patches.planes, patches.planes[:1]])
-    assert {0, 1, 2} <= set(find_bent(model, replace(patches, labels=labels, planes=planes),
-                                      NOISE))
+    planes = np.vstack([regions.coefficients, regions.coefficients[:1]])
+    with_line = replace(regions, labels=labels, coefficients=planes)
+    assert {0, 1, 2} <= set(find_curved(model, with_line, MEASURED))
 
 
 def test_the_others_are_renumbered():
-    model, patches = facets()
-    labels = patches.labels.copy()
+    model, regions = facets()
+    labels = regions.labels.copy()
     labels[labels >= 0] += 1
     labels[52:58] = 0
-    patches = hand_made(model, labels)
+    regions = hand_made(model, labels)
     pixels = labels.repeat(8, axis=0).repeat(8, axis=1)
-    bent = find_bent(model, patches, NOISE)
-    left, planes = without(pixels, patches.planes, bent)
-    kept, _ = without(patches.labels, patches.planes, bent)
+    bent = find_curved(model, regions, MEASURED)
+    left, planes = remove_regions(pixels, regions.coefficients, bent)
+    kept, _ = remove_regions(regions.labels, regions.coefficients, bent)
     np.testing.assert_array_equal(left, np.where(pixels == 0, 0, -1))
     np.testing.assert_array_equal(kept, np.where(labels == 0, 0, -1))
-    np.testing.assert_array_equal(planes, patches.planes[:1])
+    np.testing.assert_array_equal(planes, regions.coefficients[:1])
 
 
 def test_what_hardly_turns_is_not_bent():
     """Concrete dips by some degrees: better a floor with a dent than none."""
-    patches = strips(view([], column(8.0).curved_pieces()), sigma=0, noise=replace(
+    regions = strips(view([], column(8.0).curved_pieces()), sigma=0, noise=replace(
         NOISE, mean=0.0005, slope=0.01, grain=0.0005))
-    assert find_bent(*patches, NOISE).size == 0
+    assert find_curved(*regions, MEASURED).size == 0
 
 
 def test_patches_with_a_step_between_are_not_bent():
-    model, patches = facets(2)
-    aside = patches.planes + [[0, 0, 0], [0, 0, 4 * SIGMA]]
-    assert find_bent(model, replace(patches, planes=aside), NOISE).size == 0
+    model, regions = facets(2)
+    aside = regions.coefficients + [[0, 0, 0], [0, 0, 4 * SIGMA]]
+    assert find_curved(model, replace(regions, coefficients=aside), MEASURED).size == 0
 
 
 @pytest.mark.parametrize('width', [8, 16, 32])
 @pytest.mark.parametrize('angle_deg', [15, 30, 60])
 def test_two_planes_of_a_fold_are_not_bent(angle_deg, width):
     scene = view(fold(angle_deg))
-    assert find_bent(*strips(scene, sigma=SIGMA, width=width), NOISE).size == 0
+    assert find_curved(*strips(scene, sigma=SIGMA, width=width), MEASURED).size == 0
 
 
 @pytest.mark.parametrize('angle_deg', [15, 30, 60])
@@ -121,12 +116,15 @@ def test_a_floor_with_a_dent_stays(dent_deg):
     assert (found.labels >= 0).mean() > 0.95
 
 
-@pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('thing', [column(0.4), column(1.0), ball(0.4), ball(1.0)], ids=str)
-def test_curved_things_have_hardly_a_plane_under_noise(thing, seed):
+def test_curved_things_have_hardly_a_plane_under_noise(thing):
+    """In most frames: where no pair of regions is clearly bent, all of them stay."""
     scene = view(ROOM, thing.curved_pieces(), angles_deg=(0, -15, 4))
     curved = (scene.labels < 0) & np.isfinite(scene.depth_m)
-    found = segment_planes(noisy(scene, SIGMA, seed), VGA)
-    assert (found.labels[curved] < 0).mean() > 0.6
     large = np.bincount(scene.labels[scene.labels >= 0]) > 1500
-    assert best_iou(scene, found.labels)[large].min() > 0.9
+    shares = []
+    for seed in range(3):
+        found = segment_planes(noisy(scene, SIGMA, seed), VGA)
+        shares.append((found.labels[curved] < 0).mean())
+        assert best_iou(scene, found.labels)[large].min() > 0.9
+    assert np.median(shares) > 0.9

@@ -13,27 +13,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.segmentation.cells.grid import median
-from plane_detector.segmentation.cells.model import CellModel, Patches
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import GRAIN_PER_NOISE, Noise
 
 # A small plane fits itself to the noise and says too little of it.
+# tuned: evaluation.benchmark living; flat from 60 to 200.
 MIN_CELLS = 100
-SIGMA_PER_MEDIAN = 1.4826
-# More cells than these only cost time.
+# derived: the median of so many samples is good to 4 %.
 MAX_SAMPLES = 1500
-# The noise is known when another round would change it by less than this share.
+# derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
 
 
-def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
+def noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise) -> Noise:
     """
     Return the noise that the cells of the given planes show, by median absolute deviation.
 
     Parameters
     ----------
-    model : CellModel
-    patches : Patches
+    cells : WeightedCells
+    regions : PlaneRegions
         The largest planes; small ones are left out.
     noise : Noise
         What the planes were found with.
@@ -44,23 +44,23 @@ def calibrate(model: CellModel, patches: Patches, noise: Noise) -> Noise:
         The given one when the planes are too small to tell.
 
     """
-    labels = patches.labels.ravel()
-    size = np.bincount(labels + 1, minlength=len(patches.planes) + 1)
+    labels = regions.labels.ravel()
+    size = np.bincount(labels + 1, minlength=len(regions.coefficients) + 1)
     size[0] = 0
     members = np.flatnonzero(size[labels + 1] > MIN_CELLS)
     if not len(members):
         return noise
     members = members[::len(members) // MAX_SAMPLES + 1]
-    plane, (x, y, d) = patches.planes[labels[members]].T, model.grid.mean[members].T
+    plane, (x, y, d) = regions.coefficients[labels[members]].T, cells.grid.mean[members].T
     residual = d - (plane[0] * x + plane[1] * y) - plane[2]
-    tilt = (model.grid.slope[members].T - plane[:2]).ravel()
-    grain = max(median(model.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.known)
+    tilt = (cells.grid.slope[members].T - plane[:2]).ravel()
+    grain = max(median(cells.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.known)
     return replace(noise, grain=grain).with_smooth_part(
         SIGMA_PER_MEDIAN * median(np.abs(residual)), SIGMA_PER_MEDIAN * median(np.abs(tilt)))
 
 
-def is_settled(model: CellModel, before: Noise, after: Noise) -> bool:
+def has_converged(cells: WeightedCells, before: Noise, after: Noise) -> bool:
     """Say whether a search with the noise ``after`` would find the same as with ``before``."""
-    floor = np.sqrt(before.floor(model.grid.typical_disparity))
+    floor = np.sqrt(before.floor(cells.grid.typical_disparity))
     ratio = max(after.mean, floor) / max(before.mean, floor, np.finfo(float).tiny)
     return 1 - TOLERANCE <= ratio <= 1 + TOLERANCE

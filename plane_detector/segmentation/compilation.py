@@ -1,0 +1,99 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Loops over cells and pixels, compiled to machine code by numba.
+
+Numba is imported when the first kernel is needed, not with the package. Machine code is kept in
+the user's cache, in a folder named by a digest of the sources, so that no code of another version
+is ever loaded and the folder of the package may be read-only.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+_KERNELS: list[Kernel] = []
+
+
+class Kernel:
+    """
+    A function that numba compiles at its first call, or when :func:`compile_kernels` is called.
+
+    Parameters
+    ----------
+    function : callable
+        Plain Python that numba understands; it may call other kernels.
+    signature : str
+        Types of result and arguments, as numba writes them: no other types are compiled.
+
+    """
+
+    def __init__(self, function: Callable, signature: str) -> None:
+        self._function, self._signature = function, signature
+        self._compiled: Callable | None = None
+        self.__doc__, self.__name__ = function.__doc__, function.__name__
+        _KERNELS.append(self)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the machine code."""
+        return (self._compiled or self.compiled())(*arguments)
+
+    def compiled(self) -> Callable:
+        """Return the function as machine code, from the cache where it is there."""
+        if self._compiled is None:
+            import numba
+            names = self._function.__globals__
+            for name in self._function.__code__.co_names:
+                if isinstance(names.get(name), Kernel):  # numba calls what it compiled itself
+                    names[name] = names[name].compiled()
+            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder())
+            try:
+                # Sums may be reordered; NaN and infinity keep their meaning.
+                self._compiled = numba.njit(
+                    self._signature, cache=True, nogil=True, error_model='numpy',
+                    fastmath={'contract', 'reassoc', 'nsz'})(self._function)
+            finally:
+                numba.config.CACHE_DIR = before
+        return self._compiled
+
+
+def kernel(signature: str) -> Callable[[Callable], Kernel]:
+    """Decorate a function to be a :class:`Kernel` of this signature."""
+    return lambda function: Kernel(function, signature)
+
+
+def compile_kernels() -> None:
+    """Compile all kernels or load them from the cache: the first frame then takes no longer."""
+    for one in list(_KERNELS):
+        one.compiled()
+
+
+def are_compiled() -> bool:
+    """Say whether machine code of these sources is in the cache."""
+    return any(cache_folder().rglob('*.nbc'))
+
+
+@cache
+def cache_folder() -> Path:
+    """Return the folder of the machine code; a temporary one where the user has no cache."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob('*.py')):
+        source = path.read_bytes()
+        if b'import kernel' in source:
+            digest.update(source)
+    root = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
+    folder = root / 'plane_detector' / f'kernels-{digest.hexdigest()[:12]}'
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:
+        folder = Path(tempfile.gettempdir()) / f'plane_detector-{os.getuid()}' / folder.name
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    return folder
