@@ -24,7 +24,7 @@ from plane_detector.evaluation.reference_labels import (
     ExactLabels,
     label_exact_planes,
 )
-from plane_detector.segmentation.cells.labels import without
+from plane_detector.segmentation.cells.labels import remove_regions
 
 SLOW_FRAMES = 2
 """A slow method is tried on the first frames only."""
@@ -114,7 +114,7 @@ def leave_out(labels: np.ndarray, planes: np.ndarray, unclear: np.ndarray) -> Se
     """Remove the planes that have more than half of their pixels in a mask."""
     pixels, pixels_there = (np.bincount(labels[(labels >= 0) & where], minlength=len(planes))
                             for where in (True, unclear))
-    return without(labels, planes, np.flatnonzero(2 * pixels_there > pixels))
+    return remove_regions(labels, planes, np.flatnonzero(2 * pixels_there > pixels))
 
 
 def draw_frames(labelled: Sequence[LabelledFrame], output: Path) -> Path:

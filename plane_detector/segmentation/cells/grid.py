@@ -195,3 +195,10 @@ def _shift(m, x, y, d, out):
             m[5] + y * (m[2] + sum_y), m[6] + n * d, m[7] + x * m[6] + d * sum_x,
             m[8] + y * m[6] + d * sum_y, m[9] + d * (2 * m[6] + n * d))):
         out[k] = value
+
+
+def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
+    """Return the image (H, W) as cells (R, s, C, s), filled up to whole ones."""
+    missing = [(0, -side % size) for side in image.shape]
+    image = np.pad(image, missing, constant_values=fill)
+    return image.reshape(image.shape[0] // size, size, -1, size)
