@@ -12,11 +12,14 @@ import cv2
 import numpy as np
 
 from plane_detector import drawing
+from plane_detector.directions.finder import find_in_image
+from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.tools.demo.node_client import Received, Timing
 from plane_detector.tools.demo.photographs import Photograph
 from plane_detector.tools.demo.scene_table import class_colours, legend, scene_table
 from plane_detector.tools.demo.sensor_comparison import JudgedPlane, depth_error, judge_planes
 from plane_detector.tools.ply import write_ply
+from plane_detector.types import CameraIntrinsics
 
 _ROWS_SHOWN = 12
 # A plane is called right where this share of its pixels is one real plane, turned by no more.
@@ -86,6 +89,7 @@ def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
     print(f'\n{outcome.name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
           f'{photograph.calibration}')
     print(scene_table(outcome.received.planes, outcome.unit))
+    _print_directions(photograph)
     stages = ', '.join(f'{stage} {ms:.1f}' for stage, ms in timing.stage_ms().items())
     print(f'  {timing.rate_hz:.1f} frames per second through the topics; ms per frame in the '
           f'node: {stages or "not told"}')
@@ -103,7 +107,7 @@ def _figure(outcome: Outcome) -> np.ndarray:
     near, far = drawing.depth_range(received.depth_m)
     alone = len(np.unique(outcome.ransac_labels[outcome.ransac_labels > 0]))
     return drawing.figure([
-        ('image', outcome.photograph.rgb),
+        _directions_panel(outcome.photograph),
         (f'{outcome.depth_title}, red {near:.1f} {outcome.unit} to blue {far:.1f} '
          f'{outcome.unit}', drawing.colour_depth(received.depth_m)),
         (f'RANSAC alone: {alone} planes',
@@ -112,6 +116,40 @@ def _figure(outcome: Outcome) -> np.ndarray:
          drawing.overlay(outcome.photograph.rgb, received.points['label'],
                          class_colours(received.planes))),
     ])
+
+
+def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
+    """Return the image with what its lines say of the upright, as the node finds it too."""
+    found = _directions(photograph)
+    axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in found.pairs[:1])])
+    drawn = drawing.draw_directions(photograph.rgb, photograph.intrinsics, found.down_camera, axes)
+    if found.down_camera is None:
+        return 'image', drawn
+    level = ', level axes red and green' if len(axes) else ''
+    horizon = ', horizon yellow' if _sees_horizon(photograph.intrinsics, found) else ''
+    return f'image: upright blue{level}{horizon}', drawn
+
+
+def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
+    """Whether corners of the image lie on both sides of it."""
+    corners = np.array([((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
+                        for u in (0, camera.width) for v in (0, camera.height)])
+    side = corners @ found.down_camera
+    return bool(side.min() < 0 < side.max())
+
+
+def _directions(photograph: Photograph) -> SceneDirections:
+    return find_in_image(photograph.rgb, photograph.intrinsics,
+                         np.random.default_rng(0)).directions
+
+
+def _print_directions(photograph: Photograph) -> None:
+    found = _directions(photograph)
+    if found.refusal:
+        print(f'  the lines of the image do not tell the upright: {found.refusal}')
+    elif found.pair_refusal:
+        print(f'  the lines of the image tell the upright, but no level axes: '
+              f'{found.pair_refusal}')
 
 
 def _write_csv(path: Path, planes: np.ndarray) -> None:

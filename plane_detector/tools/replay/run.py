@@ -214,7 +214,8 @@ class _Run:
         self._uncommitted.append(len(detection.planes))
         scale = scale_of(self._source, detection)
         tally.scales[scale] += 1
-        self._facts['scale'] = scale
+        self._facts.update(scale=scale, gravity=detection.gravity_source,
+                           gravity_note=detection.gravity_note)
 
     def _close_books(self) -> None:
         """Bring all into the file, and how it ended into its metadata."""
