@@ -40,7 +40,7 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
     Parameters
     ----------
     disparity : (H, W) floating
-        0 is infinitely far; NaN invalid.
+        0 is infinitely far, unless some are negative; NaN invalid.
     noise : float
         Its standard deviation; 0: not known.
     rgb : (H, W, 3) uint8
@@ -52,7 +52,9 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
         False for what is too far for its noise, and for clear sky.
 
     """
-    known = ~(disparity < FAR_DEVIATIONS * noise)
+    # Where some values are negative, 0 is not infinitely far: the shift is not known.
+    least = -np.inf if (disparity < 0).any() else FAR_DEVIATIONS * noise
+    known = ~(disparity < least)
     sky = find_sky(rgb, disparity)
     return known & ~sky if sky is not None else known
 

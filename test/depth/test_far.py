@@ -68,6 +68,7 @@ def test_a_disparity_within_its_noise_of_nothing_says_no_distance():
     disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
     np.testing.assert_array_equal(knowable(disparity, 0.01, rgb), [[False, True, True, True]])
     assert knowable(disparity, 0.0, rgb).all()
+    assert knowable(disparity - 0.1, 0.01, rgb).all(), 'the shift is not known'
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
