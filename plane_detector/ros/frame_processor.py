@@ -158,7 +158,7 @@ class FrameProcessor:
         result = Result(header, seen.rgb, seen.intrinsics, detection, settings,
                         self._shown, self._transforms.to_target(header, settings),
                         observed.picture.lens,
-                        merged_labels(self._before, detection, self.detector.config.tracking))
+                        merged_labels(self._before, detection, seen.config.tracking))
         self._before = detection
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}

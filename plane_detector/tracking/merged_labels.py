@@ -41,24 +41,23 @@ def merged_labels(before: Detection | None, after: Detection,
     if (before is None or not before.track_labels or not after.track_labels
             or before.labels.shape != after.labels.shape):
         return tuple(taken.tolist())
-    pairs, counts = np.unique(np.stack([before.labels.ravel(), after.labels.ravel()]), axis=1,
-                              return_counts=True)
-    sizes = np.bincount(before.labels.ravel() + 1, minlength=len(before.planes) + 1)[1:]
     most = np.zeros(len(after.planes), int)
-    for old, new, count in zip(*pairs.tolist(), counts.tolist(), strict=True):
-        if not (0 <= old < len(before.planes) and 0 <= new < len(after.planes)):
+    for old, label in enumerate(before.track_labels):
+        if label in after.track_labels:
             continue
-        if count > max(_MIN_SHARE * sizes[old], most[new]) and _is_taken(
-                before, old, after, new, config):
-            taken[new], most[new] = before.track_labels[old], count
+        pixels = after.labels[before.labels == old]
+        # The first entry counts the pixels of no plane, those after the planes are of shapes.
+        counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:len(after.planes) + 1]
+        new = int(np.argmax(counts))
+        if (counts[new] > max(_MIN_SHARE * pixels.size, most[new])
+                and _is_taken(before, old, after, new, config)):
+            taken[new], most[new] = label, counts[new]
     return tuple(taken.tolist())
 
 
 def _is_taken(before: Detection, old: int, after: Detection, new: int,
               config: TrackingConfig) -> bool:
-    """Whether a label is gone, the other was there before, and both are one plane."""
-    if before.track_labels[old] in after.track_labels:
-        return False
+    """Whether the other label was there before, and both are one plane."""
     if after.track_labels[new] not in before.track_labels:
         return False
     deviation = squared_deviation([before.planes[old]], [after.planes[new]],

@@ -63,3 +63,15 @@ def test_a_label_that_is_still_there_is_not_taken_over(halves):
     labels = np.ones((60, 100), np.int32)
     labels[:, :5] = 0
     assert merged_labels(halves, detection(labels, halves.planes, (7, 3)), CONFIG) == (0, 0)
+
+
+def test_while_no_label_is_gone_no_pixel_is_counted(halves, monkeypatch):
+    """That is nearly every frame, and pixels are many."""
+    monkeypatch.setattr(np, 'bincount', lambda *_, **__: pytest.fail('counts pixels'))
+    assert merged_labels(halves, halves, CONFIG) == (0, 0)
+
+
+def test_pixels_of_shapes_take_nothing_over(halves):
+    """Behind the labels of the planes come those of the shapes."""
+    shapes = detection(np.where(halves.labels == 0, 2, halves.labels), halves.planes, (9, 3))
+    assert merged_labels(halves, shapes, CONFIG) == (0, 0)
