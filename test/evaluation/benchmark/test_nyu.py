@@ -156,13 +156,15 @@ def test_the_published_annotation_may_be_the_truth(file, tmp_path):
     assert evaluate(task, 2).rows[OURS]['SC'] > 0.95
 
 
-def test_without_annotations_the_truth_must_be_another(tmp_path):
+def test_without_annotations_the_truth_must_be_another(tmp_path, run):
     path = tmp_path / 'plain.mat'
     write_nyu(path, SEEDS[:1], annotated=False)
     with pytest.raises(ValueError, match='--truth sensor'):
         evaluate(Task(path, methods=()), 1)
     result = evaluate(Task(path, truth='sensor', methods=('ours',)), 1)
     assert result.rows[OURS]['SC'] == 1, 'ours is judged by itself then'
+    assert 'says nothing' in run('nyu', path, '--truth', 'sensor', '--methods', 'ours', '--model',
+                                 'none', '--processes', 1, '--output', tmp_path)
 
 
 def test_the_network_has_rows_and_a_figure_of_its_own(file, run, tmp_path, monkeypatch):
