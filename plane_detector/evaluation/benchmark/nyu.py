@@ -107,8 +107,8 @@ def run(options: argparse.Namespace) -> None:
     report(f'NYU Depth V2, {len(results)} frames, {task.depth} depth, truth: {options.truth}',
            results, options.worst)
     if task.truth == SENSOR:
-        emit('The truth is our own result on the sensor\'s depth: the row of that method and source '
-             'says nothing, and the other rows favour our method.')
+        emit('The truth is our own result on the sensor\'s depth: the row of that method and '
+             'source says nothing, and the other rows favour our method.')
     for path in write_figures(task, options.figure, output):
         emit(f'Figure: `{path}`')
 
