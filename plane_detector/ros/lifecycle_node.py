@@ -35,6 +35,7 @@ from plane_detector.ros.inputs.subscriptions import Inputs
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
+from plane_detector.ros.kernels import load_kernels
 from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.network_pace import fit_to_rate, slow_network
 from plane_detector.ros.outputs.publishers import OutputPublishers
@@ -262,12 +263,11 @@ class PlaneDetectorNode(LifecycleNode):
         is_idle = self._live.settings.mode == 'continuous' and not self._outputs.wanted()
         return *self._health.status(report, silence, is_idle), facts
 
-    # Parts of the transitions
-
     def _load(self) -> PlaneDetector:
         """Make the pipeline, whose network may have to be fetched; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could be more than the memory holds
+        load_kernels(self.get_logger().info)
         detector = PlaneDetector(self._live.config, self._depth_model)
         fit_to_rate(detector)
         return detector

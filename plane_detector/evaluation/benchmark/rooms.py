@@ -31,7 +31,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.pipeline import segment_planes
 
-SIGMAS = (0.0, 0.004, 0.01)
+SIGMAS = (0.0, 0.0001, 0.0003, 0.001, 0.004, 0.01)
 """Standard deviations of the disparity noise, per metre."""
 HELD_OUT = 9000
 """Scenes from this seed on are for reporting only; nothing is tuned on them."""
