@@ -204,7 +204,7 @@ def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
         write_bag(tmp_path / 'walk', messages), '-p', 'depth.source:=model',
         '-p', f'depth.model:={network}', '-p', 'depth.output:=relative_disparity',
         '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]',
-        '-p', 'directions.orient_planes:=false')
+        '-p', 'directions.orient_planes:=false', '-p', 'directions.gravity:=false')
     assert code == 0, text
     assert f'Reading {IMAGE}, {INFO}, {DEPTH}' in text
     for scene, msg in zip(scenes, planes_of(target), strict=True):
