@@ -57,10 +57,9 @@ def _one(folder: Path, begin, rng: np.random.Generator,
         return seconds, code, node.node.log()
 
 
-def _start(folder: Path, rng: np.random.Generator, _number: int):
-    node = fed_node(folder, QUICK)
-    time.sleep(rng.uniform(0, 3))
-    return node
+def _start(folder: Path, rng: np.random.Generator, _number: int) -> _Begun:
+    pause_s = rng.uniform(0, 6)
+    return _begun(folder, QUICK, '', lambda node: time.sleep(pause_s))
 
 
 def _begun(folder: Path, arguments: list[str], state: str, feed=lambda node: None) -> _Begun:
@@ -75,7 +74,7 @@ class _Begun:
 
     def __enter__(self) -> FedNode:
         node = self._context.__enter__()
-        assert node.wait_for_state(self._state), node.node.log()
+        assert not self._state or node.wait_for_state(self._state), node.node.log()
         self._feed(node)
         return node
 
