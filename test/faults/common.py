@@ -75,7 +75,8 @@ def usage(pid: int) -> Usage:
 def network_arguments(path: Path) -> list[str]:
     """Return the parameters for a network of the tests."""
     return ['-p', f'depth.model:={path}', '-p', 'depth.output:=metric_depth',
-            '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]']
+            '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]',
+            '-p', 'directions.orient_planes:=false']
 
 
 def room_network(folder: Path, camera: CameraIntrinsics = CAMERA) -> list[str]:
