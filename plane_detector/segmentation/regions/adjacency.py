@@ -17,7 +17,7 @@ BORDER_REACH_CELLS = 2
 # derived: one pair of cells may touch by chance.
 MIN_BORDER_PAIRS = 2
 # The mean of chi-squared of either piece about a joint plane is 1 if they are coplanar.
-# tuned: evaluation.benchmark rooms, living; flat from 1.5 to 3.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MAX_JOINT_VARIANCES = 2.0
 
 

@@ -11,11 +11,11 @@ from plane_detector.segmentation.regions.adjacency import best_pairs, find_adjac
 from plane_detector.segmentation.regions.quadrics import fit_pairs, folds, sum_up_quadrics
 
 # Where the shift of the disparity is not known, the angle is a rough one.
-# tuned: evaluation.benchmark real-images; flat from 25 to 45 degrees, 3 to 6 deviations.
+# tuned: benchmark segmentation --only real; the range was not swept.
 MAX_BOW_DEG, MAX_BOW_GAP_DEVIATIONS = 35.0, 4.0
 # How much worse than its plane the quadric may fit a region, and the least share of the noise that
 # the plane is taken to leave.
-# tuned: evaluation.benchmark real-images; flat from 2 to 4, from 0.05 to 0.2.
+# tuned: benchmark segmentation --only real; the range was not swept.
 MAX_BOW_RATIO, MIN_NOISE_SHARE = 3.0, 0.1
 
 

@@ -30,10 +30,10 @@ BLOCKS = 4
 # The means compared are of half a cell by three cells along the step.
 LENGTH_CELLS = 3
 # A step in standard deviations of what is everywhere: everywhere along it, and somewhere.
-# tuned: evaluation.benchmark living at 0.004; flat from 1.5 to 2, from 3 to 5.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 LOW_THRESHOLD, HIGH_THRESHOLD = 1.7, 4.0
 # The piece is off its surroundings by this many deviations of the noise, at the step and overall.
-# tuned: evaluation.benchmark living at 0.004; flat from 0.3 to 0.8.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_OFFSET = 0.5
 # Residuals are cut off at this many deviations, so that an outlier is not the only step.
 MAX_RESIDUAL = 6.0

@@ -19,16 +19,16 @@ from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.compilation import kernel
 
 # How far from the other region cells are looked at.
-# tuned: evaluation.benchmark living at 0.004; flat from 2 to 5.
+# tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 REACH_CELLS = 3
 # The cells nearest to the border say most.
-# tuned: evaluation.benchmark living at 0.004, runtime; flat from 128 to 300.
+# tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 MAX_CELLS = 256
 # A region of fewer is no evidence.
 MIN_CELLS = 4
 # Twice the gain in log-likelihood that blurred noise hardly ever gives, times its power, 2:
 # rougher noise has more edges of its own.
-# tuned: evaluation.benchmark living at 0.004; flat from 16 to 36.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_LOG_LIKELIHOOD_GAIN = 24.0
 # derived: a cell that the border cuts anywhere is off by this share of the step, squared, on
 # average.

@@ -23,7 +23,7 @@ SIGHT_LINES, SAMPLES_PER_LINE = 24, 24
 # derived: one cell in 700 of their plane looks farther by chance.
 FARTHER_DEVIATIONS = 3.0
 # Of the cells between two pieces no more than this share may be farther than their plane.
-# tuned: evaluation.benchmark living; flat from 0.1 to 0.3.
+# tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 MAX_SEEN_THROUGH = 0.2
 
 

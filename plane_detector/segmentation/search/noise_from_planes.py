@@ -18,7 +18,7 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import GRAIN_PER_NOISE, Noise
 
 # A small plane fits itself to the noise and says too little of it.
-# tuned: evaluation.benchmark living; flat from 60 to 200.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_CELLS = 100
 # derived: the median of so many samples is good to 4 %.
 MAX_SAMPLES = 1500

@@ -32,10 +32,10 @@ from plane_detector.segmentation.search.noise_from_planes import (
 from plane_detector.segmentation.search.ransac import SequentialRansac
 
 # Noise taken too high hides planes; taken too low, the planes raise it.
-# tuned: evaluation.benchmark rooms at 0.01, living at 0.004; flat from 0.5 to 0.8.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 START_SHARE = 0.7
 # The largest planes show noise that is smooth over more than neighbouring cells.
-# tuned: evaluation.benchmark living; flat from 2 to 4, from 4 to 8.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES, CALIBRATION_ROUNDS = 3, 5
 # derived: most of the depth. Components are the planes when so much of it lies on planar ones.
 MIN_COMPONENT_SHARE = 0.5
