@@ -4,8 +4,8 @@
 What the constants of the segmentation do: each at 0.7 and at 1.4 times its value.
 
 Constants that the compiled loops use are left out: their values are part of the machine code.
-Comments beside the constants call flat what moves SC by at most .003 and recall and precision by at
-most .015, as the seed of the random generator does.
+Comments beside the constants call flat what moves SC by at most .003 and recall and precision by
+at most .015, as the seed of the random generator does.
 """
 
 from __future__ import annotations
