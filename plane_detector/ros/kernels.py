@@ -1,16 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The loops of the segmentation are compiled before the first frame, not with it."""
+"""The loops of what is asked for are compiled before the first frame, not with it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from plane_detector.segmentation.compilation import are_compiled, compile_kernels
+from plane_detector.compilation import are_compiled, compile_kernels
+from plane_detector.config import Config
 
 
-def load_kernels(log: Callable[[str], None]) -> None:
+def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and say so to ``log``."""
-    if not are_compiled():
-        log('compiling the loops of the segmentation for this machine, once')
-    compile_kernels()
+    for subject in ('segmentation', *(['shapes'] if config.shapes.wanted else [])):
+        if not are_compiled(subject):
+            log(f'compiling the loops of the {subject} for this machine, once')
+        compile_kernels(subject)

@@ -267,7 +267,7 @@ class PlaneDetectorNode(LifecycleNode):
         """Make the pipeline, whose network may have to be fetched; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
             raise_if_stopped()  # two networks at once could be more than the memory holds
-        load_kernels(self.get_logger().info)
+        load_kernels(self._live.config, self.get_logger().info)
         detector = PlaneDetector(self._live.config, self._depth_model)
         fit_to_rate(detector)
         return detector

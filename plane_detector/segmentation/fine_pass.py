@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, N, build_cell_grid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.adjacency import MAX_JOINT_VARIANCES, sum_up_regions
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved

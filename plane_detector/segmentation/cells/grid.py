@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
-from plane_detector.segmentation.compilation import kernel
 
 # The cells' number hardly depends on the picture's size: with it grow their sides.
 CELLS_PER_PICTURE = 4800

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.compilation import kernel
 
 # Disparity is taken to be at least this, so that nothing is divided by 0.
 TINY_DISPARITY = 1e-9

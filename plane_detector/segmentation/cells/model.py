@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, N
 from plane_detector.segmentation.cells.noise import CellVariances, Noise, cell_variances
 from plane_detector.segmentation.cells.plane_fit import fit_planes
-from plane_detector.segmentation.compilation import kernel
 
 # A cell whose pixels stray from its own plane by more than two deviations straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.

@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.compilation import kernel
 
 # Smaller regions fit themselves to the noise.
 MIN_REGION_CELLS = 100

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.segmentation.compilation import kernel
+from plane_detector.compilation import kernel
 
 # derived: pixels on a line have no plane; wider than a thousandth of their length they have.
 MIN_WIDTH_SQUARED = 1e-6

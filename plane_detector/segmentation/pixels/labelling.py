@@ -13,11 +13,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.regions.adjacency import find_adjacency
 
 # Grain over this many times the floor is smoothed before pixels are told apart.

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, region_moments
 from plane_detector.segmentation.cells.plane_fit import fit_planes, squared_errors
-from plane_detector.segmentation.compilation import kernel
 
 # derived: cells this far apart still touch, as between them may lie one that straddles the border.
 BORDER_REACH_CELLS = 2

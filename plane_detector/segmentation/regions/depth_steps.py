@@ -15,13 +15,13 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated, median
 from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, region_moments
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import fit_planes
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clusters
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.config import DbscanConfig
 from plane_detector.segmentation.cells.model import (
     PlaneRegions,
@@ -20,7 +21,6 @@ from plane_detector.segmentation.cells.model import (
     chi_squared,
     fit_regions,
 )
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
 
 # derived: with no more than this share of the cells changing, another sweep changes next to none.

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
-from plane_detector.segmentation.compilation import kernel
 
 # How far from the other region cells are looked at.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, has_no_depth
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.regions.adjacency import joint_misfit, merge
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.regions.adjacency import RegionAdjacency, sum_up_regions
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 

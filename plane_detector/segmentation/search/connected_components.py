@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import fit_plane
-from plane_detector.segmentation.compilation import kernel
 
 # The mean of chi-squared over the cells of a plane is 1; a bent component exceeds it by far.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.

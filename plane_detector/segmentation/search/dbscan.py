@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.compilation import kernel
 
 
 @dataclass(frozen=True)

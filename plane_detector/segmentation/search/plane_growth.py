@@ -11,9 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import chi_squared
 from plane_detector.segmentation.cells.plane_fit import fit_plane
-from plane_detector.segmentation.compilation import kernel
 
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 REFINEMENTS = 4

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.config import RansacConfig
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
-from plane_detector.segmentation.compilation import kernel
 from plane_detector.segmentation.search.dbscan import Neighbourhood
 from plane_detector.segmentation.search.plane_growth import refine
 from plane_detector.stopping import raise_if_stopped

@@ -38,6 +38,7 @@ class Kernel:
         self._function, self._signature = function, signature
         self._compiled: Callable | None = None
         self.__doc__, self.__name__ = function.__doc__, function.__name__
+        self.subject = function.__module__.split('.')[1]
         _KERNELS.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -68,15 +69,25 @@ def kernel(signature: str) -> Callable[[Callable], Kernel]:
     return lambda function: Kernel(function, signature)
 
 
-def compile_kernels() -> None:
-    """Compile all kernels or load them from the cache: the first frame then takes no longer."""
+def compile_kernels(subject: str) -> None:
+    """
+    Compile kernels or load them from the cache: the first frame then takes no longer.
+
+    Parameters
+    ----------
+    subject : str
+        Those of this folder of the package that were imported, ``'segmentation'`` or ``'shapes'``.
+
+    """
     for one in list(_KERNELS):
-        one.compiled()
+        if one.subject == subject:
+            one.compiled()
 
 
-def are_compiled() -> bool:
-    """Say whether machine code of these sources is in the cache."""
-    return any(cache_folder().rglob('*.nbc'))
+def are_compiled(subject: str) -> bool:
+    """Say whether machine code of these sources is in the cache, of a folder of the package."""
+    # numba names its folders by the folder of the source.
+    return any(cache_folder().glob(f'{subject}_*/*.nbc'))
 
 
 @cache
@@ -85,7 +96,7 @@ def cache_folder() -> Path:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob('*.py')):
         source = path.read_bytes()
-        if b'import kernel' in source:
+        if b'compilation import kernel' in source:
             digest.update(source)
     root = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
     folder = root / 'plane_detector' / f'kernels-{digest.hexdigest()[:12]}'

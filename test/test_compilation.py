@@ -5,7 +5,7 @@
 import subprocess
 import sys
 
-from plane_detector.segmentation import compilation
+from plane_detector import compilation
 
 
 def test_importing_the_package_does_not_import_numba():
@@ -19,7 +19,7 @@ def test_machine_code_is_in_a_folder_of_the_user(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     try:
         assert compilation.cache_folder().is_relative_to(tmp_path / 'plane_detector')
-        assert not compilation.are_compiled()
+        assert not compilation.are_compiled('segmentation')
         monkeypatch.setenv('XDG_CACHE_HOME', '/proc/none')
         compilation.cache_folder.cache_clear()
         assert compilation.cache_folder().is_dir()
