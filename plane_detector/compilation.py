@@ -30,7 +30,7 @@ class Kernel:
     function : callable
         Plain Python that numba understands; it may call other kernels.
     signature : str
-        Types of result and arguments, as numba writes them: no other types are compiled.
+        Types of result and arguments in numba's notation; no other types are compiled.
 
     """
 
@@ -46,7 +46,7 @@ class Kernel:
         return (self._compiled or self.compiled())(*arguments)
 
     def compiled(self) -> Callable:
-        """Return the function as machine code, from the cache where it is there."""
+        """Return the function as machine code, from the cache if it is there."""
         if self._compiled is None:
             import numba
             names = self._function.__globals__
@@ -92,7 +92,7 @@ def are_compiled(subject: str) -> bool:
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of the machine code; a temporary one where the user has no cache."""
+    """Return the folder of the machine code; a temporary one if the user has no cache."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob('*.py')):
         source = path.read_bytes()

@@ -297,4 +297,4 @@ def _measure(regions: PixelRegions, intrinsics: CameraIntrinsics,
     """Measure the planes that are large enough, turned by the lines of the image if given."""
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
     planes, labels = measure_turned(regions, intrinsics, min_pixels, lines)
-    return PlaneSegmentation(planes, labels, regions.noise.mean)
+    return PlaneSegmentation(planes, labels, regions.noise.mean_sigma)

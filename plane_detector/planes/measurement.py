@@ -94,7 +94,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     counts = count_labels(grid, regions.labels, len(regions.coefficients))
     total = np.ones(len(counts)) @ counts
     kept = total >= max(min_pixels, 1)
-    if noise.mean > max(noise.known, MAX_NOISE_SHARE * grid.typical_disparity):
+    if noise.mean_sigma > max(noise.source_sigma, MAX_NOISE_SHARE * grid.typical_disparity):
         kept[:] = False
     order = np.argsort(-total, kind='stable')
     order = order[kept[order]]
@@ -180,8 +180,8 @@ def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: n
     normal_matrix = np.array([[m[cells.XX], m[cells.XY], m[cells.X]],
                               [m[cells.XY], m[cells.YY], m[cells.Y]],
                               [m[cells.X], m[cells.Y], m[cells.N]]]).transpose(2, 0, 1)
-    variance = (noise.grain**2 + noise.floor(m[cells.D] / m[cells.N])
-                + CORRELATED_CELLS * grid.size_px**2 * noise.mean**2)
+    variance = (noise.pixel_sigma**2 + noise.variance_floor(m[cells.D] / m[cells.N])
+                + CORRELATED_CELLS * grid.size_px**2 * noise.mean_sigma**2)
     fit = variance[:, None, None] * pseudo_inverse(normal_matrix, LEAST_EIGENVALUE)
     length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
     unit = ray_planes[:, :, None] / length

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the segmentation is compared with: the paper's method, and RANSAC without clustering.
+Baselines of the segmentation: the paper's method, and RANSAC without clustering.
 
 The method of "Improved Plane Detection in 3D Reconstruction from 2D Images" (J. Quan) peels planes
 off the point cloud one by one with pyRANSAC-3D and one metric threshold, then DBSCAN on each
@@ -61,7 +61,7 @@ def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_
     Returns
     -------
     PixelRegions
-        Each plane fitted again to the cells that it fills, as ours are.
+        Each plane is refitted to the cells that it fills, as ours are.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     labels : (H, W) int32
         Index into the planes, -1 none.
     planes : (K, 3) float64
-        1/z = a x + b y + c; x, y in pixels from the picture's centre over its width.
+        1/z = a x + b y + c; x, y in pixels from the image centre over the image width.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     if cluster:
         thinned, equations = _cluster(thinned, thinned_m, equations, min_points, config.paper)
     labels = _to_all_pixels(thinned, points_m, equations, stride, config.paper)
-    return labels, _to_picture(equations, intrinsics)
+    return labels, _to_image_coordinates(equations, intrinsics)
 
 
 def _peel(points_m: np.ndarray, min_points: float, config: Config,
@@ -215,8 +215,8 @@ def _to_all_pixels(thinned: np.ndarray, points_m: np.ndarray, equations: np.ndar
     return labels
 
 
-def _to_picture(equations: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Turn n . p + d = 0 into 1/z = a x + b y + c."""
+def _to_image_coordinates(equations: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Convert n . p + d = 0 to 1/z = a x + b y + c."""
     ray_plane = -equations[:, :3] / np.where(equations[:, 3:] == 0, 1e-9, equations[:, 3:])
     a = ray_plane[:, 0] * intrinsics.width / intrinsics.fx
     b = ray_plane[:, 1] * intrinsics.width / intrinsics.fy
@@ -226,16 +226,16 @@ def _to_picture(equations: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarr
     return np.stack([a, b, c], axis=1)
 
 
-# Inliers of a plane belong together wherever they are.
+# All inliers of a plane form one cluster, wherever they are.
 EVERYWHERE = Neighbourhood(np.zeros((0, 2), np.int64), 1)
 
 
 @one_blas_thread
 def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarray:
     """
-    Label pixels by sequential RANSAC without clustering, to show what clustering is good for.
+    Label pixels by sequential RANSAC without clustering, to show the effect of clustering.
 
-    Planes take their inliers wherever they are; there is no DBSCAN, no merging, no competition.
+    A plane takes inliers from the whole image; there is no DBSCAN, no merging, no competition.
 
     Parameters
     ----------
@@ -264,9 +264,10 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
 
 def _nearest_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
                    threshold: float) -> np.ndarray:
-    """Return for each pixel the plane that it lies nearest to, -1 beyond the threshold."""
+    """Return the nearest plane of each pixel, -1 beyond the threshold."""
     x, y = image_coordinates(disparity.shape)
-    best = threshold**2 * (noise.mean**2 + noise.grain**2 + noise.floor(disparity))
+    variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.variance_floor(disparity)
+    best = threshold**2 * variance
     labels = np.full(disparity.shape, -1, np.int32)
     for k, (a, b, c) in enumerate(planes):
         error = (disparity - (a * x + b * y[:, None] + c)) ** 2

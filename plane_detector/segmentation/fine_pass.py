@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes too small or narrow for whole cells, searched with half-size cells in what is left."""
+"""Find planes too small or narrow for whole cells: half-size cells on the unlabelled pixels."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from plane_detector.segmentation.search.plane_search import (
 MIN_CELL_SIZE_PX = 3
 # derived: half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
-# Pieces of one plane are no farther apart than this many of the smaller cells.
+# Pieces of one plane are at most this many of the smaller cells apart.
 REACH_CELLS = 3
 _CROSS = Neighbourhood(np.array([[0, 0], [0, 1], [1, 0], [0, -1], [-1, 0]]), 1)
 
@@ -43,7 +43,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     image : DisparityImage
     labels : (H, W) int32
     coarse : WeightedCells
-        Those that the other planes were found with.
+        The cells that the other planes were found with.
     coefficients : (K, 3) float64
         The other planes.
     noise : Noise
@@ -53,9 +53,9 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     Returns
     -------
     labels : (H, W) int32
-        A new plane that only continues another one has that one's label.
+        A new plane that continues another one gets the label of that one.
     coefficients : (K + L, 3) float64
-        With the new planes behind the others; some may have no pixels.
+        The new planes follow the others; some may have no pixels.
 
     """
     config, size = search.config, coarse.grid.size_px // 2
@@ -71,7 +71,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     if grid.moments[cells.is_planar, N].sum() < min_pixels:
         return labels, coefficients
     regions = find_planes(replace(search, grid=grid), cells, noise, room)
-    regions = remove_curved(cells, regions, noise.mean**2)
+    regions = remove_curved(cells, regions, noise.mean_sigma**2)
     new = label_pixels(left, cells, regions, noise, threshold)
     curved = np.append(np.zeros(len(regions.coefficients), bool), False)
     curved[find_curved(cells, regions, kind)] = True
@@ -81,13 +81,13 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
 
 
 def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
-    """Say whether the noise is less than what a thing as wide as a smaller cell stands out by."""
+    """Say whether an object as deep as a smaller cell is wide stands out from the noise."""
     width = cells.grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * cells.grid.width_px)
-    return noise.mean < width * cells.grid.typical_disparity
+    return noise.mean_sigma < width * cells.grid.typical_disparity
 
 
 def _in_large_pieces(cells: WeightedCells, min_pixels: float) -> WeightedCells:
-    """Return the cells, planar only in connected pieces of enough pixels."""
+    """Return the cells; ``is_planar`` is kept only in connected pieces of enough pixels."""
     count = cells.grid.moments[:, N]
     filled = np.where(2 * count >= cells.grid.size_px**2, 0, -1).astype(np.int32)
     pieces, number = label_clusters(filled.reshape(cells.grid.shape), _CROSS)
@@ -98,7 +98,7 @@ def _in_large_pieces(cells: WeightedCells, min_pixels: float) -> WeightedCells:
 
 def _joined(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
             coefficients: np.ndarray) -> np.ndarray:
-    """Give new planes and what they continue, touching and coplanar, the first label of these."""
+    """Merge each new plane with the coplanar planes it touches; the smallest label is kept."""
     count, new = len(coefficients), len(regions.coefficients)
     if not new:
         return labels
@@ -118,7 +118,7 @@ def _joined(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
 
 @kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')
 def _touching(labels, size, count):
-    """Say which labels lie within reach of each other, seen at one pixel of each cell."""
+    """Say which labels lie within reach of each other, sampled at one pixel of each cell."""
     touching = np.zeros((count, count), np.bool_)
     for v in range(size // 2, labels.shape[0], size):
         for u in range(size // 2, labels.shape[1], size):

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Many planes: hypothesise, take the largest, refine, split by DBSCAN, repeat, label every pixel.
+Segmentation of a disparity image into planes: the list of stages for each kind of depth.
 
-Everything works on 1/z over the picture, where planes are affine, where the noise of stereo and
-of depth networks is near constant, and where an unknown scale and shift of a network's disparity
-changes nothing about which pixels form a plane.
+All stages work on 1/z over the image. There planes are affine, the noise of stereo and of depth
+networks is nearly constant, and an unknown scale and shift of a network's disparity does not
+change which pixels form a plane.
 """
 
 from __future__ import annotations
@@ -34,36 +34,37 @@ from plane_detector.segmentation.regions.occlusion import merge_occluded
 from plane_detector.segmentation.search.plane_search import Search, search_planes, sees_creases
 from plane_detector.segmentation.threads import one_blas_thread
 
-# What exact planes of a disparity of unknown unit may stray by, as a share of its range.
+# Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 RELATIVE_FLOOR = 1e-4
 
 
 def metric_noise_floor(config: Config, disparity_noise: float = 0.0) -> Noise:
     """
-    Return the least noise of 1/z in 1/metres.
+    Return the lower bound of the noise of 1/z, in 1/m.
 
     Parameters
     ----------
     config : Config
-        Its ``ransac.noise_floor``; its ``segmentation.disparity_noise`` comes first.
+        Its ``ransac.noise_floor`` is used; its ``segmentation.disparity_noise``, if not 0,
+        replaces the argument.
     disparity_noise : float
-        What the source of the depth is known for, per metre; 0 when nothing is known.
+        Noise level specified for the depth source, 1/m; 0 if none.
 
     """
-    known = config.segmentation.disparity_noise or disparity_noise
-    return Noise(config.ransac.noise_floor, known=known)
+    source_sigma = config.segmentation.disparity_noise or disparity_noise
+    return Noise(config.ransac.noise_floor, source_sigma=source_sigma)
 
 
 def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) -> Noise:
     """
-    Return the least noise of a disparity of unknown scale and shift.
+    Return the lower bound of the noise of a disparity of unknown scale and shift.
 
     Parameters
     ----------
     disparity : (H, W) floating
         Not finite where invalid.
     disparity_noise : float
-        What its source is known for, in the same unit; 0 when nothing is known.
+        Noise level specified for its source, in the same unit; 0 if none.
 
     """
     return Noise(0.0, RELATIVE_FLOOR * disparity_range(disparity), disparity_noise)
@@ -81,13 +82,13 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     disparity : (H, W) floating
         Affine in 1/depth, in any unit; not finite where invalid.
     noise_floor : Noise
-        The noise is estimated from the disparity and taken to be at least this.
+        Lower bound of the noise; the noise itself is estimated from the disparity.
     config : Config
         Its ``segmentation``, ``ransac`` and ``dbscan`` are used.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
     guide : GuideImage, optional
-        The colour image, where the source of the disparity blurs the edges of things.
+        The colour image, given if the source of the disparity blurs edges.
 
     Returns
     -------
@@ -111,7 +112,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
 
 @dataclass(frozen=True)
 class Frame:
-    """What all stages after the search look at."""
+    """Input of all stages after the search."""
 
     image: DisparityImage
     cells: WeightedCells
@@ -120,19 +121,19 @@ class Frame:
 
 
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of depth without errors to speak of."""
+    """Return pixel labels and planes of exact depth."""
     cells = frame.cells
     regions = _compete(frame, regions)
     regions = merge_adjacent(cells, regions, None)
     regions = merge_occluded(cells, regions, None)
-    regions = remove_curved(cells, regions, frame.noise.mean**2)
+    regions = remove_curved(cells, regions, frame.noise.mean_sigma**2)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
     # Curved regions are removed last, so that no plane can grow into their pixels.
     return remove_regions(labels, planes, find_curved(cells, regions, DepthKind.EXACT))
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of the depth of a sensor, with grain and smooth noise."""
+    """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells, noise = frame.cells, frame.noise
     regions = _compete(frame, regions)
     correlation = Correlation.of(cells, regions, noise)
@@ -147,7 +148,7 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of depth whose errors have bends and steps of their own."""
+    """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
     regions = _compete(frame, regions)
     regions = merge_adjacent(frame.cells, regions, None)
     regions = merge_occluded(frame.cells, regions, None)

@@ -3,8 +3,8 @@
 """
 One thread for the matrix products of the plane stage.
 
-They are so small that waking a second thread takes longer than the product itself, twice as long
-in all where the network or other programs want the other cores.
+The products are so small that waking a second thread takes longer than the product. With the
+other cores busy with the network or other programs, a product takes twice as long.
 """
 
 from __future__ import annotations

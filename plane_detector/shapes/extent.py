@@ -76,7 +76,7 @@ def open_share(view: DepthView, found: FoundShape) -> float:
     level_m = total_m[ring] / count[ring]
     gap_m = np.abs(view.depth_m[window][ring] - level_m)
     allowed_m = (_MAX_GAP_PX * level_m / view.intrinsics.fx + DEVIATIONS * depth_sigma_m(
-        level_m, view.noise.mean, view.noise.depth_floor_m))
+        level_m, view.noise.mean_sigma, view.noise.depth_floor_m))
     goes_on = view.is_free(window, view.is_open)[ring] & (gap_m < allowed_m)
     return float(goes_on.mean()) if goes_on.size else 0.0
 

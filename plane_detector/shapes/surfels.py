@@ -93,13 +93,13 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
     plane = np.column_stack([a, b, disparity - a * rays[:, 0] - b * rays[:, 1]])
     length = np.linalg.norm(plane, axis=1).clip(1e-12)
     width_m = grid.size_px / intrinsics.fx * z_m
-    grain_m = depth_sigma_m(z_m, noise.grain, noise.depth_floor_m)
+    grain_m = depth_sigma_m(z_m, noise.pixel_sigma, noise.depth_floor_m)
     # A step within a cell bends it by more than any curved surface that the cell can show.
     usable &= grid.inner_rms * z_m**2 < np.hypot(DEVIATIONS * grain_m, _MAX_GAP_SHARE * width_m)
     return Surfels(
         grid.shape, rays * z_m[:, None], -plane / length[:, None], rays, grid.moments[:, N],
-        width_m, depth_sigma_m(z_m, noise.mean, noise.depth_floor_m),
-        noise.slope * focal.mean() / length, usable)
+        width_m, depth_sigma_m(z_m, noise.mean_sigma, noise.depth_floor_m),
+        noise.slope_sigma * focal.mean() / length, usable)
 
 
 def smooth_links(surfels: Surfels) -> tuple[np.ndarray, np.ndarray]:

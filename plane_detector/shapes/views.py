@@ -95,9 +95,9 @@ class DepthView:
         camera = self.intrinsics
         rays = np.column_stack([(u + window[1].start - camera.cx) / camera.fx,
                                 (v + window[0].start - camera.cy) / camera.fy, np.ones(len(u))])
-        smooth, grain = self.noise.mean**2, self.noise.grain**2
+        smooth, grain = self.noise.mean_sigma**2, self.noise.pixel_sigma**2
         sigma_m = depth_sigma_m(z_m, (smooth + grain) ** 0.5, self.noise.depth_floor_m)
-        floor = self.noise.floor(self.surfels.median_disparity)
+        floor = self.noise.variance_floor(self.surfels.median_disparity)
         correlated = ((smooth * CORRELATED_CELLS * self.size_px**2 + grain + floor)
                       / (smooth + grain + floor))
         return Pixels(rays * z_m[:, None], rays, sigma_m, z_m / camera.fx, len(u) / correlated)

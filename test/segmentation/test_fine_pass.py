@@ -27,12 +27,12 @@ def strip(width_px, roll_deg=0.0, first_px=FIRST_PX, yaw_deg=0.0):
                  wall(RIGHT_M, end_m)], angles_deg=(yaw_deg, 0, roll_deg))
 
 
-def before_narrow(depth_m, config=CONFIG, least=EXACT):
+def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     """Return what :func:`add_small_planes` takes: what the search on whole cells leaves."""
     image = disparity_image(depth_m)
     least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
     search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0))
-    cells, regions, noise = search_planes(search, least)
+    cells, regions, noise = search_planes(search, noise_floor)
     labels = label_pixels(image, cells, regions, noise, 3.0)
     return image, labels, cells, regions.coefficients, noise, search
 

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The picture as a grid of square cells, each summed up by the moments of its disparity.
+The image as a grid of square cells, each summarised by the moments of its disparity.
 
-A plane is affine in (x, y, 1/z), so the least-squares plane through any set of cells is a 3 x 3
-solve of their added moments, and its squared error over any cell a dot product: no stage after
-this one touches a pixel until the labels are brought back to full resolution.
+A plane is affine in (x, y, 1/z). The least-squares plane of any set of cells is therefore a 3 x 3
+solve of their summed moments, and its squared error over a cell is a dot product. Later stages
+read no pixels until the labels return to full resolution.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 
-# The cells' number hardly depends on the picture's size: with it grow their sides.
-CELLS_PER_PICTURE = 4800
-# A few lines of a lidar are enough of a cell, one line is not.
+# The number of cells hardly depends on the image size: the cells grow with the image.
+CELLS_PER_IMAGE = 4800
+# A few lidar lines determine the plane of a cell, one line does not.
 MIN_VALID_SHARE = 0.15
 MIN_SPREAD = 0.01
 # Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.
@@ -40,14 +40,14 @@ class CellGrid:
     """
     Moments and the local plane of each cell, row by row.
 
-    x and y are pixels from the centre of the picture divided by its width, d is 1/depth.
+    x and y are pixels from the image centre divided by the image width, d is 1/depth.
 
     Attributes
     ----------
     size_px : int
         Side of a cell.
     width_px : int
-        Width of the picture, the unit of x and y.
+        Width of the image, the unit of x and y.
     origin : (float, float)
         x and y of the first pixel.
     shape : (int, int)
@@ -61,7 +61,7 @@ class CellGrid:
     inner_rms : (R * C,) float64
         Root mean square of d about that plane.
     usable : (R * C,) bool
-        Enough of the cell is valid, and spread well enough, to determine its own plane.
+        The valid pixels are enough, and spread well enough, to determine the cell's own plane.
 
     """
 
@@ -88,8 +88,8 @@ class CellGrid:
 
 
 def cell_size(shape: tuple[int, int]) -> int:
-    """Return the side of the cells of a picture in pixels."""
-    return max(1, round(np.sqrt(shape[0] * shape[1] / CELLS_PER_PICTURE)))
+    """Return the side of the cells of an image in pixels."""
+    return max(1, round(np.sqrt(shape[0] * shape[1] / CELLS_PER_IMAGE)))
 
 
 def image_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -101,13 +101,13 @@ def image_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
 
 def build_cell_grid(image: DisparityImage, size: int = 0) -> CellGrid:
     """
-    Sum up a disparity image.
+    Build the grid of cells of a disparity image.
 
     Parameters
     ----------
     image : DisparityImage
     size : int
-        Side of the cells in pixels, 0: as :func:`cell_size` has it.
+        Side of the cells in pixels; 0: that of :func:`cell_size`.
 
     Returns
     -------

@@ -9,7 +9,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
 
-# Disparity is taken to be at least this, so that nothing is divided by 0.
+# Lower bound of the disparity, to avoid division by 0.
 TINY_DISPARITY = 1e-9
 
 

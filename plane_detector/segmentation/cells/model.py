@@ -23,7 +23,7 @@ MIN_VARIANCE = 1e-30
 @dataclass(frozen=True)
 class WeightedCells:
     """
-    The cells with what is known of their noise.
+    The cells and their noise.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class PlaneRegions:
 def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     """Weigh each cell by the noise that it is tested with."""
     variances = cell_variances(grid, noise)
-    is_planar = grid.usable & (grid.inner_rms**2 < MAX_INNER_VARIANCES * variances.grain)
+    is_planar = grid.usable & (grid.inner_rms**2 < MAX_INNER_VARIANCES * variances.pixel)
     weights = [1 / np.maximum(v, MIN_VARIANCE) for v in (variances.mean, variances.slope)]
     table = np.column_stack([grid.mean, grid.slope, *weights])
     return WeightedCells(grid, variances, is_planar, table)
@@ -76,7 +76,7 @@ def chi_squared(table, i, a, b, c):
     Return the chi-squared misfit of cell i to the plane d = a x + b y + c.
 
     The squared residual of the cell's mean disparity over its variance, plus the same of its
-    slope: what crosses a plane at an angle is no part of it, however near.
+    slope: a cell that crosses the plane at an angle does not fit it, however near it is.
     """
     residual = table[i, 2] - (a * table[i, 0] + b * table[i, 1] + c)
     tilt_x, tilt_y = table[i, 3] - a, table[i, 4] - b
@@ -103,7 +103,7 @@ def add_up(values, labels, is_used, count):
 
 def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
                 min_pixels: float = 1.0) -> PlaneRegions:
-    """Fit planes to labels (R, C) int32; those of fewer planar pixels, or on a line, go."""
+    """Fit planes to labels (R, C) int32; drop labels with too few planar pixels or on a line."""
     moments = region_moments(cells, labels, count)
     planes = fit_planes(moments)
     kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1)) & np.isfinite(planes[:, 0]))

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How the errors of neighbouring cells go together, read off the picture itself.
+Correlation of the errors of neighbouring cells, estimated from the image itself.
 
-Smooth noise moves whole neighbourhoods of cells alike. Whoever takes cells one by one counts the
-same error many times where they agree, and misses how little may change from one to the next.
+Smooth noise shifts whole neighbourhoods of cells. A test that treats cells as independent counts
+the same error many times, and misses how little the error changes from one cell to the next.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 
-# Smaller regions fit themselves to the noise.
+# The planes of smaller regions fit the noise itself.
 MIN_REGION_CELLS = 100
 # Residuals are cut off at this many deviations.
 MAX_RESIDUAL = 3.0
@@ -35,8 +35,8 @@ class Correlation:
     """
     Covariance of the errors of cells' means, a powered exponential (Diggle and Ribeiro 2007).
 
-    They have a smooth part and one that is different from cell to cell. The power is 2 for noise
-    that was blurred and about 1 for the rougher one of real sensors.
+    The errors have a smooth part and a part that is independent from cell to cell. The power is 2
+    for blurred noise and about 1 for the rougher noise of real sensors.
 
     Attributes
     ----------
@@ -55,14 +55,14 @@ class Correlation:
     @classmethod
     def of(cls, model: WeightedCells, regions: PlaneRegions, noise: Noise) -> Correlation | None:
         """
-        Read it off the residuals of the largest regions.
+        Estimate the covariance from the residuals of the largest regions.
 
-        None where no region is large enough to tell.
+        None if no region is large enough.
         """
-        square, *at_lags = _covariances(model, regions, MAX_RESIDUAL * noise.mean)
+        square, *at_lags = _covariances(model, regions, MAX_RESIDUAL * noise.mean_sigma)
         if square <= 0:
             return None
-        own = square * np.clip((noise.grain / model.grid.size_px) ** 2 / square,
+        own = square * np.clip((noise.pixel_sigma / model.grid.size_px) ** 2 / square,
                                LEAST_SHARE, 1 - LEAST_SHARE)
         smooth = square - own
         decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, *CORRELATION_RANGE))
@@ -70,7 +70,7 @@ class Correlation:
         return cls(float(smooth), float(own), float(decay), float(power))
 
     def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return that of cells so many rows and columns apart, broadcast."""
+        """Return the covariance of cells at these distances in rows and columns, broadcast."""
         apart = np.hypot(rows, columns)
         return self.smooth * np.exp(-self.decay * apart**self.power) + self.own * (apart == 0)
 
@@ -81,7 +81,7 @@ class Correlation:
         return float(self.covariance(apart[:, None], apart).sum())
 
     def table(self, shape: tuple[int, int]) -> np.ndarray:
-        """Return the covariance (R, C) of cells so many rows and columns apart."""
+        """Return the covariance of two cells by their distance in rows and columns, (R, C)."""
         return self.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the segmentation gives: the pixels of each plane, and all that measuring them needs."""
+"""Result of the segmentation: the pixels of each plane, and the data for measuring the planes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class PixelRegions:
     disparity : (H, W) float32
         0 where invalid.
     labels : (H, W) int32
-        Index into ``coefficients``, -1 for no plane. Never a label where disparity is invalid.
+        Index into ``coefficients``, -1 for no plane and where disparity is invalid.
     coefficients : (K, 3) float64
         a, b, c of d = a x + b y + c in the coordinates of the cells; some may have no pixels.
     grid : CellGrid
@@ -62,7 +62,7 @@ class PixelRegions:
 
 
 def _rescaled_grid(grid: CellGrid, scale: float, shift: float) -> CellGrid:
-    """Put scale * d + shift for d in the sums over the pixels of each cell."""
+    """Substitute scale * d + shift for d in the sums over the pixels of each cell."""
     moments, mean = grid.moments.copy(), grid.mean.copy()
     n, x, y, d, xd, yd, dd = grid.moments[:, [N, X, Y, D, XD, YD, DD]].T
     moments[:, D] = scale * d + shift * n

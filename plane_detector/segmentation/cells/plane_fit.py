@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least-squares planes from moments, and quadric surfaces from products, added up once."""
+"""Least-squares planes from moments, and quadric surfaces from products."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from plane_detector.compilation import kernel
 
 # derived: pixels on a line have no plane; wider than a thousandth of their length they have.
 MIN_WIDTH_SQUARED = 1e-6
-# Of terms of like size: what a fit to too few cells leaves open.
+# Relative size below which an eigenvalue counts as zero: too few cells for the fit.
 LEAST_EIGENVALUE = 1e-10
 
 
@@ -22,7 +22,7 @@ def fit_plane(moments):
     Parameters
     ----------
     moments : (10,) float64
-        Of the columns of :mod:`plane_detector.segmentation.cells.grid`, added up.
+        Sums of the columns of :mod:`plane_detector.segmentation.cells.grid`.
 
     Returns
     -------
@@ -70,12 +70,12 @@ def squared_errors(planes, moments):
 def quadratic_products(members: np.ndarray, x: np.ndarray, y: np.ndarray,
                        d: np.ndarray) -> np.ndarray:
     """
-    Add up what fits of surfaces need over the cells of each region.
+    Sum the products for surface fits over the cells of each region.
 
     Parameters
     ----------
     members : (K, n) float64
-        1 or 0: the cells of each region.
+        1 for the cells of each region, 0 elsewhere.
     x, y, d : (n,) float64
         Place and disparity of each cell.
 
@@ -92,12 +92,12 @@ def quadratic_products(members: np.ndarray, x: np.ndarray, y: np.ndarray,
 
 def least_squares(products: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     """
-    Fit what is linear in its coefficients: planes, of 3 terms, or quadratic surfaces, of 6.
+    Fit surfaces that are linear in their coefficients: planes (3 terms) or quadrics (6 terms).
 
     Parameters
     ----------
     products : (K, 7, 7) float64
-        As :func:`quadratic_products` gives them; the last row and column belong to the values.
+        From :func:`quadratic_products`; the last row and column belong to the disparity.
     terms : int
         How many of the first rows and columns to use.
 
@@ -117,15 +117,15 @@ def least_squares(products: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndar
     return np.maximum(square - (coefficients * projection).sum(axis=1), 0), coefficients
 
 
-def pseudo_inverse(matrix: np.ndarray, least: float) -> np.ndarray:
+def pseudo_inverse(matrix: np.ndarray, min_ratio: float) -> np.ndarray:
     """
-    Return the pseudo-inverses of symmetric matrices (K, n, n), as numpy's pinv but faster.
+    Return the pseudo-inverses of symmetric matrices (K, n, n), like numpy's pinv but faster.
 
-    Eigenvalues of less than this share of the largest are taken for zero.
+    Eigenvalues below ``min_ratio`` times the largest count as zero.
     """
     values, vectors = np.linalg.eigh(matrix)
     size = np.abs(values)
-    large = size > least * size.max(axis=1, keepdims=True)
+    large = size > min_ratio * size.max(axis=1, keepdims=True)
     inverse = np.divide(1, values, out=np.zeros_like(values), where=large)
     return (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)
 
@@ -133,16 +133,16 @@ def pseudo_inverse(matrix: np.ndarray, least: float) -> np.ndarray:
 @kernel('float64(float64[:, ::1], int64, float64[::1])')
 def solve_least_squares(products, terms, coefficients):
     """
-    Fit what is linear in its coefficients, by Gauss-Jordan elimination.
+    Solve a linear least-squares problem by Gauss-Jordan elimination.
 
     Parameters
     ----------
     products : (m, m) float64
-        Sums of the products of two of the terms and, last, the values.
+        Sums of the products of any two columns: the terms, and last the values.
     terms : int
         How many of the first terms to use.
     coefficients : (m,) float64
-        The first ``terms`` are written; 0 for terms that the data leave open.
+        Output: the first ``terms`` are written; 0 for terms that the data do not determine.
 
     Returns
     -------

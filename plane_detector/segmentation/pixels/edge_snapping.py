@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Borders of planes snap to the edges of the picture.
+Snap the borders of planes to the edges of the image.
 
-A network sees the picture at a size of its own, and its depth is blurred by a few of those pixels:
-where one surface ends the picture knows better. The planes' insides are the markers of a watershed
-(Meyer 1992) in the colours, which decides for what lies between them. Measured depth needs no such
-help: on it borders got worse.
+A network sees the image at its own size, and its depth is blurred by a few of those pixels: the
+image shows better where a surface ends. The interiors of the planes are the markers of a
+watershed (Meyer 1992) on the colours, which labels the pixels between them. On measured depth
+borders got worse, so it is not used there.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-# At half the size edges are exact enough, and a quarter of the work.
+# Half the size is accurate enough at a quarter of the work.
 SCALE = 2
-# Grain of the picture is no edge.
+# Noise of the image must not act as an edge.
 SMOOTHING_PX = 1.0
 
 
@@ -31,7 +31,7 @@ class GuideImage:
     ----------
     rgb : (H, W, 3) uint8
     reach_px : float
-        How far the edges of the depth may be off.
+        Largest error of the position of the depth's edges, pixels.
 
     """
 
@@ -46,30 +46,30 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage) -> np.ndarray:
     Parameters
     ----------
     labels : (H, W) int32
-        -1 none, which has borders too.
+        -1 for no plane; unlabelled areas have borders too.
     guide : GuideImage
         Pixels farther than its reach from a border keep their label.
 
     Returns
     -------
     (H, W) int32
-        No label is lost: one that is nowhere wider than the reach stays as it is.
+        No label is lost: a label that is nowhere wider than the reach stays unchanged.
 
     """
     reach = round(guide.reach_px / SCALE)
     small = np.ascontiguousarray(labels[::SCALE, ::SCALE])
     if reach < 1 or min(small.shape) < 3:
         return labels
-    # Watershed wants 1, 2, ... for what is known and 0 for what is not.
+    # Watershed markers are 1, 2, ...; 0 is unknown.
     known = small + 2
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     counted = known.astype(np.uint16)
     band = cv2.dilate(counted, square) != cv2.erode(counted, square)
     narrow = ~np.isin(small, np.unique(small[~band]))
     markers = np.where(band & ~narrow, 0, known).astype(np.int32)
-    picture = cv2.resize(guide.rgb, small.shape[::-1], interpolation=cv2.INTER_AREA)
-    cv2.watershed(cv2.GaussianBlur(picture, (0, 0), SMOOTHING_PX), markers)
-    # It leaves lines of -1 between the basins: these take the label of a neighbour.
+    small_rgb = cv2.resize(guide.rgb, small.shape[::-1], interpolation=cv2.INTER_AREA)
+    cv2.watershed(cv2.GaussianBlur(small_rgb, (0, 0), SMOOTHING_PX), markers)
+    # Watershed leaves lines of -1 between the basins: they take the label of a neighbour.
     filled = cv2.dilate(np.maximum(markers, 0).astype(np.uint16), np.ones((3, 3), np.uint8))
     snapped = np.where(markers > 0, markers, filled).astype(np.int32) - 2
     moved = band & ~narrow & (snapped >= -1)

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Labels of cells to labels of pixels.
+From labels of cells to labels of pixels.
 
-A cell whose whole neighbourhood agrees hands its label to its pixels. In the cells along borders
-every pixel chooses among the planes nearby: where two planes intersect along their border, by the
-side of the intersection that it lies on, which no noise blurs; at a step, by its own residual.
+If all neighbours of a cell have its label, its pixels get this label. In cells along borders each
+pixel chooses among the planes nearby. If two planes intersect along their border, the side of the
+intersection decides, which does not depend on noise; at a step the residual of the pixel decides.
 """
 
 from __future__ import annotations
@@ -42,17 +42,18 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
     regions : PlaneRegions
     noise : Noise
     threshold : float
-        A pixel within this many standard deviations of a plane may belong to it.
+        Inlier threshold in standard deviations.
 
     Returns
     -------
     (H, W) int32
-        Index into the planes, -1 for none and where not valid.
+        Index into the planes, -1 for none and where invalid.
 
     """
-    smooth, grain = _smoothed(image.values, noise)
+    smooth, pixel_sigma = _smoothed(image.values, noise)
     grid = cells.grid
-    frame = np.array([grid.width_px, *grid.origin, threshold**2, noise.mean**2 + grain**2,
+    variance = noise.mean_sigma**2 + pixel_sigma**2
+    frame = np.array([grid.width_px, *grid.origin, threshold**2, variance,
                       noise.depth_floor_m**2, noise.disparity_floor**2])
     return _label(smooth, image.valid, np.ascontiguousarray(regions.labels), cells.is_planar,
                   (np.ascontiguousarray(regions.coefficients),
@@ -66,8 +67,8 @@ def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarra
     Returns
     -------
     (K, K) int8
-        Entry i, j is the sign of plane min(i, j) less the other, as 1/z, where min(i, j) is seen;
-        0: one is in front of the other or they do not touch.
+        Entry i, j is the sign of 1/z of plane min(i, j) minus the other plane, on the side of
+        min(i, j); 0 if one is in front of the other or they do not touch.
 
     """
     signs = np.zeros((len(regions.coefficients),) * 2, np.int8)
@@ -80,11 +81,11 @@ def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarra
 
 
 def _smoothed(disparity: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
-    """Return the disparity with less grain, edges kept, and the grain that is left."""
+    """Return the disparity with its pixel noise reduced, edges kept, and the remaining sigma."""
     typical = median(disparity[::7, ::7].ravel())
-    if noise.grain <= SMOOTHED_GRAIN * np.sqrt(noise.floor(typical)):
-        return disparity, noise.grain
-    return cv2.medianBlur(disparity, MEDIAN_SIDE_PX), MEDIAN_NOISE_SHARE * noise.grain
+    if noise.pixel_sigma <= SMOOTHED_GRAIN * np.sqrt(noise.variance_floor(typical)):
+        return disparity, noise.pixel_sigma
+    return cv2.medianBlur(disparity, MEDIAN_SIDE_PX), MEDIAN_NOISE_SHARE * noise.pixel_sigma
 
 
 @kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], int32[:, ::1], boolean[::1], '
@@ -119,7 +120,7 @@ def _label(disparity, valid, cell_labels, is_planar, planes, geometry):
 
 @kernel('void(float64[:, ::1], int32[::1], float64[::1], UniTuple(int64, 2), float32[:, ::1])')
 def _at_corner(coefficients, near, frame, corner, local):
-    """Write planes as affine functions of the pixels' columns and rows from a corner."""
+    """Write the planes as affine functions of column and row relative to a corner."""
     width, x, y = frame[0], frame[1] + corner[1] / frame[0], frame[2] + corner[0] / frame[0]
     for k in range(len(near)):
         a, b, c = coefficients[near[k], 0], coefficients[near[k], 1], coefficients[near[k], 2]
@@ -128,7 +129,7 @@ def _at_corner(coefficients, near, frame, corner, local):
 
 @kernel('Tuple((int64, boolean))(int32[:, ::1], int64, int64, int32[::1])')
 def _labels_around(labels, row, column, near):
-    """Write the different labels of the nine cells around one; say how many, and if all agree."""
+    """Write the labels of the 3 x 3 cells around one; return their number and if all agree."""
     count, agree = 0, True
     for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
@@ -145,7 +146,7 @@ def _labels_around(labels, row, column, near):
 @kernel('void(float32[::1], boolean[::1], float32, float32[:, ::1], int32[::1], float64[::1], '
         'int32[::1])')
 def _choose(disparity, valid, v, local, near, limits, chosen):
-    """Write the plane of least residual of the pixels of one row of a cell, -1 none."""
+    """Write the plane of smallest residual for the pixels of one row of a cell, -1 none."""
     threshold2, variance, depth_floor2, disparity_floor2 = (
         np.float32(limits[0] * PIXEL_TOLERANCE**2), np.float32(limits[1]), np.float32(limits[2]),
         np.float32(limits[3]))
@@ -164,7 +165,7 @@ def _choose(disparity, valid, v, local, near, limits, chosen):
 @kernel('void(float32[::1], float32, float32[:, ::1], int32[::1], int8[:, ::1], float64[::1], '
         'int32[::1])')
 def _choose_sides(disparity, v, local, near, signs, limits, chosen):
-    """Correct the pixels close to intersections, where residuals say nothing, by their side."""
+    """Relabel the pixels close to intersections, where residuals are ambiguous, by their side."""
     threshold2, variance, depth_floor2, disparity_floor2 = (
         np.float32(limits[0]), np.float32(limits[1]), np.float32(limits[2]),
         np.float32(limits[3]))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which regions touch, what the cells along their borders say, and merging them."""
+"""Adjacency of regions, sums over the cells along their borders, and merging of regions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RegionAdjacency:
     mean_second: np.ndarray
 
     def step(self, planes: np.ndarray) -> np.ndarray:
-        """Return the mean step (P,) from side to side of each border, about planes (P, 3)."""
+        """Return the mean step (P,) across each border, measured against planes (P, 3)."""
         gap = self.mean_first - self.mean_second
         return np.abs(gap[:, 2] - (planes[:, :2] * gap[:, :2]).sum(axis=1))
 
@@ -54,7 +54,7 @@ class RegionAdjacency:
                           (self.mean_first + self.mean_second) / 2))
 
     def sides(self, planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return plane ``first`` less ``second`` on the side of each, (P,) both."""
+        """Return plane ``first`` minus ``second`` on the side of each of them, (P,) both."""
         difference = planes[self.first] - planes[self.second]
         return _at(difference, self.mean_first), _at(difference, self.mean_second)
 
@@ -101,7 +101,7 @@ def _border_sums(labels, table, is_planar, count):
 
 
 def best_pairs(adjacency: RegionAdjacency, misfit: np.ndarray) -> np.ndarray:
-    """Return the pairs of misfit (P,) up to 1, best first, each region once."""
+    """Return the pairs with misfit (P,) up to 1, best first; each region is used once."""
     chosen, used = [], set()
     for k in np.argsort(misfit, kind='stable'):
         if misfit[k] > 1:
@@ -115,7 +115,7 @@ def best_pairs(adjacency: RegionAdjacency, misfit: np.ndarray) -> np.ndarray:
 
 def merge(cells: WeightedCells, regions: PlaneRegions, target: np.ndarray,
           source: np.ndarray) -> PlaneRegions:
-    """Return the regions with each ``source`` (n,) part of its ``target`` (n,), refitted."""
+    """Return the regions with each ``source`` (n,) merged into its ``target`` (n,), refitted."""
     count = len(regions.coefficients)
     owner = np.arange(count)
     owner[source] = target
@@ -129,7 +129,7 @@ def merge(cells: WeightedCells, regions: PlaneRegions, target: np.ndarray,
 
 @dataclass(frozen=True)
 class RegionSums:
-    """The planar cells of each region: moments of their means (K, 10), number and variance."""
+    """Moments (K, 10) of the means of each region's planar cells, their number, mean variance."""
 
     moments: np.ndarray
     count: np.ndarray
@@ -137,7 +137,7 @@ class RegionSums:
 
 
 def sum_up_regions(cells: WeightedCells, regions: PlaneRegions) -> RegionSums:
-    """Add up the cells of each region, each counting as one pixel; variance is the mean one."""
+    """Sum the cells of each region, each cell as one pixel."""
     sums = _sums_of_means(np.ascontiguousarray(regions.labels).reshape(-1), cells.table,
                           cells.is_planar, len(regions.coefficients))
     count = np.maximum(sums[:, 0], 1)
@@ -159,7 +159,7 @@ def _sums_of_means(labels, table, is_planar, count):
 
 def joint_misfit(cells: WeightedCells, regions: PlaneRegions, first: np.ndarray,
                  second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the misfit of one plane to each pair (P,), up to 1 it fits, and the planes (P, 3)."""
+    """Return the misfit (P,) of one plane to each pair, at most 1 for a fit; planes (P, 3)."""
     sums = sum_up_regions(cells, regions)
     joint = fit_planes(sums.moments[first] + sums.moments[second])
     error = [squared_errors(joint, sums.moments[side]) / sums.count[side] / sums.variance[side]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A network bends walls: where its depth has a slight bend, the regions are one plane."""
+"""Networks bend walls: adjacent regions that a slight bend separates are one plane."""
 
 from __future__ import annotations
 

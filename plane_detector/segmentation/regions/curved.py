@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Curved regions of measured depth are no planes.
+Reject curved regions of measured depth.
 
-Within the tolerance of any method a curtain or a cushion is a row of narrow planes. Where the
-noise is low, the cells of one such region show its curve: a quadric fits them far better than a
-plane (F-test), and their normal turns from one end to the other. Under noise pairs of regions
-show it. Hysteresis (Canny 1986): a clear bend starts a curved region, less clear ones linked to
-it join.
+Within the tolerance of any method a curtain or a cushion is a row of narrow planes. At low noise
+the cells of a single region show the curvature: a quadric fits them far better than a plane
+(F-test), and the normal turns from one end to the other. At higher noise pairs of regions show it.
+Hysteresis (Canny 1986): a strong bend starts a curved region, weaker bends linked to it join.
 """
 
 from __future__ import annotations
@@ -38,24 +37,24 @@ from plane_detector.segmentation.regions.quadrics import (
 
 # derived: nine cells for the six terms of a quadric, four for the three of a plane.
 MIN_QUADRIC_CELLS, MIN_PLANE_CELLS = 9, 4
-# Of the F-statistic: how much better the quadric fits, as a multiple of the noise.
+# Threshold of the F-statistic: improvement of the fit by the quadric over the noise.
 # tuned: evaluation.benchmark curved; flat from 5 to 15.
 MIN_F = 8.0
 # tuned: evaluation.benchmark curved, rooms; flat from 1 to 4.
 MIN_TURN_DEG = 2.0
-# A region that turns by so little as above, and is a few cells wide, strays by more than this.
+# A region a few cells wide that turns by the angle above deviates by more than this.
 MIN_RELATIVE_RMS = 1e-5
 # derived: rounding in float32, relative to the disparity.
 ROUNDING = 1e-6
 # derived: a uniform spread is this many standard deviations wide.
 WIDTH_PER_DEVIATION = 12**0.5
-# Planes that meet at less than the first angle are one plane with a dent, at more than the second
-# an edge of two.
+# Planes that meet at less than the first angle are one plane with a dent; at more than the second
+# they are two planes with an edge.
 # tuned: evaluation.benchmark curved, rooms; flat from 6 to 12, from 60 to 80.
 MIN_FOLD_DEG, MAX_FOLD_DEG = 10.0, 70.0
 # derived: a curved surface does not jump.
 MAX_GAP_DEVIATIONS = 3.0
-# One plane fits worse than the quadric by so many variances: clearly, and less so.
+# One plane fits worse than the quadric by this many variances: strong bends, and weak ones.
 # tuned: evaluation.benchmark curved; flat from 0.7 to 1.5, half of it for the weak ones.
 HIGH_THRESHOLD, LOW_THRESHOLD = 1.0, 0.5
 # The quadric may fit one of the regions so many times worse than its plane does.
@@ -68,7 +67,7 @@ MIN_NOISE_SHARE, MIN_WEAK_NOISE_SHARE = 0.25, 0.8
 def remove_curved(cells: WeightedCells, regions: PlaneRegions,
                   noise_density: float) -> PlaneRegions:
     """
-    Remove the regions that are curved each by itself.
+    Remove the regions whose own cells show that they are curved.
 
     Parameters
     ----------
@@ -99,18 +98,19 @@ def remove_curved(cells: WeightedCells, regions: PlaneRegions,
 
 def _is_curved(products: np.ndarray, disparity: np.ndarray,
                noise_density: float) -> np.ndarray:
-    """Say of each region (K,), given its products and mean disparity, whether it is curved."""
+    """Say whether each region (K,) is curved, from its products and mean disparity."""
     count = np.maximum(products[:, 0, 0], QUADRIC_TERMS + 1)
     flat, _ = fit_surfaces(products, PLANE_TERMS)
     curved, quadric = fit_surfaces(products, QUADRIC_TERMS)
-    least = np.maximum(noise_density, (ROUNDING * disparity) ** 2)
-    f_statistic = (flat - curved) / 3 / np.maximum(curved / (count - QUADRIC_TERMS), least)
+    min_variance = np.maximum(noise_density, (ROUNDING * disparity) ** 2)
+    variance = np.maximum(curved / (count - QUADRIC_TERMS), min_variance)
+    f_statistic = (flat - curved) / 3 / variance
     spread = products[:, 1:3, 1:3] / count[:, None, None]
     return (f_statistic > MIN_F) & (_turn_deg(quadric, spread, disparity) > MIN_TURN_DEG)
 
 
 def _turn_deg(quadric: np.ndarray, spread: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    """Return the angle by which the normal turns from end to end of each region, about (K,)."""
+    """Return about the angle (K,) by which the normal turns from end to end of each region."""
     xx, xy, yy = 2 * quadric[:, 3], quadric[:, 4], 2 * quadric[:, 5]
     bend = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
     # The bend over the width of the region along each direction: its squares have this trace.
@@ -137,7 +137,7 @@ def find_curved(cells: WeightedCells, regions: PlaneRegions, kind: DepthKind) ->
 
 def _may_be_curved(cells: WeightedCells, regions: PlaneRegions, adjacency: RegionAdjacency,
                    kind: DepthKind) -> np.ndarray:
-    """Say which pairs (P,) of regions are large enough and meet in a blunt fold, no step."""
+    """Say which pairs (P,) of regions are large enough and meet in a blunt fold without a step."""
     labels = regions.labels[regions.labels >= 0]
     count = np.bincount(labels, minlength=len(regions.coefficients))
     fold_deg, gap = folds(cells, regions, adjacency)
@@ -153,9 +153,9 @@ def _judge(quadrics: Quadrics, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarra
     Returns
     -------
     clear : (P,) bool
-        As good as the planes of the pair, while no single plane fits.
+        The quadric fits as well as the two planes of the pair, and no single plane fits.
     weak : (P,) bool
-        The same, less clearly.
+        The same, with weaker thresholds.
 
     """
     plane, joint, errors = fit_pairs(quadrics, *pairs.T)
@@ -169,7 +169,7 @@ def _judge(quadrics: Quadrics, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _grow_by_hysteresis(clear: np.ndarray, weak: np.ndarray) -> np.ndarray:
-    """Return the clear regions (K,) bool and those that weak pairs (P, 2) link to them."""
+    """Return the clear regions (K,) bool and the regions that weak pairs (P, 2) link to them."""
     reached = clear.copy()
     while True:
         halfway = weak[reached[weak].sum(axis=1) == 1]

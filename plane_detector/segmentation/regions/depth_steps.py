@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Regions that a depth step cuts apart become several planes.
+Split regions at depth steps.
 
-A picture frame on a wall may stand out less than the noise of any pixel or cell, so that no plane
-of its own explains it better. But the smooth part of noise does not jump, and the grain averages
-out along an edge: differences of the means on both sides of a line show much smaller steps than
-residuals do. They are linked by hysteresis (Canny 1986), and what they cut off is a plane of its
-own if model selection says so.
+A picture frame on a wall may stand out by less than the noise of a pixel or cell, so that a plane
+of its own does not fit it better. But smooth noise does not jump, and pixel noise averages out
+along an edge: the difference of the means on both sides of a line shows much smaller steps than
+residuals do. Steps are linked by hysteresis (Canny 1986). A piece that they cut off becomes a
+plane if model selection prefers two planes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clust
 
 # Blocks of pixels along the side of a cell.
 BLOCKS = 4
-# The means compared are of half a cell by three cells along the step.
+# The compared means cover half a cell across and three cells along the step.
 LENGTH_CELLS = 3
 # A step in standard deviations of what is everywhere: everywhere along it, and somewhere.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
@@ -35,7 +35,7 @@ LOW_THRESHOLD, HIGH_THRESHOLD = 1.7, 4.0
 # The piece is off its surroundings by this many deviations of the noise, at the step and overall.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_OFFSET = 0.5
-# Residuals are cut off at this many deviations, so that an outlier is not the only step.
+# Residuals are clipped at this many deviations, so that outliers do not hide the steps.
 MAX_RESIDUAL = 6.0
 _CROSS = Neighbourhood(np.array([[0, 0], [0, 1], [1, 0], [0, -1], [-1, 0]]), 1)
 
@@ -53,20 +53,21 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
     regions : PlaneRegions
     noise : Noise
     correlation : Correlation or None
-        None: nothing is split.
+        If None, nothing is split.
     min_pixels : float
         Smallest piece.
 
     Returns
     -------
     PlaneRegions
-        The pieces behind the others, each with a plane of its own.
+        The pieces follow the other regions, each with its own plane.
 
     """
     size = cells.grid.size_px
     if correlation is None or size < BLOCKS or not len(regions.coefficients):
         return regions
-    residual = _residual(image, cells, regions, MAX_RESIDUAL * np.hypot(noise.mean, noise.grain))
+    limit = MAX_RESIDUAL * np.hypot(noise.mean_sigma, noise.pixel_sigma)
+    residual = _residual(image, cells, regions, limit)
     inside = ~np.isnan(residual)
     residual = np.where(inside, residual, np.float32(0))
     labels = regions.labels.repeat(BLOCKS, axis=0).repeat(BLOCKS, axis=1)
@@ -82,10 +83,10 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
     split = regions
     for rank, piece in enumerate(large):
         larger = large[:rank][owner[large[:rank]] == owner[piece]]
-        least = MIN_OFFSET * noise.mean
-        if not len(larger) or abs(mean[piece] - mean[larger[0]]) < least:
+        min_offset = MIN_OFFSET * noise.mean_sigma
+        if not len(larger) or abs(mean[piece] - mean[larger[0]]) < min_offset:
             continue
-        if _stands_out(pieces == piece, residual, owners, mean[larger[0]], least):
+        if _stands_out(pieces == piece, residual, owners, mean[larger[0]], min_offset):
             split = _cut_off(cells, split, pieces == piece, owner[piece], correlation)
     return split
 
@@ -144,8 +145,8 @@ def _steps(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
 
 
 def _stands_out(is_piece: np.ndarray, residual: np.ndarray, labels: np.ndarray, rest_mean: float,
-                least: float) -> bool:
-    """Say whether a piece is off the rest of its region, and the same way at the step."""
+                min_offset: float) -> bool:
+    """Say whether a piece is offset from its region's rest, with the same sign at the step."""
     rows, columns = (np.flatnonzero(is_piece.any(axis=axis)) for axis in (1, 0))
     box = tuple(slice(max(side[0] - 2 * BLOCKS, 0), side[-1] + 2 * BLOCKS + 1)
                 for side in (rows, columns))
@@ -158,12 +159,12 @@ def _stands_out(is_piece: np.ndarray, residual: np.ndarray, labels: np.ndarray, 
         return False
     offsets = np.array([values[inner].mean() - values[outer].mean(),
                         values[piece].mean() - rest_mean])
-    return bool((offsets >= least).all() or (offsets <= -least).all())
+    return bool((offsets >= min_offset).all() or (offsets <= -min_offset).all())
 
 
 def _cut_off(cells: WeightedCells, regions: PlaneRegions, piece: np.ndarray, label: int,
              correlation: Correlation) -> PlaneRegions:
-    """Make the cells that a piece, with half the step around it, fills a region if it is one."""
+    """Split off the cells that a piece and half the step around it fill, if they are a plane."""
     (rows, columns), new = regions.labels.shape, len(regions.coefficients)
     filled = dilated(piece, BLOCKS // 2).reshape(rows, BLOCKS, columns, BLOCKS).sum(axis=(1, 3))
     labels = np.where((2 * filled >= BLOCKS**2) & (regions.labels == label), new,

@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-All planes compete for every cell, and neighbours prefer to agree.
+All planes compete for all cells, with a Potts prior.
 
-Planes found one after the other keep whatever cell they met first; here each cell goes to the
-plane that explains it best, and the planes are refitted, as in PEaRL (Isack and Boykov 2012). The
-energy, a truncated chi-squared per cell and a Potts term, is lowered by iterated conditional modes
-(Besag 1986).
+Sequential search gives a cell to the first plane that fits it. Here each cell goes to the plane
+that fits it best, and the planes are refitted, as in PEaRL (Isack and Boykov 2012). Iterated
+conditional modes (Besag 1986) lower the energy: a truncated chi-squared per cell and a Potts term.
 """
 
 from __future__ import annotations
@@ -48,11 +47,11 @@ def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: fl
     cells : WeightedCells
     regions : PlaneRegions
     threshold : float
-        Beyond this many standard deviations a cell would rather belong to no plane.
+        Inlier threshold in standard deviations.
     min_pixels : float
-        Smaller clusters are given up.
+        Smaller clusters are dropped.
     dbscan : DbscanConfig
-        Splits planes into clusters; pieces far apart become planes of their own.
+        Splits planes into clusters; pieces far apart become separate planes.
 
     Returns
     -------
@@ -74,7 +73,7 @@ def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: fl
 @kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], float64[:, ::1], float64[:, ::1], '
         'boolean[::1], float64)')
 def _sweep(labels, planes, table, is_planar, threshold2):
-    """Return the label of each cell that lowers its energy, given the others, and the changes."""
+    """Return the label of lowest energy of each cell, given the others, and how many changed."""
     rows, columns = labels.shape
     updated, changed = labels.copy(), 0
     near = np.empty((2 * REACH_CELLS + 1) ** 2, np.int32)
@@ -95,7 +94,7 @@ def _sweep(labels, planes, table, is_planar, threshold2):
         lowest -= POTTS_WEIGHT * _votes(labels, row, column, -1)
         for k in range(count):
             cost, label = 0.0, near[k]
-            if is_planar[i]:  # a cell on an edge says nothing itself: its neighbours decide
+            if is_planar[i]:  # a cell on an edge has no data term: its neighbours decide
                 cost = min(chi_squared(table, i, planes[label, 0], planes[label, 1],
                                        planes[label, 2]), TRUNCATION * threshold2)
             cost -= POTTS_WEIGHT * _votes(labels, row, column, label)
@@ -109,7 +108,7 @@ def _sweep(labels, planes, table, is_planar, threshold2):
 
 @kernel('int64(int32[:, ::1], int64, int64, int64)')
 def _votes(labels, row, column, label):
-    """Return how many of the nine cells around one have a label; the grid's last ones repeat."""
+    """Count a label in the 3 x 3 cells around one; the grid's border is replicated."""
     rows, columns = labels.shape
     votes = 0
     for r in range(row - 1, row + 2):

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Regions that touch and that the noise cannot tell apart become one plane.
+Merge adjacent regions that cannot be told apart at the noise level.
 
-Two are one when a joint plane fits both as well as the noise lets it, or when the smaller one is a
+Two regions are merged if a joint plane fits both within the noise, or if the smaller one is a
 bulge of the larger: near its plane and without a step along the border. A step keeps parallel
-planes apart, since the smooth part of the noise does not jump from cell to cell.
+planes apart, since smooth noise does not jump from cell to cell.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ MAX_BULGE_SHARE = 0.35
 def merge_adjacent(cells: WeightedCells, regions: PlaneRegions,
                    correlation: Correlation | None) -> PlaneRegions:
     """
-    Merge regions, the pairs that fit best first, until no pair fits.
+    Merge pairs of regions, best fit first, until no pair fits.
 
     Parameters
     ----------
     cells : WeightedCells
     regions : PlaneRegions
     correlation : Correlation or None
-        Of the noise, where it tells two planes from one; None: what fits is merged.
+        Of the noise, for model selection; if None, all pairs that fit are merged.
 
     Returns
     -------
@@ -65,7 +65,7 @@ def merge_adjacent(cells: WeightedCells, regions: PlaneRegions,
 
 def _chosen(cells: WeightedCells, regions: PlaneRegions, adjacency: RegionAdjacency,
             misfit: np.ndarray, correlation: Correlation | None) -> np.ndarray:
-    """Return the best pairs that are not two planes."""
+    """Return the best pairs not separated by a step or crease."""
     tested = np.zeros(len(misfit), bool)
     while True:
         chosen = best_pairs(adjacency, misfit)
@@ -79,7 +79,7 @@ def _chosen(cells: WeightedCells, regions: PlaneRegions, adjacency: RegionAdjace
 
 def _bulge_misfit(cells: WeightedCells, regions: PlaneRegions,
                   adjacency: RegionAdjacency) -> np.ndarray:
-    """Return the misfit (P,) of the smaller region as a bulge of the larger; up to 1 it is one."""
+    """Return the misfit (P,) of the smaller region as a bulge of the larger, up to 1 for a fit."""
     sums = sum_up_regions(cells, regions)
     first_larger = sums.count[adjacency.first] >= sums.count[adjacency.second]
     large = np.where(first_larger, adjacency.first, adjacency.second)

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Whether two regions that lie within the noise of each other are two planes all the same.
+One plane or two: model selection for regions that lie within the noise of each other.
 
-The smooth part of the noise moves whole regions, but it neither jumps nor bends sharply: from one
-cell to the next it changes by far less than its standard deviation. Generalised least squares
-(Aitken 1936) makes use of that: a likelihood-ratio test under correlated noise says how much
-better the cells about a border are explained by two planes than by one.
+Smooth noise shifts whole regions, but it neither jumps nor bends sharply: from one cell to the
+next it changes by far less than its standard deviation. Generalised least squares (Aitken 1936)
+uses that: a likelihood-ratio test under correlated noise compares two planes with one plane on
+the cells around the border.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REACH_CELLS = 3
 # The cells nearest to the border say most.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 MAX_CELLS = 256
-# A region of fewer is no evidence.
+# A region of fewer cells is not tested.
 MIN_CELLS = 4
 # Twice the gain in log-likelihood that blurred noise hardly ever gives, times its power, 2:
 # rougher noise has more edges of its own.
@@ -38,7 +38,7 @@ CUT_VARIANCE = 1 / 12
 def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Correlation | None,
                       first: int, second: int) -> bool:
     """
-    Say whether a step or a crease along their border keeps two regions apart.
+    Say whether a step or a crease along the border separates two regions.
 
     Parameters
     ----------
@@ -46,14 +46,14 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     labels : (R, C) int32
         Region of each cell, -1 none.
     correlation : Correlation or None
-        None: nothing is kept apart.
+        If None, no regions are separated.
     first, second : int
         The regions.
 
     Returns
     -------
     bool
-        False where they do not touch.
+        False if the regions do not touch.
 
     """
     if correlation is None:
@@ -68,7 +68,7 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
 
 @kernel('Tuple((int64[::1], boolean[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])')
 def _cells_about(labels, is_planar, pair):
-    """Return the cells (n,) nearest to a border, which are the smaller region's, which are cut."""
+    """Return the cells (n,) nearest to a border, which of them are the smaller region's or cut."""
     rows, columns = labels.shape
     balance = 0
     for i in range(labels.size):
@@ -76,7 +76,7 @@ def _cells_about(labels, is_planar, pair):
         balance += (label == pair[1]) - (label == pair[0])
     small, large = (pair[0], pair[1]) if balance >= 0 else (pair[1], pair[0])
     to_small, to_large = _distance(labels, small), _distance(labels, large)
-    # Sorted by distance: counted, then each put at its place.
+    # Counting sort by distance.
     distance, start = np.zeros(labels.size, np.int64), np.zeros(rows + columns + 2, np.int64)
     for i in range(labels.size):
         row, column = i // columns, i % columns
@@ -102,20 +102,20 @@ def _cells_about(labels, is_planar, pair):
 
 @kernel('int64[:, ::1](int32[:, ::1], int64)')
 def _distance(labels, label):
-    """Return the chessboard distance (R, C) of each cell to the nearest one of a label."""
+    """Return the chessboard distance (R, C) of each cell to the nearest cell with a label."""
     rows, columns = labels.shape
     distance = np.full((rows, columns), rows + columns)
     for turn in range(2):
         for i in range(labels.size):
             at = i if turn == 0 else labels.size - 1 - i
             row, column, towards = at // columns, at % columns, 2 * turn - 1
-            least = 0 if labels[row, column] == label else distance[row, column]
+            shortest = 0 if labels[row, column] == label else distance[row, column]
             if 0 <= row + towards < rows:
                 for c in range(max(column - 1, 0), min(column + 2, columns)):
-                    least = min(least, distance[row + towards, c] + 1)
+                    shortest = min(shortest, distance[row + towards, c] + 1)
             if 0 <= column + towards < columns:
-                least = min(least, distance[row, column + towards] + 1)
-            distance[row, column] = least
+                shortest = min(shortest, distance[row, column + towards] + 1)
+            distance[row, column] = shortest
     return distance
 
 
@@ -128,7 +128,7 @@ def _gain(table, cell, is_small, is_cut, covariance):
     products, determinant = _weighted_products(matrix.copy(), basis)
     one = solve_least_squares(products, 3, offset)
     solve_least_squares(products, 6, offset)
-    # Cells that the border cuts have the disparity of neither plane.
+    # Cells cut by the border have the disparity of neither plane.
     for i in range(len(cell)):
         step = offset[3] + offset[4] * basis[1, i] + offset[5] * basis[2, i]
         if is_cut[i]:
@@ -165,7 +165,7 @@ def _covariance(table, cell, covariance):
         for j in range(i + 1):
             matrix[i, j] = covariance[abs(cell[i] // columns - cell[j] // columns),
                                       abs(cell[i] % columns - cell[j] % columns)]
-        # Where the floor of the noise rises, that of the depth, cells tell less.
+        # Cells with a higher noise floor weigh less.
         matrix[i, i] += 1 / table[cell[i], 5] - 1 / most
     return matrix
 

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Pieces of one surface that something nearer cuts apart become one plane again.
+Merge pieces of one surface that a nearer object separates.
 
 A floor continues behind a box; two tables of one height do not continue over the floor between
-them. What tells these apart is what the camera sees between two coplanar pieces: something nearer
-than their plane hides how it continues, something farther shows that it ends.
+them. The depth between two coplanar pieces decides: something nearer than their plane hides its
+continuation, something farther shows that it ends.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MAX_SEEN_THROUGH = 0.2
 def merge_occluded(cells: WeightedCells, regions: PlaneRegions,
                    correlation: Correlation | None) -> PlaneRegions:
     """
-    Merge coplanar regions where next to nothing between them is farther than their plane.
+    Merge coplanar regions if hardly any cell between them is farther than their plane.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def merge_occluded(cells: WeightedCells, regions: PlaneRegions,
 
 @kernel('boolean(int32[:, ::1], float64[:, ::1], boolean[::1], float64[::1], int64[::1])')
 def _is_hidden_between(labels, table, is_planar, plane, pair):
-    """Look along straight lines from cells of one region to the nearest ones of the other."""
+    """Sample straight lines from cells of one region to the nearest cells of the other."""
     rows, columns = labels.shape
     at, count = np.empty((2, labels.size), np.int64), np.zeros(2, np.int64)
     for i in range(labels.size):

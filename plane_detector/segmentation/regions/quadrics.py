@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Quadric surfaces through regions and pairs of them, and the angles at which planes meet.
+Quadric surfaces fitted to regions and pairs of regions, and dihedral angles of planes.
 
-Noise hides the curve of a single region, and then a column or a cushion is three or four planes.
-But where two regions meet, one quadric surface has as many parameters as their two planes: it fits
-a bend better than they do, and a fold between planes worse.
+Noise hides the curvature of a single region, so that a column or a cushion becomes three or four
+planes. A quadric has as many parameters as the two planes of a pair: it fits a bend better than
+the two planes do, and a fold between planes worse.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ PLANE_TERMS, QUADRIC_TERMS = 3, 6
 @dataclass(frozen=True)
 class Quadrics:
     """
-    What fits of surfaces need of each region.
+    Products of each region for surface fits.
 
     Attributes
     ----------
     products : (K, 7, 7) float64
         Sums over the planar cells of products of two of 1, x, y, xx, xy, yy and d.
     noise : (K,) float64
-        Squared error that the noise leaves.
+        Squared error expected from the noise.
     error : (K,) float64
         Squared error of the region's own plane.
 
@@ -45,7 +45,7 @@ class Quadrics:
 
 
 def sum_up_quadrics(cells: WeightedCells, regions: PlaneRegions) -> Quadrics:
-    """Add up the cells of each region."""
+    """Sum the products over the cells of each region."""
     sums = sum_up_regions(cells, regions)
     centre = sums.moments[:, [1, 2, 6]].sum(axis=0) / sums.count.sum()
     products = quadric_products(cells, regions.labels,
@@ -79,14 +79,14 @@ def _products(labels, table, is_planar, centre):
 @kernel('Tuple((float64[::1], float64[:, ::1]))(float64[:, :, ::1], int64)')
 def fit_surfaces(products, terms):
     """
-    Fit planes, of 3 terms, or quadrics, of 6, to products (G, 7, 7).
+    Fit planes (3 terms) or quadrics (6 terms) to products (G, 7, 7).
 
     Returns
     -------
     error : (G,) float64
         Squared error.
     coefficients : (G, 7) float64
-        Of the surface; -1 for the values in the last column.
+        Of the surface; the last column, for the disparity, is -1.
 
     """
     error, coefficients = np.zeros(len(products)), np.zeros((len(products), 7))

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Connected components of cells, each of which continues where its neighbour ends.
+Connected components of cells whose local planes continue each other.
 
-On depth with little noise every cell knows its plane, and all planes of the image come out of one
-pass, however many they are, as in Trevor, Gedikli, Rusu and Christensen, "Efficient Organized
+On depth with little noise each cell determines its plane, and one pass finds all planes of the
+image, however many there are, as in Trevor, Gedikli, Rusu and Christensen, "Efficient Organized
 Point Cloud Segmentation with Connected Components" (2013). Under noise cells link across creases;
-a component that is not planar is given up here and left to the search by hypotheses.
+such a component is not planar and is left to the search by hypotheses.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_VARIANCES = 3.0
 
 def planar_components(cells: WeightedCells, min_pixels: float, threshold: float) -> PlaneRegions:
     """
-    Find the connected components of cells that are planes, the largest first.
+    Find the connected components of cells that are planes, largest first.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def _components(table, is_planar, columns, threshold):
 
 @kernel('boolean(float64[:, ::1], int64, int64, float64)')
 def _is_linked(table, i, j, threshold):
-    """Say whether two cells have one plane: they meet half-way, at one slope."""
+    """Say whether two cells are coplanar: equal slopes and no step half-way between them."""
     step = (table[j, 2] - table[i, 2]
             - (table[i, 3] + table[j, 3]) * (table[j, 0] - table[i, 0]) / 2
             - (table[i, 4] + table[j, 4]) * (table[j, 1] - table[i, 1]) / 2)

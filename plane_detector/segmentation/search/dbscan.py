@@ -3,8 +3,8 @@
 """
 Density clusters of cells in the grid of the image (Ester et al. 1996, DBSCAN).
 
-The cells that come here are inliers of one plane, so neighbours in the image are neighbours in
-space too: the gap in disparity between them is bounded by the inlier threshold.
+The input cells are inliers of one plane, so neighbours in the image are neighbours in space too:
+the inlier threshold bounds the gap in disparity between them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from plane_detector.config import DbscanConfig
 @dataclass(frozen=True)
 class Neighbourhood:
     """
-    Which of the cells that fit a plane belong together.
+    Decides which of the cells that fit a plane form one cluster.
 
     Attributes
     ----------
     offsets : (m, 2) int64
-        Rows and columns to the cells of the neighbourhood, itself included. None at all: cells
-        belong together wherever they are.
+        Rows and columns to the cells of the neighbourhood, the cell itself included. Empty: all
+        cells form one cluster.
     min_samples : int
         Cells in the neighbourhood that make a core cell.
 
@@ -48,7 +48,7 @@ def neighbourhood(dbscan: DbscanConfig) -> Neighbourhood:
 
 def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray, int]:
     """
-    Cluster the cells of every label by itself.
+    Cluster the cells of each label separately.
 
     Parameters
     ----------

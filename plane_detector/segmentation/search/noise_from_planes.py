@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The noise as the largest planes show it.
+The noise, estimated from the residuals of the largest planes.
 
-Differences between cells tell only of noise that varies from cell to cell, and take clutter for
-noise. How cells stray from the largest planes of the image tells both.
+Differences between neighbouring cells miss noise that is smooth over several cells, and count
+clutter as noise. The residuals of the largest planes do neither.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ TOLERANCE = 0.1
 
 def noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise) -> Noise:
     """
-    Return the noise that the cells of the given planes show, by median absolute deviation.
+    Estimate the noise from the cells of the given planes, by median absolute deviation.
 
     Parameters
     ----------
     cells : WeightedCells
     regions : PlaneRegions
-        The largest planes; small ones are left out.
+        The largest planes; small ones are ignored.
     noise : Noise
-        What the planes were found with.
+        The noise that the planes were found with.
 
     Returns
     -------
     Noise
-        The given one when the planes are too small to tell.
+        The given noise if all planes are too small.
 
     """
     labels = regions.labels.ravel()
@@ -54,13 +54,13 @@ def noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise)
     plane, (x, y, d) = regions.coefficients[labels[members]].T, cells.grid.mean[members].T
     residual = d - (plane[0] * x + plane[1] * y) - plane[2]
     tilt = (cells.grid.slope[members].T - plane[:2]).ravel()
-    grain = max(median(cells.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.known)
-    return replace(noise, grain=grain).with_smooth_part(
+    pixel_sigma = max(median(cells.grid.inner_rms[members]), GRAIN_PER_NOISE * noise.source_sigma)
+    return replace(noise, pixel_sigma=pixel_sigma).with_smooth_part(
         SIGMA_PER_MEDIAN * median(np.abs(residual)), SIGMA_PER_MEDIAN * median(np.abs(tilt)))
 
 
 def has_converged(cells: WeightedCells, before: Noise, after: Noise) -> bool:
     """Say whether a search with the noise ``after`` would find the same as with ``before``."""
-    floor = np.sqrt(before.floor(cells.grid.typical_disparity))
-    ratio = max(after.mean, floor) / max(before.mean, floor, np.finfo(float).tiny)
+    floor = np.sqrt(before.variance_floor(cells.grid.typical_disparity))
+    ratio = max(after.mean_sigma, floor) / max(before.mean_sigma, floor, np.finfo(float).tiny)
     return 1 - TOLERANCE <= ratio <= 1 + TOLERANCE

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Local optimisation of one plane: refitted to the density cluster of its inliers.
+Local optimisation of one plane: it is refitted to the density cluster of its inliers.
 
-Only the cluster around the seed counts, so that a plane does not gather streaks off the surfaces
-that it happens to cut. Cells are tested as the cluster reaches them.
+Only the cluster around the seed counts, so that a plane collects no streaks from surfaces that it
+happens to cut. Cells are tested when the cluster reaches them.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def refine(plane, seed, threshold2, table, moments, near):
     -------
     plane : (3,) float64
     members : (k,) int64
-        None when the plane holds nothing.
+        Empty if the plane has no inlier cluster.
 
     """
     members = np.array([seed])
@@ -76,7 +76,7 @@ def _cluster_of(plane, members, threshold2, table, near):
     """
     Return the cells of the density cluster of inliers that holds most members.
 
-    A seed may be an outlier of its own plane: then those of the largest cluster.
+    If no member is in a cluster, the largest cluster is returned.
     """
     free, offsets, min_samples = near
     state, is_taken = np.zeros(free.shape, np.uint8), np.zeros(free.shape, np.bool_)
@@ -144,7 +144,7 @@ def _is_core(plane, i, threshold2, table, near, state):
         'Tuple((boolean[:, ::1], int64[:, ::1], int64)), '
         'Tuple((uint8[:, ::1], boolean[:, ::1])), int64[::1], int64)')
 def _grow(plane, seed, threshold2, table, near, states, cluster, start):
-    """Write the cluster of a core cell behind ``start``; return where it ends."""
+    """Write the cluster of a core cell to ``cluster`` from ``start``; return its end."""
     (free, offsets, _), (state, is_taken) = near, states
     rows, columns = free.shape
     cluster[start] = seed

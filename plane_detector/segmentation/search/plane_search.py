@@ -1,16 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The planes on the cells, and the noise that they were found with.
-
-One cannot be known without the other:
+Search for the planes and the noise together, since each is needed to find the other.
 
 1. the noise is estimated from differences between neighbouring cells;
-2. where it lets creases be seen, the connected components of cells are tried: where planar ones
-   cover most of the image, they are its planes, and few hypotheses are left to test;
-3. the largest planes are found and the noise is taken from their residuals, in rounds, until it
-   has converged;
-4. the other planes are found with this noise.
+2. if creases are visible at this noise, connected components of cells are formed; if planar
+   components cover most of the image, they are its planes, and few hypotheses remain to be tested;
+3. the largest planes are found and the noise is estimated from their residuals, repeatedly, until
+   the noise has converged;
+4. the remaining planes are found with this noise.
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ START_SHARE = 0.7
 CALIBRATION_PLANES, CALIBRATION_ROUNDS = 3, 5
 # derived: most of the depth. Components are the planes when so much of it lies on planar ones.
 MIN_COMPONENT_SHARE = 0.5
-# A common lens: focal length over the width of the image. Angles need it where none is known.
+# Focal length of a common lens over the image width, for angles where the camera is unknown.
 TYPICAL_FOCAL_SHARE = 0.8
 # derived: the tangent of 30 degrees; neighbours on planes at this angle must not link.
 MIN_CREASE_SLOPE = 0.577
@@ -47,7 +45,7 @@ MIN_CREASE_SLOPE = 0.577
 
 @dataclass(frozen=True)
 class Search:
-    """What a search needs beside the noise: the grid, the least plane, settings, randomness."""
+    """Inputs of a search beside the noise: grid, smallest plane, settings and random generator."""
 
     grid: CellGrid
     min_pixels: float
@@ -55,15 +53,15 @@ class Search:
     rng: np.random.Generator
 
 
-def search_planes(search: Search, floor: Noise) -> tuple[WeightedCells, PlaneRegions, Noise]:
+def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, PlaneRegions, Noise]:
     """
     Find planes and noise.
 
     Parameters
     ----------
     search : Search
-    floor : Noise
-        Its floors and what is known of the source bound the noise from below.
+    noise_floor : Noise
+        Its floors and its ``source_sigma`` bound the noise from below.
 
     Returns
     -------
@@ -73,7 +71,7 @@ def search_planes(search: Search, floor: Noise) -> tuple[WeightedCells, PlaneReg
     noise : Noise
 
     """
-    noise = _start_noise(search.grid, floor)
+    noise = _start_noise(search.grid, noise_floor)
     cells = weigh_cells(search.grid, noise)
     by_components = _components_are_planes(search, cells, noise)
     most = search.config.segmentation.max_planes
@@ -87,25 +85,26 @@ def search_planes(search: Search, floor: Noise) -> tuple[WeightedCells, PlaneReg
     return cells, _begin(search, cells, by_components).find(most), noise
 
 
-def _start_noise(grid: CellGrid, floor: Noise) -> Noise:
+def _start_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     """Return the noise of the first round."""
-    noise = estimate_noise(grid, floor)
-    return noise.with_smooth_part(START_SHARE * noise.mean, noise.slope)
+    noise = estimate_noise(grid, noise_floor)
+    return noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
 
 
 def find_planes(search: Search, cells: WeightedCells, noise: Noise, most: int) -> PlaneRegions:
-    """Find at most so many planes with a noise that is known."""
+    """Find at most ``most`` planes with a given noise."""
     return _begin(search, cells, _components_are_planes(search, cells, noise)).find(most)
 
 
 def sees_creases(search: Search, noise: Noise) -> bool:
-    """Say whether the noise is less than what neighbours on two planes differ by."""
-    tolerance = search.config.ransac.inlier_threshold * 2**0.5 * noise.slope * TYPICAL_FOCAL_SHARE
-    return noise.known == 0 and tolerance < MIN_CREASE_SLOPE * search.grid.typical_disparity
+    """Say whether neighbouring cells on two planes differ by more than the noise."""
+    tolerance = (search.config.ransac.inlier_threshold * 2**0.5 * noise.slope_sigma
+                 * TYPICAL_FOCAL_SHARE)
+    return noise.source_sigma == 0 and tolerance < MIN_CREASE_SLOPE * search.grid.typical_disparity
 
 
 def _components_are_planes(search: Search, cells: WeightedCells, noise: Noise) -> bool:
-    """Say whether creases can be seen and planar components cover most of the depth."""
+    """Say whether creases are visible and planar components cover most of the depth."""
     if not sees_creases(search, noise):
         return False
     count, threshold = search.grid.moments[:, N], search.config.ransac.inlier_threshold

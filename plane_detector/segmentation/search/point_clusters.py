@@ -3,9 +3,9 @@
 """
 DBSCAN (Ester et al. 1996) of points in space, in bounded memory.
 
-scikit-learn is fast but keeps the neighbours of all points at once: where everything is within the
-radius, 20 000 points take 5 GB. Where there are that many pairs, they are looked at in parts, and
-what is kept is a component for each point. The clusters and their numbers are the same.
+scikit-learn is fast but keeps the neighbours of all points at once: if all points are within the
+radius of each other, 20 000 points take 5 GB. That many pairs are processed in parts here, and
+only a component for each point is kept. The clusters and their numbers are the same.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ def _pairs(points_m: np.ndarray, tree: cKDTree, eps_m: float,
     tree : cKDTree
     eps_m : float
     neighbours : (n,) int
-        How many there are for each point, at most.
+        Upper bound of the number of pairs of each point.
 
     """
     part = np.cumsum(neighbours) // PAIRS_AT_ONCE

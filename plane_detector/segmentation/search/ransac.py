@@ -20,8 +20,8 @@ from plane_detector.segmentation.search.dbscan import Neighbourhood
 from plane_detector.segmentation.search.plane_growth import refine
 from plane_detector.stopping import raise_if_stopped
 
-# Rows and columns: small windows find small planes, long ones narrow planes, and large ones see
-# through the noise.
+# Rows and columns: small windows find small planes, long ones narrow planes, large ones planes
+# under noise.
 WINDOWS_CELLS = np.array([[3, 3], [2, 7], [7, 2], [9, 9]])
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 WINDOW_MIN_FREE = 0.7
@@ -36,7 +36,7 @@ MAX_FAILURES = 3
 
 class SequentialRansac:
     """
-    Finds planes among the cells, takes them out, goes on until none is left.
+    Find planes among the cells one after the other, each time among the cells that are left.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ class SequentialRansac:
         Smallest plane.
     config : RansacConfig
     near : Neighbourhood
-        Which inliers belong together.
+        Decides which inliers form one cluster.
     rng : numpy.random.Generator
         Draws the windows.
     start : PlaneRegions, optional
-        Planes that are known already; default: none.
+        Planes found before; default: none.
 
     """
 
@@ -67,7 +67,7 @@ class SequentialRansac:
         self._batch: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
     def find(self, most: int) -> PlaneRegions:
-        """Return all planes found so far, at most so many; goes on from call to call."""
+        """Return all planes found so far, at most ``most``; a later call continues the search."""
         while len(self._planes) < most and not self._is_exhausted:
             raise_if_stopped()
             if self._batch is None:
@@ -82,7 +82,7 @@ class SequentialRansac:
         return PlaneRegions(labels, self._planes[:most])
 
     def _draw(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return new hypotheses (H, 3), their seed cells (H,) and what each gains (H,)."""
+        """Return new hypotheses (H, 3), their seed cells (H,) and their support (H,)."""
         cells, config = self._cells, self._config
         self._before_batch = len(self._planes)
         pixels = cells.grid.moments[self._free, 0].sum()
@@ -93,7 +93,7 @@ class SequentialRansac:
         wanted = np.log1p(-config.confidence) / np.log1p(-min(share, 0.99))
         wanted = int(np.clip(np.ceil(wanted), 1, config.max_iterations))
         chance = self._rng.random((len(WINDOWS_CELLS), wanted))
-        variance = (cells.variances.mean + cells.variances.grain) * cells.grid.moments[:, 0]
+        variance = (cells.variances.mean + cells.variances.pixel) * cells.grid.moments[:, 0]
         planes, seeds = _window_planes(self._free.reshape(cells.grid.shape), cells.grid.moments,
                                        variance, WINDOWS_CELLS, chance)
         self._drawn += max(len(planes), 1)
@@ -103,7 +103,7 @@ class SequentialRansac:
         return planes, seeds, gain
 
     def _peel(self, most: int) -> None:
-        """Take the planes of the best hypotheses out."""
+        """Move the planes of the best hypotheses from the free cells to the result."""
         cells, config = self._cells, self._config
         limits = np.array([self._min_pixels, config.inlier_threshold**2, most,
                            len(self._planes)], float)
@@ -156,9 +156,9 @@ def _window_planes(free, moments, variance, windows, chance):
         'float64)')
 def add_support(gain, planes, table, moments, cell, weight):
     """
-    Add to gain (H,) the pixels of some cells, times 1 - (residual / threshold)**2 (MSAC).
+    Add the support of some cells to gain (H,): pixels times 1 - (residual / threshold)**2 (MSAC).
 
-    ``weight`` is one over the squared threshold; below 0 the support is taken away.
+    ``weight`` is one over the squared threshold; a negative weight subtracts the support.
     """
     a, b, c = (planes[:, 0].astype(np.float32), planes[:, 1].astype(np.float32),
                planes[:, 2].astype(np.float32))
@@ -180,7 +180,7 @@ def add_support(gain, planes, table, moments, cell, weight):
         'UniTuple(float64[:, ::1], 2), boolean[:, ::1], int32[::1], '
         'Tuple((int64[:, ::1], int64)))')
 def _peel(batch, limits, sums, free, labels, near):
-    """Label the planes of the best hypotheses, take them out of ``free``, return them (n, 3)."""
+    """Label the planes of the best hypotheses, clear ``free`` there, return the planes (n, 3)."""
     (planes, seeds, gain), (table, moments) = batch, sums
     min_pixels, threshold2, most, first = limits
     found, count, failures = np.empty((int(most), 3)), 0, 0

@@ -133,7 +133,7 @@ def test_the_number_of_cells_hardly_grows_with_the_picture(shape):
     size = cells.cell_size(shape)
     assert size >= 1
     count = np.ceil(shape[0] / size) * np.ceil(shape[1] / size)
-    assert count <= 2.5 * cells.CELLS_PER_PICTURE
+    assert count <= 2.5 * cells.CELLS_PER_IMAGE
 
 
 def test_input_is_not_modified():

@@ -14,7 +14,7 @@ from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_quantisation
 
-LEAST = Noise(0.0005)
+FLOOR = Noise(0.0005)
 
 
 def rounded(depth_m, step):
@@ -22,15 +22,15 @@ def rounded(depth_m, step):
     return (1 / (np.rint(1 / depth_m / step) * step)).astype(np.float32)
 
 
-def known(depth_m, least=LEAST):
-    return with_quantisation(least, disparity_image(depth_m)).known
+def source_sigma(depth_m, noise_floor=FLOOR):
+    return with_quantisation(noise_floor, disparity_image(depth_m)).source_sigma
 
 
 @pytest.mark.parametrize('step', [0.001, 0.003, 0.01])
 @pytest.mark.parametrize('yaw_deg', [10, 40])
 def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
     depth_m = rounded(single_wall(yaw_deg=yaw_deg).depth_m, step)
-    assert known(depth_m) == pytest.approx(step / 2, rel=0.01)
+    assert source_sigma(depth_m) == pytest.approx(step / 2, rel=0.01)
     assert len(segment_planes(depth_m, VGA).planes) == 1
 
 
@@ -51,7 +51,7 @@ def test_exact_walls_are_not_rounded(yaw_deg, distance_m, in_millimetres):
     depth_m = single_wall(yaw_deg=yaw_deg, distance_m=distance_m).depth_m
     if in_millimetres:
         depth_m = (np.rint(1000 * depth_m) / 1000).astype(np.float32)
-    assert known(depth_m) == 0
+    assert source_sigma(depth_m) == 0
 
 
 @pytest.mark.parametrize('seed', range(8))
@@ -60,26 +60,26 @@ def test_rooms_are_not_rounded(seed, sigma):
     depth_m = random_room(np.random.default_rng(seed)).depth_m
     if sigma:
         depth_m = with_disparity_noise(depth_m, sigma, np.random.default_rng(seed))
-    assert known(depth_m) == 0
+    assert source_sigma(depth_m) == 0
 
 
 def test_what_is_known_is_not_lowered():
     depth_m = rounded(single_wall(yaw_deg=20).depth_m, 0.003)
-    assert known(depth_m, Noise(0.0005, known=0.008)) == 0.008
+    assert source_sigma(depth_m, Noise(0.0005, source_sigma=0.008)) == 0.008
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (300, 2)])
 def test_small_pictures_are_taken(shape):
     disparity = np.full(shape, 0.5, np.float32)
-    assert with_quantisation(LEAST, DisparityImage(disparity, np.ones(shape, bool))) == LEAST
+    assert with_quantisation(FLOOR, DisparityImage(disparity, np.ones(shape, bool))) == FLOOR
     assert with_quantisation(
-        LEAST, DisparityImage(0 * disparity, np.zeros(shape, bool))) == LEAST
+        FLOOR, DisparityImage(0 * disparity, np.zeros(shape, bool))) == FLOOR
 
 
 def test_noise_is_estimated_between_columns_without_depth():
     depth_m = with_disparity_noise(single_wall(yaw_deg=0).depth_m, 0.01, np.random.default_rng(0))
-    whole = estimate_noise(build_cell_grid(disparity_image(depth_m)), LEAST)
+    whole = estimate_noise(build_cell_grid(disparity_image(depth_m)), FLOOR)
     depth_m[:, (np.arange(640) // 24) % 3 == 0] = np.nan
-    holed = estimate_noise(build_cell_grid(disparity_image(depth_m)), LEAST)
-    assert holed.mean == pytest.approx(whole.mean, rel=0.4)
+    holed = estimate_noise(build_cell_grid(disparity_image(depth_m)), FLOOR)
+    assert holed.mean_sigma == pytest.approx(whole.mean_sigma, rel=0.4)
     assert len(segment_planes(depth_m, VGA).planes) >= 1

@@ -46,7 +46,7 @@ def test_the_planes_still_pass_through_their_pixels(regions, scale, shift):
     x, y = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
     residual = found.disparity[v, u] - found.coefficients[0] @ [x, y, np.ones(len(x))]
     assert np.abs(residual).mean() < 0.01 * scale
-    assert found.noise.mean == pytest.approx(scale * regions.noise.mean)
+    assert found.noise.mean_sigma == pytest.approx(scale * regions.noise.mean_sigma)
 
 
 def test_the_unit_that_it_has_changes_nothing(regions):
@@ -66,5 +66,6 @@ def test_the_floor_of_depth_scales_with_depth():
     noise = Noise(0.0005, 1e-6, 0.1, 0.2, 0.3, 0.4).rescaled(2.0)
     disparity = np.array([0.2, 1.0])
     expected = 4 * Noise(0.0005, 1e-6).floor(disparity)
-    np.testing.assert_allclose(noise.floor(2.0 * disparity), expected)
-    assert (noise.known, noise.mean, noise.slope, noise.grain) == (0.2, 0.4, 0.6, 0.8)
+    np.testing.assert_allclose(noise.variance_floor(2.0 * disparity), expected)
+    assert (noise.source_sigma, noise.mean_sigma) == (0.2, 0.4)
+    assert (noise.slope_sigma, noise.pixel_sigma) == (0.6, 0.8)

@@ -13,8 +13,8 @@ from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions.bowed_walls import merge_bowed_walls
 
 KNOWN = 0.008
-NETWORK = Noise(Config().ransac.noise_floor, known=KNOWN, mean=KNOWN, slope=8 * KNOWN,
-                grain=KNOWN / 4)
+NETWORK = Noise(Config().ransac.noise_floor, source_sigma=KNOWN, mean_sigma=KNOWN,
+                slope_sigma=8 * KNOWN, pixel_sigma=KNOWN / 4)
 
 
 def bowed(depth_m, height):

@@ -19,7 +19,7 @@ from plane_detector.segmentation.regions.curved import find_curved
 
 ROOM = [wall(4), FLOOR]
 SIGMA = 0.004
-NOISE = Noise(Config().ransac.noise_floor, mean=SIGMA, slope=0.05, grain=SIGMA)
+NOISE = Noise(Config().ransac.noise_floor, mean_sigma=SIGMA, slope_sigma=0.05, pixel_sigma=SIGMA)
 MEASURED = DepthKind.MEASURED
 
 

@@ -28,7 +28,7 @@ from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 
 SIGMA = 0.01
 STEP = 0.003
-NOISE = Noise(EXACT.depth_floor_m, mean=0.006, slope=0.2, grain=0.007)
+NOISE = Noise(EXACT.depth_floor_m, mean_sigma=0.006, slope_sigma=0.2, pixel_sigma=0.007)
 WALL_M = 2.5
 FRAMES = {'wide': (-0.35, -0.25, 0.8, 0.6), 'high': (-0.3, -0.4, 0.6, 0.8)}
 V, U = np.mgrid[:480, :640]

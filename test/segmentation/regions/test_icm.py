@@ -87,7 +87,7 @@ def test_a_sweep_gives_each_cell_the_label_of_least_energy():
     rng = np.random.default_rng(0)
     model = cell_model(view([wall(2.0)]).depth_m)
     # The second strays from the wall by 2 to 6 deviations, whose squares votes may outweigh.
-    deviation = np.sqrt(EXACT.floor(0.5))
+    deviation = np.sqrt(EXACT.variance_floor(0.5))
     planes = np.array([[0, 0, 0.5], [4 * deviation, 0, 0.5 + 4 * deviation]])
     labels = rng.integers(-1, 2, (12, 16)).astype(np.int32).repeat(5, axis=0).repeat(5, axis=1)
     updated, changed = icm._sweep(labels, planes, model.table, model.is_planar, 9.0)

@@ -20,7 +20,7 @@ from plane_detector.segmentation.regions.adjacency import (
 from plane_detector.segmentation.regions.merging import merge_adjacent
 
 SIGMAS = (0.0, 0.004, 0.01)
-WEIGHED = replace(EXACT, mean=0.005, slope=0.2, grain=0.005)
+WEIGHED = replace(EXACT, mean_sigma=0.005, slope_sigma=0.2, pixel_sigma=0.005)
 
 
 def stripes(shape, count):
@@ -32,7 +32,8 @@ def noise_of(sigma):
     """Return what cells show of noise half of which is smooth."""
     part = sigma * np.sqrt(0.5)
     # Blurred with a Gaussian of 12 pixels it tilts by 1 / (12 sqrt(2)) of itself per pixel.
-    return replace(EXACT, mean=part, slope=part * 640 / (12 * np.sqrt(2)), grain=part)
+    return replace(EXACT, mean_sigma=part, slope_sigma=part * 640 / (12 * np.sqrt(2)),
+                   pixel_sigma=part)
 
 
 def noisy_model(scene, sigma):
@@ -81,7 +82,7 @@ def bulging_wall(height, width_px, is_box):
     v, u = np.mgrid[:480, :640]
     off_px = np.hypot(u - 320, v - 240)
     bulge = off_px < width_px if is_box else np.exp(-off_px**2 / (2 * width_px**2))
-    disparity = 0.4 + height * WEIGHED.mean * bulge
+    disparity = 0.4 + height * WEIGHED.mean_sigma * bulge
     return cell_model((1 / disparity).astype(np.float32), WEIGHED), off_px[4::8, 4::8]
 
 
@@ -99,7 +100,7 @@ def test_a_low_small_bulge_without_a_step_is_part_of_the_wall(height, width_px, 
 @pytest.mark.parametrize(('bend', 'count'), [(0.01, 1), (0.04, 3), (0.15, 5), (0.4, 8)])
 def test_of_what_bends_only_neighbours_merge_and_fit_what_they_hold(bend, count):
     disparity = np.tile(0.4 + bend * np.linspace(-0.5, 0.5, 640) ** 2, (480, 1))
-    model = cell_model((1 / disparity).astype(np.float32), replace(WEIGHED, mean=0.001))
+    model = cell_model((1 / disparity).astype(np.float32), replace(WEIGHED, mean_sigma=0.001))
     result = merge_adjacent(model, hand_made(model, stripes(model.grid.shape, 8)), None)
     assert len(result.coefficients) == count
     assert np.count_nonzero(np.diff(result.labels[0])) == count - 1

@@ -18,10 +18,11 @@ CONFIG = Config()
 PART = np.sqrt(0.5)
 
 
-def found(depth_m, least=EXACT, config=CONFIG):
+def found(depth_m, noise_floor=EXACT, config=CONFIG):
     """Return model, regions and noise of a depth image."""
     grid = build_cell_grid(disparity_image(depth_m))
-    return search.search_planes(search.Search(grid, 600, config, np.random.default_rng(0)), least)
+    inputs = search.Search(grid, 600, config, np.random.default_rng(0))
+    return search.search_planes(inputs, noise_floor)
 
 
 def pixel_labels(regions, scene):
@@ -46,8 +47,8 @@ def exact_calls(monkeypatch):
 def test_exact_depth_has_no_noise_and_takes_one_pass(room, seed, exact_calls):
     scene = room(seed)
     model, regions, noise = found(scene.depth_m)
-    assert noise.mean < 1e-5
-    assert noise.grain < 1e-5
+    assert noise.mean_sigma < 1e-5
+    assert noise.pixel_sigma < 1e-5
     assert noise.is_exact(model.grid.typical_disparity)
     assert len(set(exact_calls)) == 1
     assert len(regions.coefficients) >= exact_calls[0] > 0
@@ -61,8 +62,8 @@ def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma, exact_c
     noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
     model, regions, noise = found(noisy_m)
     assert exact_calls == [], 'neighbours link across creases: not worth looking'
-    assert sigma * PART / 1.5 < noise.mean < sigma * PART * 1.5
-    assert noise.grain == pytest.approx(sigma * PART, rel=0.1)
+    assert sigma * PART / 1.5 < noise.mean_sigma < sigma * PART * 1.5
+    assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
     assert not noise.is_exact(model.grid.typical_disparity)
     assert len(regions.coefficients) >= 5
 
@@ -70,9 +71,9 @@ def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma, exact_c
 @pytest.mark.parametrize('seed', ROOMS)
 def test_known_noise_bounds_the_noise_and_rules_out_exact_depth(room, seed, exact_calls):
     scene = room(seed)
-    _, regions, noise = found(scene.depth_m, Noise(EXACT.depth_floor_m, known=0.008))
+    _, regions, noise = found(scene.depth_m, Noise(EXACT.depth_floor_m, source_sigma=0.008))
     assert exact_calls == []
-    assert noise.mean >= 0.008
+    assert noise.mean_sigma >= 0.008
     assert len(regions.coefficients) >= 5
 
 
@@ -84,7 +85,7 @@ def test_most_of_the_picture_must_be_flat_for_exact_depth(flat_share, is_exact):
     edge = round(flat_share * noisy_m.shape[1])
     noisy_m[:, :edge] = scene.depth_m[:, :edge]
     _, regions, noise = found(noisy_m)
-    assert (noise.grain < 1e-5) == is_exact
+    assert (noise.pixel_sigma < 1e-5) == is_exact
     assert len(regions.coefficients) >= 1
 
 
@@ -105,10 +106,10 @@ def test_no_more_than_wanted_and_the_large_ones_first(room, sigma, most):
 @pytest.mark.parametrize('known', [0.0, 0.01])
 def test_a_picture_without_depth_has_no_plane(known):
     depth_m = np.full((120, 160), np.nan, np.float32)
-    _, regions, noise = found(depth_m, Noise(EXACT.depth_floor_m, known=known))
+    _, regions, noise = found(depth_m, Noise(EXACT.depth_floor_m, source_sigma=known))
     assert regions.coefficients.shape == (0, 3)
     assert (regions.labels == -1).all()
-    assert noise.mean == known
+    assert noise.mean_sigma == known
 
 
 def test_same_generator_same_planes(room):
@@ -124,5 +125,5 @@ def test_slight_noise_is_estimated_too(room, seed, sigma):
     """Between exact and noisy there is no gap: all parts of the noise are known at any level."""
     noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
     _, _, noise = found(noisy_m)
-    assert sigma * PART / 1.5 < noise.mean < sigma * PART * 1.5
-    assert noise.grain == pytest.approx(sigma * PART, rel=0.1)
+    assert sigma * PART / 1.5 < noise.mean_sigma < sigma * PART * 1.5
+    assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
