@@ -13,7 +13,7 @@ from plane_detector.segmentation.cells.grid import CellGrid, N
 from plane_detector.segmentation.cells.noise import CellVariances, Noise, cell_variances
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 
-# A cell whose pixels stray from its own plane by more than two deviations straddles an edge.
+# A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_INNER_VARIANCES = 4.0
 # Cells without depth have no variance at all.

@@ -20,12 +20,12 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions.adjacency import find_adjacency
 
-# Grain over this many times the floor is smoothed before pixels are told apart.
+# Pixel noise above this many times the floor is smoothed before pixels are labelled.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 SMOOTHED_GRAIN = 2.0
 # derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
 MEDIAN_SIDE_PX, MEDIAN_NOISE_SHARE = 3, 0.41
-# A pixel among those of a plane may stray this much more than the cells that found it.
+# Tolerance of pixels over that of the cells.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 PIXEL_TOLERANCE = 1.3
 

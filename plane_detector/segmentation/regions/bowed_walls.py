@@ -10,11 +10,11 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.regions.adjacency import best_pairs, find_adjacency, merge
 from plane_detector.segmentation.regions.quadrics import fit_pairs, folds, sum_up_quadrics
 
-# Where the shift of the disparity is not known, the angle is a rough one.
+# If the shift of the disparity is unknown, the angle is approximate.
 # tuned: benchmark segmentation --only real; the range was not swept.
 MAX_BOW_DEG, MAX_BOW_GAP_DEVIATIONS = 35.0, 4.0
-# How much worse than its plane the quadric may fit a region, and the least share of the noise that
-# the plane is taken to leave.
+# How much worse than its plane the quadric may fit a region, and the lower bound of the plane's
+# error as a share of the noise.
 # tuned: benchmark segmentation --only real; the range was not swept.
 MAX_BOW_RATIO, MIN_NOISE_SHARE = 3.0, 0.1
 

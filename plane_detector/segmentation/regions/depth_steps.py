@@ -29,10 +29,10 @@ from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clust
 BLOCKS = 4
 # The compared means cover half a cell across and three cells along the step.
 LENGTH_CELLS = 3
-# A step in standard deviations of what is everywhere: everywhere along it, and somewhere.
+# Step in standard deviations of the differences in the image: all along it, and somewhere.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 LOW_THRESHOLD, HIGH_THRESHOLD = 1.7, 4.0
-# The piece is off its surroundings by this many deviations of the noise, at the step and overall.
+# A piece differs from its surroundings by this many deviations, at the step and overall.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_OFFSET = 0.5
 # Residuals are clipped at this many deviations, so that outliers do not hide the steps.

@@ -24,10 +24,10 @@ from plane_detector.segmentation.search.dbscan import label_clusters, neighbourh
 
 # derived: with no more than this share of the cells changing, another sweep changes next to none.
 SWEEPS, SETTLED_SHARE = 4, 0.004
-# Beyond this many squared thresholds every misfit is as bad.
+# The misfit is truncated at this many squared thresholds.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 TRUNCATION = 3.0
-# A cell that may belong to a plane by its neighbours is let go only beyond this many.
+# Cost of no plane, in squared thresholds.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 OUTLIER_COST = 1.6
 # What one neighbour's agreement is worth, in units of chi-squared.

@@ -25,7 +25,7 @@ from plane_detector.segmentation.regions.adjacency import (
 )
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 
-# How far the cells of a bulge may be off the plane, in deviations; a step between planes is less.
+# Largest distance of the cells of a bulge from the plane, in deviations; a step is smaller.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.123.
 MAX_BULGE_DEVIATIONS = 3.5
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.018.

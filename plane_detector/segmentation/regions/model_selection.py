@@ -18,16 +18,16 @@ from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 
-# How far from the other region cells are looked at.
+# Cells up to this far from the other region are used.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 REACH_CELLS = 3
-# The cells nearest to the border say most.
+# Most cells used, nearest to the border first.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 MAX_CELLS = 256
 # A region of fewer cells is not tested.
 MIN_CELLS = 4
-# Twice the gain in log-likelihood that blurred noise hardly ever gives, times its power, 2:
-# rougher noise has more edges of its own.
+# Twice the gain in log-likelihood that blurred noise hardly ever reaches, times its power, 2:
+# rougher noise contains more edges.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_LOG_LIKELIHOOD_GAIN = 24.0
 # derived: a cell that the border cuts anywhere is off by this share of the step, squared, on

@@ -17,7 +17,7 @@ from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import GRAIN_PER_NOISE, Noise
 
-# A small plane fits itself to the noise and says too little of it.
+# A small plane fits the noise itself, and its residuals are too small.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_CELLS = 100
 # derived: the median of so many samples is good to 4 %.

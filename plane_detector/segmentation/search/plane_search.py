@@ -29,10 +29,10 @@ from plane_detector.segmentation.search.noise_from_planes import (
 )
 from plane_detector.segmentation.search.ransac import SequentialRansac
 
-# Noise taken too high hides planes; taken too low, the planes raise it.
+# Too high a start hides planes; too low a start is corrected from the planes.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 START_SHARE = 0.7
-# The largest planes show noise that is smooth over more than neighbouring cells.
+# The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES, CALIBRATION_ROUNDS = 3, 5
 # derived: most of the depth. Components are the planes when so much of it lies on planar ones.
