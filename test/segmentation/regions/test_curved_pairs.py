@@ -84,7 +84,7 @@ def test_the_others_are_renumbered():
 def test_what_hardly_turns_is_not_bent():
     """Concrete dips by some degrees: better a floor with a dent than none."""
     regions = strips(view([], column(8.0).curved_pieces()), sigma=0, noise=replace(
-        NOISE, mean=0.0005, slope=0.01, grain=0.0005))
+        NOISE, mean_sigma=0.0005, slope_sigma=0.01, pixel_sigma=0.0005))
     assert find_curved(*regions, MEASURED).size == 0
 
 
