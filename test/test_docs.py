@@ -133,6 +133,23 @@ def test_every_output_of_the_node_is_in_the_tables(page):
         assert output.msg_type.__name__ in rows[0]
 
 
+def rows_of(text: str, method: str) -> list[list[str]]:
+    """Return the cells of all rows of tables that begin with a method."""
+    return [[cell.strip() for cell in line.strip().strip('|').split('|')][1:]
+            for line in text.splitlines() if line.startswith(f'| {method} |')]
+
+
+@pytest.mark.parametrize('method', ['plane_detector', 'OpenCV findPlanes, 5 cm',
+                                    'paper, 20000 points'])
+def test_results_in_the_readme_are_those_of_the_page(method):
+    sections = re.split(r'^### ', text_of(ROOT / 'docs' / 'results.md'), flags=re.MULTILINE)
+    tables = [rows_of(section, method)[0] for title in ('Rooms: ', 'Lived-in rooms: ')
+              for section in sections if section.startswith(title)]
+    covering = [[cell.split(' / ')[0] for cell in row[1:]] for row in tables]
+    shown, = rows_of(text_of(README), method)
+    assert shown == [cell for row in covering for cell in (row[0], row[2], row[4], row[5])]
+
+
 def test_every_field_of_planes_and_shapes_is_in_the_tables():
     from plane_detector.ros.outputs.plane_table import CORNER_DTYPE, PLANE_DTYPE
     from plane_detector.ros.outputs.shapes import SHAPE_DTYPE

@@ -89,7 +89,7 @@ class SensorDepth:
     """The depth image of a sensor is what is segmented."""
 
     output = 'metric_depth'
-    facts: Mapping[str, str] = {'depth_model': 'none, depth comes from the topic'}
+    facts: Mapping[str, str] = {'depth_model': 'the depth topic, no network'}
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:

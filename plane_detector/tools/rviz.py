@@ -67,7 +67,8 @@ def find_config() -> Path:
 
 def main(args: list[str] | None = None) -> int:
     """Wait for the camera and become RViz; return an exit code where that is not possible."""
-    parser = argparse.ArgumentParser(prog='rviz', description=__doc__.strip().splitlines()[0])
+    parser = argparse.ArgumentParser(prog='ros2 run plane_detector rviz',
+                                     description=__doc__.strip().splitlines()[0])
     parser.add_argument('--frame', default='', help='fixed frame (default: of the camera)')
     parser.add_argument('--node', default='plane_detector', help='name of the detector')
     parser.add_argument('--timeout', type=float, default=60.0, metavar='S',

@@ -21,6 +21,8 @@ from sensor_msgs.msg import PointCloud2
 
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.cloud_reading import read_cloud
+from plane_detector.ros.inputs.topic_watch import GRACE_S
+from plane_detector.ros.node import not_of_ros
 from plane_detector.scale.estimate import RELATIVE
 
 _CLEAR = '\x1b[2J\x1b[H'
@@ -56,7 +58,7 @@ def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
 
 class PlanePrinter(Node):
     """
-    Prints every message of ``~/planes``; a terminal is cleared before each.
+    Prints every message of ``~/planes``; a terminal is cleared before each. Logs why none comes.
 
     Parameters
     ----------
@@ -76,6 +78,8 @@ class PlanePrinter(Node):
         self._is_metric = True
         self.create_subscription(PointCloud2, f'/{self._name}/planes', self._print, 1)
         self.create_subscription(DiagnosticArray, '/diagnostics', self._note_unit, 10)
+        self._told = ''
+        self._silence = self.create_timer(GRACE_S, self._tell_silence)
 
     def _note_unit(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
@@ -83,7 +87,24 @@ class PlanePrinter(Node):
                 scales = [value.value for value in status.values if value.key == 'scale']
                 self._is_metric = RELATIVE not in scales
 
+    def _tell_silence(self) -> None:
+        problem = self.why_nothing()
+        if problem != self._told:
+            self.get_logger().warning(problem)
+        self._told = problem
+
+    def why_nothing(self) -> str:
+        """Return why no planes come, and what to do."""
+        own = f'/{self._name}/planes'
+        if self.count_publishers(own):
+            return f'no planes on {own} yet: the log of the node says what is missing'
+        others = [name.removesuffix('/planes') for name, _ in self.get_topic_names_and_types()
+                  if name.endswith('/planes') and self.count_publishers(name)]
+        there = f'there is: --node {" or --node ".join(others)}' if others else 'is it running?'
+        return f'nobody publishes {own}; {there}'
+
     def _print(self, msg: PointCloud2) -> None:
+        self._silence.cancel()
         clear = _CLEAR if self._stream.isatty() else ''
         print(clear + table_of(msg, self._is_metric), file=self._stream, flush=True)
         self._on_table()
@@ -91,17 +112,19 @@ class PlanePrinter(Node):
 
 def main(args: list[str] | None = None) -> int:
     """Print until Ctrl-C; return the exit code."""
-    parser = argparse.ArgumentParser(prog='show', description=__doc__.strip().splitlines()[0])
+    arguments = sys.argv[1:] if args is None else args
+    parser = argparse.ArgumentParser(prog='ros2 run plane_detector show',
+                                     description=__doc__.strip().splitlines()[0])
     parser.add_argument('--node', default='/plane_detector', metavar='NAME',
                         help='of the detector, with its namespace (default: %(default)s)')
     parser.add_argument('--once', action='store_true', help='end after the first table')
-    options, of_ros = parser.parse_known_args(args)
-    rclpy.init(args=of_ros)
+    options = parser.parse_args(not_of_ros(arguments))
+    rclpy.init(args=arguments)
     done: list[bool] = []
     executor = SingleThreadedExecutor()
     node = PlanePrinter(options.node, sys.stdout, lambda: done.append(options.once))
     executor.add_node(node)
-    print(f'waiting for {options.node}/planes', file=sys.stderr)
+    print(f'waiting for /{options.node.strip("/")}/planes', file=sys.stderr)
     try:
         while rclpy.ok() and not any(done):
             executor.spin_once(timeout_sec=0.2)

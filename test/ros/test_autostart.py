@@ -6,6 +6,7 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from node_helpers import change_state, start
 
+from plane_detector.depth.observation import SensorDepth
 from plane_detector.ros import autostart, lifecycle_node
 from plane_detector.ros.diagnostics import introduction
 
@@ -64,6 +65,12 @@ def test_the_log_at_configure_is_three_lines():
     assert introduction(facts, topics, '/plane_detector/planes') == [
         'depth from a network, on a GPU', 'as asked for',
         '/image, /camera_info -> /plane_detector/planes and the other outputs']
+
+
+def test_the_log_says_that_depth_is_measured():
+    topics = {'image': '/image', 'camera_info': '/camera_info'}
+    assert introduction(SensorDepth.facts, topics, '/planes')[0] == (
+        'depth from the depth topic, no network')
 
 
 def test_what_is_not_known_is_left_out_of_the_log(robot):
