@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of depth and planes for people. Labels here are as in the messages: 0 is no plane."""
+"""Images of depth and planes for people. Labels here are as in the messages: 0 is no plane."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
     Raises
     ------
     ValueError
-        Picture and labels differ in size.
+        Image and labels differ in size.
 
     """
     if rgb.shape[:2] != labels.shape:
@@ -220,7 +220,7 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
     panels : sequence of (title, image)
         RGB images (H, W, 3) uint8 of one size.
     columns : int
-        Pictures in a row.
+        Images in a row.
 
     Returns
     -------

@@ -89,7 +89,7 @@ class OnnxSession:
         self._check_wanted_size()
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return the width and height of the input for a picture of this size."""
+        """Return the width and height of the input for an image of this size."""
         if all(self._interface.input_size):
             return self._interface.input_size
         if all(self._fixed_size):
@@ -209,7 +209,7 @@ class OnnxSession:
                 return True, (shape[2], shape[1])
             if shape[1] in (0, 3):
                 return False, (shape[3], shape[2])
-        raise self.misfit('its input must be one RGB picture, [1, 3, H, W] or [1, H, W, 3]')
+        raise self.misfit('its input must be one RGB image, [1, 3, H, W] or [1, H, W, 3]')
 
     def _check_wanted_size(self) -> None:
         wanted, multiple = self._interface.input_size, self._interface.side_multiple
@@ -244,7 +244,7 @@ def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.use_deterministic_compute = True
-    # Else the threads look for work long after each picture, on the cores of the stages to come.
+    # Else the threads look for work long after each image, on the cores of the stages to come.
     options.add_session_config_entry('session.force_spinning_stop', '1')
     options.log_severity_level = 3  # exported networks are full of harmless warnings
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures to the inputs of depth networks, and their outputs back to the size of the picture."""
+"""Convert images to network inputs, and network outputs back to the size of the image."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ _LONGEST_ASPECT = 10
 @dataclass(frozen=True)
 class InputRecipe:
     """
-    How a picture becomes the network's input: resized, scaled, normalised.
+    Conversion of an image to the network's input: resizing, scaling, normalisation.
 
     Attributes
     ----------
     scale : float
-        Pixel values are multiplied with this first.
+        First factor of the pixel values.
     mean, std : (3,) floats
         Of the scaled RGB.
     resize : str
-        Interpolation: ``cubic``; ``area``, which has no aliasing where the image gets smaller,
-        and is cubic where it grows; or ``linear``.
+        Interpolation: ``cubic``; ``area``, which has no aliasing when the image shrinks and is
+        cubic when it grows; or ``linear``.
     border_rgb : (3,) floats, optional
-        The image keeps its aspect within an input of this colour, of 0 to 255; empty: it is
+        The image keeps its aspect and gets a border of this colour, 0 to 255; empty: the image is
         stretched to the whole input.
 
     """
@@ -50,7 +50,7 @@ class InputRecipe:
 
 def lower_bound_size(width: int, height: int, short_side: int, multiple: int) -> tuple[int, int]:
     """
-    Return (width, height) of a network input that keeps the aspect of the picture.
+    Return (width, height) of a network input that keeps the aspect of the image.
 
     The short side becomes ``short_side``, the other follows; both are rounded to ``multiple``,
     never below the short side. The method of MiDaS and Depth Anything (Resize, lower_bound).
@@ -58,11 +58,11 @@ def lower_bound_size(width: int, height: int, short_side: int, multiple: int) ->
     Raises
     ------
     ValueError
-        The picture is so elongated that the input would take gigabytes.
+        The image is so elongated that the input would take gigabytes.
 
     """
     if max(width, height) > _LONGEST_ASPECT * min(width, height):
-        raise ValueError(f'a picture of {width} x {height} is too elongated for a network of free '
+        raise ValueError(f'an image of {width} x {height} is too elongated for a network of free '
                          f'input size, one side may be {_LONGEST_ASPECT} times the other')
     factor = max(short_side / width, short_side / height)
 
@@ -75,16 +75,16 @@ def lower_bound_size(width: int, height: int, short_side: int, multiple: int) ->
 
 def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -> np.ndarray:
     """
-    Make a network's input of a picture.
+    Convert an image to a network's input.
 
     Parameters
     ----------
     rgb : (H, W, 3) uint8
-        The picture.
+        The image.
     size : (int, int)
         Width and height of the input.
     recipe : InputRecipe
-        What the network was trained with.
+        The preprocessing that the network was trained with.
 
     Returns
     -------
@@ -93,43 +93,42 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
 
     """
     framing = recipe.framing((rgb.shape[1], rgb.shape[0]), size)
-    picture = rgb.astype(np.float32, order='C')  # OpenCV takes no reversed or transposed views
+    image = rgb.astype(np.float32, order='C')  # OpenCV takes no reversed or transposed views
     inner = (framing.width, framing.height)
     if inner != framing.image_size:
         shrinks = inner[0] * inner[1] < rgb.shape[0] * rgb.shape[1]
         kind = (_SHRINKING if shrinks else _GROWING)[recipe.resize]
-        picture = cv2.resize(picture, inner, interpolation=kind)
+        image = cv2.resize(image, inner, interpolation=kind)
     if not framing.is_whole:
-        picture = _bordered(picture, framing, recipe.border_rgb)
+        image = _bordered(image, framing, recipe.border_rgb)
     planes = np.empty((3, size[1], size[0]), np.float32)
     for channel, (mean, std) in enumerate(zip(recipe.mean, recipe.std, strict=True)):
-        np.multiply(picture[..., channel], np.float32(recipe.scale / std), out=planes[channel])
+        np.multiply(image[..., channel], np.float32(recipe.scale / std), out=planes[channel])
         planes[channel] -= np.float32(mean / std)
     return planes
 
 
-def _bordered(picture: np.ndarray, framing: Framing, border_rgb: tuple[float, ...]) -> np.ndarray:
+def _bordered(image: np.ndarray, framing: Framing, border_rgb: tuple[float, ...]) -> np.ndarray:
     """Return an image within its border, (height, width, 3) float32 of the input's size."""
     width, height = framing.input_size
     whole = np.empty((height, width, 3), np.float32)
     whole[:] = border_rgb
-    framing.crop(whole)[:] = picture
+    framing.crop(whole)[:] = image
     return whole
 
 
 def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.ndarray:
     """
-    Bring a network's output to the size of the picture and mark what is invalid.
+    Resize a network's output to the size of the image and set invalid pixels to NaN.
 
-    It is interpolated as disparity, in which planes are linear: interpolated depth would bend
-    them.
+    Disparity is interpolated, since planes are linear in it; interpolated depth would bend them.
 
     Parameters
     ----------
     raw : (h, w) floating
-        What the network gave.
+        Output of the network.
     size : (int, int)
-        Width and height of the picture.
+        Width and height of the image.
     output : str
         ``metric_depth``, ``disparity`` or ``relative_disparity``.
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plane_detector.tools.demo.photographs import library_pictures
+from plane_detector.tools.demo.photographs import library_images
 from plane_detector.types import CameraIntrinsics
 
 # Of long sequences every tenth frame is enough: neighbours look alike.
@@ -108,4 +108,4 @@ def library_frames() -> list[Frame]:
     """
     return [Frame('libraries', photograph.name, photograph.rgb, photograph.true_depth_m,
                   photograph.intrinsics)
-            for photograph in library_pictures() if photograph.true_depth_m is not None]
+            for photograph in library_images() if photograph.true_depth_m is not None]

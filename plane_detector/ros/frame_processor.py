@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""One frame from messages to messages, in two halves: depth, and planes. No DDS."""
+"""Processing of one frame, from messages to messages, in two halves: depth and planes. No DDS."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from plane_detector.config import NodeConfig
 from plane_detector.depth.observation import Observation
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.inputs.frame_conversion import Picture, PictureConverter
+from plane_detector.ros.inputs.frame_conversion import ConvertedFrame, FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
@@ -27,14 +27,14 @@ from plane_detector.types import Detection
 @dataclass(frozen=True)
 class Processed:
     """
-    What became of a frame.
+    The results of a frame.
 
     Attributes
     ----------
     messages : mapping of str to message
-        By the name of the output: of those that were wanted, those that there are now.
+        By the name of the output: the requested outputs that this frame has.
     result : Result
-        What they are made of.
+        The data that the messages are made of.
     stage_seconds : mapping of str to float
         Time of each stage, conversion and messages included.
 
@@ -48,27 +48,27 @@ class Processed:
 @dataclass(frozen=True)
 class ObservedFrame:
     """
-    A frame with its depth: what the first half of the work hands to the second.
+    A frame with its depth: result of the first half, input of the second.
 
     Attributes
     ----------
     frame : Frame
         The messages.
-    picture : Picture
-        What they are converted to.
+    converted : ConvertedFrame
+        The inputs of the pipeline.
     pose : CameraPose or None
     seen : Observation
     settings : NodeConfig
-        Those that this frame is processed with.
+        The settings that this frame is processed with.
     past : tuple of int
-        Frames with another one have no common past with this one.
+        Frames share a history only if this is equal.
     start_s, converted_s, end_s : float
-        By time.perf_counter: when the first half began, had converted, and ended.
+        By time.perf_counter: start of the first half, end of the conversion, end of the half.
 
     """
 
     frame: Frame
-    picture: Picture
+    converted: ConvertedFrame
     pose: CameraPose | None
     seen: Observation
     settings: NodeConfig
@@ -80,10 +80,10 @@ class ObservedFrame:
 
 class FrameProcessor:
     """
-    What the node does with a frame, and the replay too.
+    Processes frames, for the node and for the replay.
 
-    A thread may be in :meth:`finish` with one frame while another is in :meth:`observe` with the
-    next; each of the two takes the frames one by one and in order.
+    One thread may run :meth:`finish` for a frame while another runs :meth:`observe` for the next.
+    Each of the two processes one frame at a time, in order.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ class FrameProcessor:
     settings : NodeConfig
         Of the conversion and the outputs.
     image_topic : str
-        Where the images come from; a name that ends in rectified says that they are.
+        Topic of the images; its name shows whether they are rectified.
     transforms : FrameTransforms, optional
-        TF, for the frames that the settings name; default: there are no transforms.
+        TF, for the frames that the settings name; default: no transforms.
 
     """
 
@@ -102,7 +102,7 @@ class FrameProcessor:
                  transforms: FrameTransforms | None = None):
         self.detector = detector
         self.settings = settings
-        self._converter = PictureConverter(image_topic)
+        self._converter = FrameConverter(image_topic)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
         self._shown: frozenset[int] = frozenset()
         self._resets = 0
@@ -111,7 +111,7 @@ class FrameProcessor:
 
     @property
     def output(self) -> str:
-        """What the source of depth gives."""
+        """The kind of depth that the source returns."""
         return self.detector.source.output
 
     def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> Processed:
@@ -121,29 +121,28 @@ class FrameProcessor:
         Raises
         ------
         ValueError
-            The messages of the frame are not valid, or do not fit together, or a transform is
-            missing.
+            The messages are invalid or do not fit together, or a transform is missing.
 
         """
         return self.finish(self.observe(frame), wanted)
 
     def observe(self, frame: Frame) -> ObservedFrame:
-        """Take the first half of :meth:`process`: conversion and depth."""
+        """Run the first half of :meth:`process`: conversion and depth."""
         start_s, settings, past = time.perf_counter(), self.settings, (frame.epoch, self._resets)
         if past != self._observed_past:
             self.detector.reset_depth()
             self._observed_past = past
-        picture = self._converter.convert(frame, settings)
+        converted = self._converter.convert(frame, settings)
         converted_s = time.perf_counter()
         pose = self._transforms.camera_pose(frame.image.header, settings)
-        seen = self.detector.observe(picture.rgb, picture.intrinsics, picture.depth_m,
-                                     picture.covered)
-        return ObservedFrame(frame, picture, pose, seen, settings, past, start_s, converted_s,
+        seen = self.detector.observe(converted.rgb, converted.intrinsics, converted.depth_m,
+                                     converted.covered)
+        return ObservedFrame(frame, converted, pose, seen, settings, past, start_s, converted_s,
                              time.perf_counter())
 
     def finish(self, observed: ObservedFrame, wanted: Collection[str] = tuple(OUTPUTS)
                ) -> Processed:
-        """Take the second half of :meth:`process`: planes and messages."""
+        """Run the second half of :meth:`process`: planes and messages."""
         start_s, seen = time.perf_counter(), observed.seen
         header, settings = observed.frame.image.header, observed.settings
         if observed.past != self._finished_past:
@@ -157,7 +156,7 @@ class FrameProcessor:
         detected_s = time.perf_counter()
         result = Result(header, seen.rgb, seen.intrinsics, detection, settings,
                         self._shown, self._transforms.to_target(header, settings),
-                        observed.picture.lens,
+                        observed.converted.lens,
                         merged_labels(self._before, detection, seen.config.tracking))
         self._before = detection
         made = {name: msg for name in wanted
@@ -168,7 +167,7 @@ class FrameProcessor:
             'wait': start_s - observed.end_s, 'messages': time.perf_counter() - detected_s})
 
     def reset(self) -> None:
-        """Forget the past from the next frame on that is observed; any thread may call it."""
+        """Forget the history before the next observed frame; any thread may call this."""
         self._resets += 1
 
     def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
@@ -178,12 +177,12 @@ class FrameProcessor:
 
 
 def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:
-    """Return the direction of gravity: by the IMU, which feels a slope, or else by TF."""
+    """Return the direction of gravity by the IMU, which measures a slope, or else by TF."""
     if frame.down_camera is not None or pose is None:
         return frame.down_camera
     return pose.down_camera
 
 
 def _height_m(pose: CameraPose | None) -> float | None:
-    """Return the height of the camera by TF; a base frame above it says nothing of the floor."""
+    """Return the height of the camera by TF; None if the base frame is above the camera."""
     return pose.height_m if pose is not None and pose.height_m > 0 else None

@@ -172,9 +172,9 @@ def identity(path, shape, out_shape=None, element=FLOAT, extra_input=False):
 @pytest.mark.parametrize(('shape', 'changes', 'said'), [
     ([1, 3, 8, 8], {'extra_input': True}, 'must have one input'),
     ([1, 3, 8, 8], {'element': onnx.TensorProto.UINT8}, 'must have one input, of float32'),
-    ([1, 1, 8, 8], {}, 'must be one RGB picture'),
-    ([2, 3, 8, 8], {}, 'must be one RGB picture'),
-    ([3, 8, 8], {}, 'must be one RGB picture'),
+    ([1, 1, 8, 8], {}, 'must be one RGB image'),
+    ([2, 3, 8, 8], {}, 'must be one RGB image'),
+    ([3, 8, 8], {}, 'must be one RGB image'),
     ([1, 3, 8, 8], {}, r'\(1, 3, 8, 8\), which is not one image')])
 def test_what_does_not_fit_names_its_inputs_and_outputs(tmp_path, shape, changes, said):
     path = identity(tmp_path / 'n.onnx', shape, **changes)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the messages of a frame to what the pipeline takes: rectified picture, camera, depth."""
+"""From the messages of a frame to the inputs of the pipeline: rectified image, camera, depth."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ _ASPECT_TOLERANCE = 0.02
 
 
 @dataclass(frozen=True)
-class Picture:
+class ConvertedFrame:
     """
-    What the pipeline takes.
+    Inputs of the pipeline.
 
     Attributes
     ----------
     rgb : (H, W, 3) uint8
         Rectified.
     intrinsics : CameraIntrinsics
-        Of it.
+        Of the rectified image.
     depth_m : (H, W) float32 or None
         Measured depth, metres, NaN invalid.
     covered : (H, W) bool or None
-        Where the original picture had pixels; None: everywhere.
+        True where the original image had pixels; None: everywhere.
     lens : Lens
-        The distortion that is left in it.
+        The distortion that is left in the image.
 
     """
 
@@ -53,14 +53,14 @@ class Picture:
     lens: Lens = NO_LENS
 
 
-class PictureConverter:
+class FrameConverter:
     """
     Converts frames; the maps of the rectification are kept until the calibration changes.
 
     Parameters
     ----------
     image_topic : str
-        Its name tells whether the picture is rectified already.
+        Its name shows whether the images are rectified.
 
     """
 
@@ -69,14 +69,14 @@ class PictureConverter:
         self._calibration: tuple[Any, ...] = ()
         self._rectification: Rectification | None = None
 
-    def convert(self, frame: Frame, settings: NodeConfig) -> Picture:
+    def convert(self, frame: Frame, settings: NodeConfig) -> ConvertedFrame:
         """
         Decode and rectify the messages of a frame.
 
         Raises
         ------
         ValueError
-            A message is not what it says, or they do not fit together.
+            A message is invalid, or the messages do not fit together.
 
         """
         rgb = _decode(frame, settings.max_image_pixels)
@@ -90,10 +90,11 @@ class PictureConverter:
         if frame.depth is not None:
             depth_m = _fit_depth(encodings.depth_from_msg(frame.depth), intrinsics)
         if not rectify:
-            return Picture(rgb, intrinsics, depth_m, lens=self._lens_left(info))
+            return ConvertedFrame(rgb, intrinsics, depth_m, lens=self._lens_left(info))
         rectification = self._rectification_of(info, reduction)
         depth_m = None if depth_m is None else rectification.depth(depth_m)
-        return Picture(rectification.image(rgb), intrinsics, depth_m, rectification.inside())
+        return ConvertedFrame(rectification.image(rgb), intrinsics, depth_m,
+                              rectification.inside())
 
     def _is_to_rectify(self, info: CameraInfo, rectify: str) -> bool:
         if rectify == 'auto':
@@ -101,7 +102,7 @@ class PictureConverter:
         return rectify == 'true'
 
     def _lens_left(self, info: CameraInfo) -> Lens:
-        """Return the distortion of a picture that is not rectified here."""
+        """Return the distortion of an image that is not rectified here."""
         if self._named_rectified or not np.any(info.d):
             return NO_LENS
         return Lens(info.distortion_model, tuple(info.d))
@@ -117,7 +118,7 @@ class PictureConverter:
 
 
 def is_rectified_name(topic: str) -> bool:
-    """Return whether the end of a topic's name says rectified: image_rect, rect/image, ..."""
+    """Return whether a topic's name ends in a word for rectified: image_rect, rect/image, ..."""
     parts = [part for part in topic.split('/') if part not in _TRANSPORTS]
     words = [word for part in parts[-2:] for word in part.split('_')]
     return not _RECTIFIED_NAMES.isdisjoint(words)
@@ -146,12 +147,12 @@ def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectifica
 def _decode(frame: Frame, most_pixels: int) -> np.ndarray:
     if isinstance(frame.image, CompressedImage):
         return encodings.rgb_from_compressed_msg(
-            frame.image, messages.picture_size(frame.camera_info), most_pixels)
+            frame.image, messages.image_size(frame.camera_info), most_pixels)
     return encodings.rgb_from_msg(frame.image)
 
 
 def _with_size(info: CameraInfo, rgb: np.ndarray) -> CameraInfo:
-    """Return a CameraInfo whose size is that of the image, where its driver left it 0 x 0."""
+    """Return the CameraInfo; a size of 0 x 0 is replaced by that of the image."""
     if info.width and info.height:
         return info
     height, width = rgb.shape[:2]
@@ -167,7 +168,7 @@ def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
 
 
 def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """A registered depth image has the picture's field of view, so the same aspect."""
+    """A registered depth image has the image's field of view, so the same aspect."""
     height, width = depth_m.shape
     aspect = (width * intrinsics.height) / (height * intrinsics.width)
     if abs(aspect - 1) > _ASPECT_TOLERANCE:

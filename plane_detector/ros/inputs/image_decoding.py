@@ -36,7 +36,7 @@ _DEPTH_ENCODINGS = ('16uc1', '32fc1')
 
 def rgb_from_msg(msg: Image) -> np.ndarray:
     """
-    Decode a colour or grey picture.
+    Decode a colour or grey image.
 
     Parameters
     ----------

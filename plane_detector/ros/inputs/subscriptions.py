@@ -34,7 +34,7 @@ class Inputs:
     on_frame : callable
         Called with each frame, in the thread of the executor.
     on_dropped : callable
-        Called with the number of pictures that did not become a frame.
+        Called with the number of images that did not become a frame.
 
     """
 
@@ -63,7 +63,7 @@ class Inputs:
             raise
 
     def set_stamp_slop(self, stamp_slop_s: float) -> None:
-        """Change how far in time a depth image may be from its picture."""
+        """Change how far in time a depth image may be from its image."""
         self._assembler.stamp_slop_s = stamp_slop_s
 
     def destroy(self) -> None:

@@ -19,7 +19,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config
 from plane_detector.ros.inputs.gravity_filter import GravityFilter
-from plane_detector.ros.outputs.messages import picture_size
+from plane_detector.ros.outputs.messages import image_size
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000
@@ -28,21 +28,21 @@ _JUMP_NS = 1_000_000_000
 @dataclass(frozen=True)
 class Frame:
     """
-    The messages of one picture.
+    The messages of one image.
 
     Attributes
     ----------
     image : sensor_msgs.msg.Image or CompressedImage
-        The picture.
+        The image.
     camera_info : sensor_msgs.msg.CameraInfo
-        With the same stamp where there is one, else the latest. A picture of another size waits
-        for the next one, while they keep coming.
+        With the same stamp if there is one, else the latest. An image of another size waits for
+        the next one while CameraInfo messages keep coming.
     depth : sensor_msgs.msg.Image or None
-        Measured depth, where it is used.
+        Measured depth, if used.
     down_camera : (3,) float64 or None
-        Direction of gravity in the optical frame, where an IMU tells it.
+        Direction of gravity in the optical frame, if there is an IMU.
     epoch : int
-        Grows when time jumps back: frames of two epochs have no common past.
+        Increases when time jumps back: frames of different epochs share no history.
 
     """
 
@@ -62,7 +62,7 @@ def depth_use(config: Config, output: str) -> str:
     config : Config
         Where depth and its unit come from.
     output : str
-        What the network gives: only relative disparity has use for the unit of measured depth.
+        Output of the network: only relative disparity needs the unit of measured depth.
 
     """
     if config.depth.source == 'topic':
@@ -75,16 +75,16 @@ def depth_use(config: Config, output: str) -> str:
 
 class FrameAssembler:
     """
-    Puts pictures, calibrations, depth images and gravity together by their stamps.
+    Matches images, calibrations, depth images and gravity by their stamps.
 
     Parameters
     ----------
     depth : str
-        ``unused``; ``required``: a picture without depth is dropped; ``optional``: it is used
-        where there is one, and waited for no longer than until the next picture.
+        ``unused``; ``required``: an image without depth is dropped; ``optional``: depth is used
+        if there is one, and waited for until the next image at most.
     stamp_slop_s : float
-        A depth image with exactly the picture's stamp is taken; else, once a later one shows
-        that there is none, the nearest within this time.
+        A depth image with exactly the image's stamp is used. If a later one shows that there is
+        none, the nearest within this time is used.
     imu_to_camera : (4,) float
         Quaternion x y z w of the mounting of the IMU.
 
@@ -102,12 +102,12 @@ class FrameAssembler:
         self.epoch = 0
 
     def take_dropped(self) -> int:
-        """Return how many pictures were dropped for want of a partner since the last call."""
+        """Return how many images were dropped for lack of a partner since the last call."""
         count, self._dropped = self._dropped, 0
         return count
 
     def add_image(self, msg: Image | CompressedImage) -> list[Frame]:
-        """Take a picture; return the frames that are complete now, oldest first."""
+        """Add an image; return the frames that are complete now, oldest first."""
         if self._images.add(msg):
             self.epoch += 1
             self._depths.forget_after(_stamp_ns(msg) + _JUMP_NS)
@@ -116,26 +116,26 @@ class FrameAssembler:
         return self._complete()
 
     def add_camera_info(self, msg: CameraInfo) -> list[Frame]:
-        """Take a calibration; return the frames that are complete now, oldest first."""
+        """Add a calibration; return the frames that are complete now, oldest first."""
         first = self._infos.latest is None
         self._infos.add(msg)
         self._infos.shrink_to(_CACHED)
-        if first:  # of the pictures from before any calibration only its own is of any use
+        if first:  # of the images before it only the one with its stamp is usable
             self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == _stamp_ns(msg))
         return self._complete()
 
     def add_depth(self, msg: Image) -> list[Frame]:
-        """Take a depth image; return the frames that are complete now, oldest first."""
+        """Add a depth image; return the frames that are complete now, oldest first."""
         self._depths.add(msg)
         self._depths.shrink_to(_CACHED)
         return self._complete()
 
     def finish(self) -> list[Frame]:
-        """Return the frames that only waited for a better partner: nothing more will come."""
+        """Return the frames that still wait for a better partner, when no more will come."""
         return self._complete(at_end=True)
 
     def add_imu(self, msg: Imu) -> None:
-        """Take a reading of the accelerometer; it goes with the frames that are complete later."""
+        """Add an accelerometer reading, for the frames that are complete later."""
         force = msg.linear_acceleration
         self._gravity.add(_stamp_ns(msg) * 1e-9, (force.x, force.y, force.z))
 
@@ -155,15 +155,15 @@ class FrameAssembler:
         return frames
 
     def _has_overtaken(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
-        """Whether a picture does not fit its calibration, and a later one may still come."""
+        """Say whether an image does not fit its calibration and a later one may still come."""
         if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
             return False
         can_come = (self._infos.is_alive(_stamp_ns(self._images.latest))
                     and not self._infos.is_past(_stamp_ns(image)))
-        return can_come and picture_size(info) not in ((image.width, image.height), (0, 0))
+        return can_come and image_size(info) not in ((image.width, image.height), (0, 0))
 
     def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
-        """Return whether it is decided which depth image a picture gets, and which."""
+        """Return whether the depth image of an image is decided, and the depth image."""
         exact = self._depths.exact(stamp_ns)
         if exact is not None or self._depth_use == 'unused':
             return True, exact

@@ -40,11 +40,11 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
     Parameters
     ----------
     header : std_msgs.msg.Header
-        Of the picture.
+        Of the image.
     detection : Detection
         The planes.
     intrinsics : CameraIntrinsics
-        Of the picture.
+        Of the image.
     shown : collection of int
         Labels of the markers published before; those that are not here again are deleted.
     lifetime_s : float

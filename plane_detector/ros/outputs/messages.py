@@ -4,7 +4,7 @@
 What the core works with from messages, and messages from what it gives. No state.
 
 Every output takes over the header of the image that it comes from, so that the stamp and the
-optical frame (REP-103) are those of the picture. Labels in messages are above 0; 0 is no plane.
+optical frame (REP-103) are those of the image. Labels in messages are above 0; 0 is no plane.
 """
 
 from __future__ import annotations
@@ -63,38 +63,38 @@ def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics, lens: Lens)
 
 def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
     """
-    Return the pinhole model of the picture that a CameraInfo belongs to.
+    Return the pinhole model of the image that a CameraInfo belongs to.
 
     Binning and region of interest are applied as image_geometry's PinholeCameraModel does.
 
     Parameters
     ----------
     msg : sensor_msgs.msg.CameraInfo
-        Its K holds for the picture as it comes, its P for the rectified one.
+        Its K holds for the image as it comes, its P for the rectified one.
     rectified : bool
-        The picture is rectified: P holds, or K where P is not filled in.
+        The image is rectified: P holds, or K where P is not filled in.
 
     Raises
     ------
     ValueError
-        K is all zeros (the camera is not calibrated) or not finite, or the picture has no size.
+        K is all zeros (the camera is not calibrated) or not finite, or the image has no size.
 
     """
     if not np.any(msg.k):
         raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
     matrix = projection_from_msg(msg) if rectified else np.reshape(msg.k, (3, 3))
     fx, _, cx, _, fy, cy = crop_and_bin(matrix, msg)[:2].ravel().tolist()
-    return CameraIntrinsics(fx, fy, cx, cy, *picture_size(msg))
+    return CameraIntrinsics(fx, fy, cx, cy, *image_size(msg))
 
 
 def projection_from_msg(msg: CameraInfo) -> np.ndarray:
-    """Return the camera matrix (3, 3) of the rectified picture, uncropped: of P, or else K."""
+    """Return the camera matrix (3, 3) of the rectified image, uncropped: of P, or else K."""
     projection = np.reshape(msg.p, (3, 4))[:, :3]
     return projection if projection[0, 0] else np.reshape(msg.k, (3, 3))
 
 
 def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
-    """Return a camera matrix (3, 3) of the full picture for the one that is sent."""
+    """Return a camera matrix (3, 3) of the full image for the one that is sent."""
     binning = max(msg.binning_x, 1), max(msg.binning_y, 1)
     sent = matrix.copy()
     sent[0, 2] -= msg.roi.x_offset
@@ -104,8 +104,8 @@ def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
     return sent
 
 
-def picture_size(msg: CameraInfo) -> tuple[int, int]:
-    """Return width and height of the picture that is sent: cropped, then binned."""
+def image_size(msg: CameraInfo) -> tuple[int, int]:
+    """Return width and height of the image that is sent: cropped, then binned."""
     width, height = msg.roi.width or msg.width, msg.roi.height or msg.height
     return width // max(msg.binning_x, 1), height // max(msg.binning_y, 1)
 
@@ -137,11 +137,11 @@ def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
     Parameters
     ----------
     header : std_msgs.msg.Header
-        Of the picture.
+        Of the image.
     points_m : (H, W, 3) float32
         Metres, optical frame, NaN where there is no depth.
     rgb : (H, W, 3) uint8
-        The picture; packed as PCL does, 0x00RRGGBB in the bits of a float.
+        The image; packed as PCL does, 0x00RRGGBB in the bits of a float.
     labels : (H, W) uint32
         0 for no plane.
 
@@ -192,7 +192,7 @@ def depth_to_msg(header: Header, depth_m: np.ndarray) -> Image:
 
 
 def rgb_to_msg(header: Header, rgb: np.ndarray) -> Image:
-    """Return the picture (H, W, 3) uint8 as rgb8."""
+    """Return the image (H, W, 3) uint8 as rgb8."""
     return _image_msg(header, 'rgb8', rgb)
 
 

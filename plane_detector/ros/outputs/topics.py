@@ -41,14 +41,14 @@ from plane_detector.types import CameraIntrinsics, Detection
 @dataclass(frozen=True)
 class Result:
     """
-    A processed picture.
+    A processed image.
 
     Attributes
     ----------
     header : std_msgs.msg.Header
         Of the image message.
     rgb : (H, W, 3) uint8
-        The rectified picture.
+        The rectified image.
     intrinsics : CameraIntrinsics
         Of it.
     detection : Detection

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes on real pictures through the real node: starts it, feeds it, draws what it publishes.
+Planes on real images through the real node: starts it, feeds it, draws what it publishes.
 
 Without --images: two photographs that come inside libraries. The first one, a workshop, is of
 the kind that indoor networks know and has a true depth: it says which planes are right, and is
@@ -30,8 +30,8 @@ from plane_detector.tools.demo.node_process import NodeProcess, use_private_doma
 from plane_detector.tools.demo.photographs import (
     Lens,
     Photograph,
-    folder_pictures,
-    library_pictures,
+    folder_images,
+    library_images,
 )
 from plane_detector.tools.demo.report import Outcome, print_outcome, write_files
 
@@ -62,12 +62,12 @@ def _interrupt(_number: int, _stack: object) -> None:
 def _run(options: argparse.Namespace) -> None:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
     if options.images and options.without_network:
-        raise ValueError('pictures of a folder have no measured depth: they need the network')
+        raise ValueError('images of a folder have no measured depth: they need the network')
     if lens != Lens() and not options.images:
-        raise ValueError('a calibration or a field of view is for your own pictures: name their '
+        raise ValueError('a calibration or a field of view is for your own images: name their '
                          'folder by --images (make demo IMAGES=...)')
-    photographs = (folder_pictures(options.images, lens) if options.images
-                   else library_pictures())
+    photographs = (folder_images(options.images, lens) if options.images
+                   else library_images())
     options.output.mkdir(parents=True, exist_ok=True)
     network = {} if options.without_network else _network(options)
     use_private_domain()
@@ -81,7 +81,7 @@ def _run(options: argparse.Namespace) -> None:
             _show(measured, {'depth.source': 'topic'}, 'depth topic', options.output)
     finally:
         rclpy.try_shutdown()
-    print(f'\nThe pictures are in {options.output}/')
+    print(f'\nThe images are in {options.output}/')
 
 
 def _network(options: argparse.Namespace) -> dict[str, str]:
@@ -124,7 +124,7 @@ def _show(photographs: Sequence[Photograph], parameters: dict[str, str], source:
 
 
 def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome:
-    """Let the node see the picture: once for the results, then for the time it takes."""
+    """Let the node see the image: once for the results, then for the time it takes."""
     with _progress(f'{photograph.name}: frames') as tick:
         received = client.process(photograph, _FRAME_TIMEOUT_S)
         timing = client.measure(photograph, _MEASURED_S, _FRAME_TIMEOUT_S, tick)
@@ -147,7 +147,7 @@ def _parser() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('--images', type=Path, help='folder of your own images')
     for name in ('fx', 'fy', 'cx', 'cy'):
-        parser.add_argument(f'--{name}', type=float, help='calibration of these pictures, pixels')
+        parser.add_argument(f'--{name}', type=float, help='calibration of these images, pixels')
     parser.add_argument('--fov', type=float,
                         help='horizontal field of view in degrees, instead of a calibration')
     parser.add_argument('--model', default='auto', metavar='NAME|FILE', help=(
@@ -156,7 +156,7 @@ def _parser() -> argparse.ArgumentParser:
                                                    'relative_disparity'],
                         help='what the network of a file gives')
     parser.add_argument('--without-network', action='store_true',
-                        help='only show pictures with measured depth')
+                        help='only show images with measured depth')
     parser.add_argument('--output', type=Path, default=Path('demo_output'),
                         help='folder of the results (default: %(default)s)')
     return parser

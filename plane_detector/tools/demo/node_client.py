@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The other side of the node: publishes a picture as a camera does, receives like a subscriber."""
+"""The other side of the node: publishes images as a camera does, receives as a subscriber."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _PATIENCE_S = 10.0  # a large network on a busy machine takes seconds
 @dataclass(frozen=True)
 class Received:
     """
-    What the node published for one picture.
+    What the node published for one image.
 
     Attributes
     ----------
@@ -130,14 +130,14 @@ class NodeClient:
 
     def process(self, photograph: Photograph, timeout_s: float) -> Received:
         """
-        Publish a picture once and return what comes back for its stamp.
+        Publish an image once and return what comes back for its stamp.
 
-        Where ``depth`` is among the inputs, the true depth of the picture goes there.
+        Where ``depth`` is among the inputs, the true depth of the image goes there.
 
         Raises
         ------
         TimeoutError, RuntimeError
-            Not all outputs came in time; the node has ended, or could not process the picture.
+            Not all outputs came in time; the node has ended, or could not process the image.
 
         """
         self._messages.clear()
@@ -155,7 +155,7 @@ class NodeClient:
         return _decoded(self._messages)
 
     def _send(self, photograph: Photograph) -> Any:
-        """Publish a picture with its calibration, and depth where it is an input; its stamp."""
+        """Publish an image with its calibration, and depth where it is an input; its stamp."""
         header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
         self._publishers['camera_info'].publish(camera_info_to_msg(header, photograph.intrinsics))
         if 'depth' in self._publishers:
@@ -176,7 +176,7 @@ class NodeClient:
 
     def measure(self, photograph: Photograph, seconds: float, timeout_s: float,
                 tick: Callable[[], None]) -> Timing:
-        """Publish the picture again and again, the next when the results are there."""
+        """Publish the image again and again, the next when the results are there."""
         self._timing = timing = Timing()
         start_s = time.monotonic()
         while timing.seconds < seconds:

@@ -13,22 +13,22 @@ import numpy as np
 from plane_detector.types import CameraIntrinsics
 
 STATED_FIELD_OF_VIEW_DEG = 60.0
-"""Horizontal; taken for a picture without calibration. A usual phone or web camera has it."""
+"""Horizontal; taken for an image without calibration. A usual phone or web camera has it."""
 LONGEST_SIDE_PX = 800
-"""Larger pictures are shrunk: a labelled cloud of 4000 x 3000 points is 240 MB a frame."""
+"""Larger images are shrunk: a labelled cloud of 4000 x 3000 points is 240 MB a frame."""
 _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 
 
 @dataclass(frozen=True)
 class Lens:
     """
-    What is known of a camera, for pictures at their full size.
+    What is known of a camera, for images at their full size.
 
     Parameters
     ----------
     fx, fy, cx, cy : float, optional
         Pixels. Without fx the camera is not calibrated; fy is fx and the centre that of the
-        picture where they are not given.
+        image where they are not given.
     field_of_view_deg : float, optional
         Horizontal, for a camera that is not calibrated.
 
@@ -55,7 +55,7 @@ class Lens:
             raise ValueError('the field of view must be from 1 to below 180 degrees')
 
     def intrinsics(self, width: int, height: int) -> CameraIntrinsics:
-        """Return the pinhole model for a picture of this size."""
+        """Return the pinhole model for an image of this size."""
         if self.fx is None:
             return CameraIntrinsics.from_field_of_view(
                 width, height, self.field_of_view_deg or STATED_FIELD_OF_VIEW_DEG)
@@ -75,7 +75,7 @@ class Lens:
 @dataclass(frozen=True)
 class Photograph:
     """
-    A picture, its camera, and the truth where it is known.
+    An image, its camera, and the truth where it is known.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Photograph:
     remark: str = ''
 
 
-def library_pictures() -> list[Photograph]:
+def library_images() -> list[Photograph]:
     """
     Return the photographs that come inside scikit-learn and scikit-image, without a download.
 
@@ -113,23 +113,23 @@ def library_pictures() -> list[Photograph]:
     return [_motorcycle(), _temple()]
 
 
-def folder_pictures(folder: Path, lens: Lens) -> list[Photograph]:
+def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
     """
-    Return the pictures of a folder, their longest side at most `LONGEST_SIDE_PX`.
+    Return the images of a folder, their longest side at most `LONGEST_SIDE_PX`.
 
     Raises
     ------
     FileNotFoundError
-        There is no such folder, or no picture in it.
+        There is no such folder, or no image in it.
     ValueError
-        A picture cannot be read.
+        An image cannot be read.
 
     """
     if not folder.is_dir():
         raise FileNotFoundError(f'there is no folder {folder}')
     paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES)
     if not paths:
-        raise FileNotFoundError(f'no picture in {folder}: looked for *{", *".join(_SUFFIXES)}')
+        raise FileNotFoundError(f'no image in {folder}: looked for *{", *".join(_SUFFIXES)}')
     stems = [path.stem for path in paths]
     return [_photograph(path, path.stem if stems.count(path.stem) == 1 else path.name, lens)
             for path in paths]
@@ -144,7 +144,7 @@ def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photogr
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     scale_x, scale_y = size[0] / width, size[1] / height
     old = photograph.intrinsics
-    # The corner of the picture, half a pixel outside the first one's centre, stays where it is.
+    # The corner of the image, half a pixel outside the first one's centre, stays where it is.
     intrinsics = CameraIntrinsics(
         old.fx * scale_x, old.fy * scale_y, (old.cx + 0.5) * scale_x - 0.5,
         (old.cy + 0.5) * scale_y - 0.5, *size)
@@ -156,7 +156,7 @@ def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photogr
 def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if bgr is None:
-        raise ValueError(f'{path} cannot be read as a picture')
+        raise ValueError(f'{path} cannot be read as an image')
     height, width = bgr.shape[:2]
     rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
     return shrunk(Photograph(name, rgb, lens.intrinsics(width, height), str(lens)))
@@ -181,7 +181,7 @@ def _motorcycle() -> Photograph:
     try:
         from skimage.data import stereo_motorcycle
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError('the demo\'s picture stereo_motorcycle is in scikit-image: '
+        raise ModuleNotFoundError('the demo\'s image stereo_motorcycle is in scikit-image: '
                                   'pip install scikit-image') from error
     fx_px, baseline_m, doffs_px = 994.978, 0.193001, 31.086
     rgb, _, disparity_px = stereo_motorcycle()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo tells of a picture: figure, cloud and table as files, numbers on the screen."""
+"""What the demo tells of an image: figure, cloud and table as files, numbers on the screen."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PURE, _RIGHT_DEG = 0.8, 10.0
 @dataclass(frozen=True)
 class Outcome:
     """
-    A picture and what the node made of it.
+    An image and what the node made of it.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Outcome:
     received : Received
         What the node published.
     timing : Timing
-        Of many frames of this picture.
+        Of many frames of this image.
     ransac_labels : (H, W) integer
         Label of each pixel when RANSAC works without clustering, 0 for none.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
-from plane_detector.ros.outputs.messages import picture_size
+from plane_detector.ros.outputs.messages import image_size
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Topic
 
 _CLASSES = {'sensor_msgs/msg/Image': Image, 'sensor_msgs/msg/CompressedImage': CompressedImage,
@@ -51,13 +51,13 @@ def input_class(bag: BagReader, topic: str) -> Any:
 
 def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     """
-    Choose picture and calibration.
+    Choose image and calibration.
 
     Parameters
     ----------
     bag : BagReader
     wanted : mapping of str to str
-        Topics asked for, by ``image``, ``camera_info``, ``depth`` and ``imu``. A picture is
+        Topics asked for, by ``image``, ``camera_info``, ``depth`` and ``imu``. An image is
         looked for among all topics, its ``camera_info`` beside it.
 
     Raises
@@ -81,9 +81,9 @@ def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, st
     ----------
     bag : BagReader
     camera : InputTopics
-        Picture and calibration.
+        Image and calibration.
     wanted : mapping of str to str
-        As for :func:`find_camera`. Depth is looked for among the images of the picture's
+        As for :func:`find_camera`. Depth is looked for among the images of the image's
         frame_id: others are not registered to it.
     depth_use : str
         ``required``, ``optional`` or ``unused``.
@@ -143,7 +143,7 @@ def _find_camera_info(bag: BagReader, image: str) -> str:
 
 
 def _calibrations(bag: BagReader, image: str) -> list[str]:
-    """Return the CameraInfo topics beside a picture's topic or one of its compressed form."""
+    """Return the CameraInfo topics beside an image's topic or one of its compressed form."""
     names = [topic.name for topic in _of_role(bag, 'camera_info')]
     folders = [image.rsplit('/', depth)[0] for depth in (1, 2) if image.count('/') >= depth]
     return [f'{folder}/camera_info' for folder in folders if f'{folder}/camera_info' in names]
@@ -203,7 +203,7 @@ def _image_size(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
     """Return width and height of the image; a compressed one has that of its calibration."""
     image = _first(bag, camera.image)
     if isinstance(image, CompressedImage):
-        return picture_size(_first(bag, camera.camera_info))
+        return image_size(_first(bag, camera.camera_info))
     return image.width, image.height
 
 
@@ -221,7 +221,7 @@ def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
 
 
 def _encoding(bag: BagReader, topic: Topic) -> str:
-    """Return the encoding of the first picture, in lower case; empty when compressed."""
+    """Return the encoding of the first image, in lower case; empty when compressed."""
     return getattr(_first(bag, topic.name), 'encoding', '').lower()
 
 

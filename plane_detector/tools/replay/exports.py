@@ -29,7 +29,7 @@ class ReplayFiles:
     Parameters
     ----------
     figures, ply : Path, optional
-        Folders, made if need be, of a picture (.jpg) and of a labelled cloud of each frame.
+        Folders, made if need be, of an image (.jpg) and of a labelled cloud of each frame.
     table : Path, optional
         CSV file of all planes of all frames, replaced when it is there.
     first_index : int
@@ -109,13 +109,13 @@ def _rows_before(table: Path, first_index: int) -> list[list[str]]:
 
 
 def _figure(result: Result) -> np.ndarray:
-    """Return picture, depth and planes side by side."""
+    """Return image, depth and planes side by side."""
     detection = result.detection
     near, far = drawing.depth_range(detection.depth_m)
     unit = 'units' if detection.scale_method == RELATIVE else 'm'
     stamp = result.header.stamp
     return drawing.figure([
-        (f'picture of {stamp.sec}.{stamp.nanosec:09d}', result.rgb),
+        (f'image of {stamp.sec}.{stamp.nanosec:09d}', result.rgb),
         (f'depth, red {near:.1f} {unit} to blue {far:.1f} {unit}',
          drawing.colour_depth(detection.depth_m)),
         (f'{len(detection.planes)} planes', drawing.overlay(result.rgb, result.labels)),

@@ -276,7 +276,7 @@ class _Run:
 
 
 def _part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
-    """Return from when on and until when is replayed; an error where no picture is in between."""
+    """Return from when on and until when is replayed; an error where no image is in between."""
     length_ns = bag.end_ns - bag.start_ns
     start_ns = bag.start_ns + round(min(options.start_s * 1e9, length_ns))
     stop_ns = start_ns + round(min(options.duration_s * 1e9, bag.end_ns - start_ns))

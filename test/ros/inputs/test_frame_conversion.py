@@ -10,7 +10,7 @@ from sensor_msgs.msg import CompressedImage
 
 from plane_detector.config import NodeConfig
 from plane_detector.ros.inputs import frame_conversion as conversion
-from plane_detector.ros.inputs.frame_conversion import PictureConverter, is_rectified_name
+from plane_detector.ros.inputs.frame_conversion import FrameConverter, is_rectified_name
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.outputs.messages import NO_LENS, Lens
 from plane_detector.types import CameraIntrinsics
@@ -32,7 +32,7 @@ def frame(distortion=(), model='plumb_bob', depth=None):
 
 
 def convert(a_frame, topic='/camera/image_raw', rectify='auto'):
-    return PictureConverter(topic).convert(a_frame, NodeConfig(rectify=rectify))
+    return FrameConverter(topic).convert(a_frame, NodeConfig(rectify=rectify))
 
 
 @pytest.mark.parametrize('topic, rectified', [
@@ -93,7 +93,7 @@ def test_maps_are_computed_once_per_calibration(monkeypatch):
         return original(*arguments)
 
     monkeypatch.setattr(conversion, 'make_rectification', make)
-    converter = PictureConverter('image')
+    converter = FrameConverter('image')
     first, other = frame(DISTORTION['plumb_bob']), frame([-0.1, 0.0, 0.0, 0.0, 0.0])
     for each in (first, first, other, other):
         converter.convert(each, NodeConfig())
@@ -159,7 +159,7 @@ def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
     """The reduced image is the whole one made smaller, whether it is rectified or not."""
     depth = np.linspace(1, 2, 80, dtype=np.float32)[None].repeat(60, axis=0)
     whole = convert(frame(distortion, depth=depth))
-    small = PictureConverter('image_raw').convert(frame(distortion, depth=depth),
+    small = FrameConverter('image_raw').convert(frame(distortion, depth=depth),
                                                   NodeConfig(max_side=40))
     assert small.rgb.shape == (30, 40, 3)
     assert small.depth_m.shape == (30, 40)

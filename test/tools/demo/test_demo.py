@@ -23,8 +23,8 @@ from plane_detector.tools.demo.photographs import (
     STATED_FIELD_OF_VIEW_DEG,
     Lens,
     Photograph,
-    folder_pictures,
-    library_pictures,
+    folder_images,
+    library_images,
     shrunk,
 )
 from plane_detector.tools.ply import write_ply
@@ -37,7 +37,7 @@ CAMERA = CameraIntrinsics(100.0, 100.0, 79.5, 59.5, 160, 120)
 @pytest.fixture(scope='module')
 def pictures():
     pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
-    return {photograph.name: photograph for photograph in library_pictures()}
+    return {photograph.name: photograph for photograph in library_images()}
 
 
 def read_ply(path: Path) -> tuple[list[str], np.ndarray]:
@@ -104,7 +104,7 @@ def test_folder_pictures_are_read_in_order_as_rgb(tmp_path):
     for name, colour_bgr in (('b.png', (255, 0, 0)), ('a.jpg', (0, 0, 255))):
         cv2.imwrite(str(tmp_path / name), np.full((30, 40, 3), colour_bgr, np.uint8))
     (tmp_path / 'notes.txt').write_text('no picture')
-    found = folder_pictures(tmp_path, Lens(fx=33.0))
+    found = folder_images(tmp_path, Lens(fx=33.0))
     assert [photograph.name for photograph in found] == ['a', 'b']
     np.testing.assert_array_equal(found[1].rgb[0, 0], (0, 0, 255))
     assert found[0].rgb[0, 0, 0] > 250
@@ -114,21 +114,21 @@ def test_folder_pictures_are_read_in_order_as_rgb(tmp_path):
 def test_pictures_of_one_stem_keep_results_apart(tmp_path):
     for name in ('a.jpg', 'a.png', 'b.png'):
         cv2.imwrite(str(tmp_path / name), np.zeros((30, 40, 3), np.uint8))
-    names = [photograph.name for photograph in folder_pictures(tmp_path, Lens())]
+    names = [photograph.name for photograph in folder_images(tmp_path, Lens())]
     assert names == ['a.jpg', 'a.png', 'b']
 
 
 def test_folder_without_pictures_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError, match='no picture'):
-        folder_pictures(tmp_path, Lens())
+    with pytest.raises(FileNotFoundError, match='no image'):
+        folder_images(tmp_path, Lens())
     with pytest.raises(FileNotFoundError, match='no folder'):
-        folder_pictures(tmp_path / 'missing', Lens())
+        folder_images(tmp_path / 'missing', Lens())
 
 
 def test_damaged_picture_is_named(tmp_path):
     (tmp_path / 'broken.jpg').write_bytes(b'not a jpeg')
     with pytest.raises(ValueError, match=r'broken\.jpg'):
-        folder_pictures(tmp_path, Lens())
+        folder_images(tmp_path, Lens())
 
 
 def test_ply_holds_the_valid_points(tmp_path):
@@ -208,7 +208,7 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path, number):
 
 
 @pytest.mark.parametrize('arguments, reason', [
-    (['--images', '.'], 'demo: no picture in'), (['--fx', '525'], 'demo: a calibration'),
+    (['--images', '.'], 'demo: no image in'), (['--fx', '525'], 'demo: a calibration'),
     (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of auto'),
     (['--model', __file__], 'demo: --model-output must say what the network of a file gives')])
 def test_demo_says_what_is_wrong(tmp_path, arguments, reason):
