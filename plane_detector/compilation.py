@@ -13,12 +13,16 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import threading
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 _KERNELS: list[Kernel] = []
+# numba takes its cache folder from a global setting. Two threads that changed it at once would
+# write machine code into the working directory. Kernels that call kernels take it again.
+_COMPILING = threading.RLock()
 
 
 class Kernel:
@@ -47,20 +51,23 @@ class Kernel:
 
     def compiled(self) -> Callable:
         """Return the function as machine code, from the cache if it is there."""
-        if self._compiled is None:
-            import numba
-            names = self._function.__globals__
-            for name in self._function.__code__.co_names:
-                if isinstance(names.get(name), Kernel):  # numba calls what it compiled itself
-                    names[name] = names[name].compiled()
-            before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder())
-            try:
-                # Sums may be reordered; NaN and infinity keep their meaning.
-                self._compiled = numba.njit(
-                    self._signature, cache=True, nogil=True, error_model='numpy',
-                    fastmath={'contract', 'reassoc', 'nsz'})(self._function)
-            finally:
-                numba.config.CACHE_DIR = before
+        with _COMPILING:
+            return self._compiled or self._compile()
+
+    def _compile(self) -> Callable:
+        import numba
+        names = self._function.__globals__
+        for name in self._function.__code__.co_names:
+            if isinstance(names.get(name), Kernel):  # numba calls what it compiled itself
+                names[name] = names[name].compiled()
+        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder())
+        try:
+            # Sums may be reordered; NaN and infinity keep their meaning.
+            self._compiled = numba.njit(
+                self._signature, cache=True, nogil=True, error_model='numpy',
+                fastmath={'contract', 'reassoc', 'nsz'})(self._function)
+        finally:
+            numba.config.CACHE_DIR = before
         return self._compiled
 
 

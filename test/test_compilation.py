@@ -4,6 +4,10 @@
 
 import subprocess
 import sys
+import threading
+import time
+
+import numba
 
 from plane_detector import compilation
 
@@ -25,3 +29,33 @@ def test_machine_code_is_in_a_folder_of_the_user(tmp_path, monkeypatch):
         assert compilation.cache_folder().is_dir()
     finally:
         compilation.cache_folder.cache_clear()
+
+
+def test_threads_that_compile_at_once_share_the_folder_of_the_user(monkeypatch):
+    """Else machine code is written into the working directory."""
+    before, seen = numba.config.CACHE_DIR, []
+
+    def slow_njit(*_, **__):
+        time.sleep(0.1 * (len(seen) + 1))  # the second would still compile when the first ends
+        seen.append(numba.config.CACHE_DIR)
+        return lambda function: function
+
+    monkeypatch.setattr(numba, 'njit', slow_njit)
+    monkeypatch.setattr(compilation, '_KERNELS', [])
+    kernels = [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
+    threads = [threading.Thread(target=one.compiled) for one in kernels]
+    for thread in threads:
+        thread.start()
+        time.sleep(0.05)
+    for thread in threads:
+        thread.join()
+    assert seen == [str(compilation.cache_folder())] * 2
+    assert before == numba.config.CACHE_DIR
+
+
+def abs_of(number):
+    return abs(number)
+
+
+def double_of(number):
+    return 2 * number
