@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Images of depth and planes for people. Labels here are as in the messages: 0 is no plane."""
+"""Images of depth and planes for people. Labels are those of the messages: 0 is no plane."""
 
 from __future__ import annotations
 

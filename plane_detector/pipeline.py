@@ -86,7 +86,7 @@ class PlaneDetector:
             Of that image.
         depth_m : (H, W) floating, optional
             Measured depth of the same image, NaN invalid. With ``config.depth.source`` ``topic``
-            it is what is segmented, and must be there; with ``model`` it may fix the scale.
+            it is segmented, and must be given; with ``model`` it may fix the scale.
         down_camera : (3,) floating, optional
             Measured direction of gravity; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
@@ -206,8 +206,8 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     config : Config, optional
         Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used.
     disparity_noise : float
-        What the source of the depth is known for, per metre; 0 when nothing is known. The noise
-        is estimated from the image and taken to be at least this.
+        Noise level specified for the depth source, 1/m; 0 if none. It is the lower bound of the
+        noise estimated from the image.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
 
@@ -242,7 +242,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
 
 def _noise_floor(seen: Observation, config: Config) -> Noise:
     """
-    Return the least noise of the disparity in its own unit.
+    Return the lower bound of the noise of the disparity, in its own unit.
 
     Where it goes with the disparities of the image, the unit says nothing, so that relative
     disparity and metres of one scene give the same planes.

@@ -35,7 +35,7 @@ class StageTimer:
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Measure what is done within; raise Stopped where it was told to stop before."""
+        """Time the block; raise Stopped if it was told to stop before."""
         raise_if_stopped()
         start = time.perf_counter()
         yield

@@ -73,7 +73,7 @@ class CameraIntrinsics:
 @dataclass(frozen=True)
 class Prediction:
     """
-    What a depth network says about one image.
+    Output of a depth network for one image.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class Prediction:
 @runtime_checkable
 class DepthModel(Protocol):
     """
-    What the pipeline asks of whatever predicts depth from an image.
+    Interface of a depth model, as the pipeline uses it.
 
     :class:`~plane_detector.depth.estimator.DepthEstimator` runs networks; a plain function is
     wrapped in a :class:`~plane_detector.depth.observation.DepthFunction`.
@@ -106,7 +106,7 @@ class DepthModel(Protocol):
     Attributes
     ----------
     output : str
-        What it predicts: ``metric_depth`` (metres), ``disparity`` (1/metres) or
+        Its output: ``metric_depth`` (metres), ``disparity`` (1/metres) or
         ``relative_disparity`` (unknown scale and shift).
     noise_share : float
         Typical error of its disparity as a share of the disparities of the image, see
@@ -124,7 +124,7 @@ class DepthModel(Protocol):
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """What the log and the diagnostics say of it."""
+        """Description for the log and the diagnostics."""
 
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return how far edges of depth may be off, in pixels of an image of this size."""
@@ -133,7 +133,7 @@ class DepthModel(Protocol):
         """Become as large as the rate allows while the plane stage runs beside; 0: stay."""
 
     def advise(self, share: float) -> str:
-        """Return what would bring its time to this share of what it is; empty: not known."""
+        """Return advice that would reduce its time to this share; empty if there is none."""
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
         """Return the depth of an image (H, W, 3) uint8, of the size of the image."""
@@ -253,7 +253,7 @@ class PlaneSegmentation:
 @dataclass(frozen=True)
 class Detection(PlaneSegmentation):
     """
-    What the whole pipeline gives for one image.
+    Result of the whole pipeline for one image.
 
     Attributes
     ----------
@@ -268,7 +268,7 @@ class Detection(PlaneSegmentation):
     classes : tuple of int
         A value of ``PlaneClass`` for each plane; empty: all unknown.
     scale_note, scale_event : str
-        What the method found and how sure it is, or why there is none; what changed, if any.
+        Finding of the method and its uncertainty, or why there is none; changes, if any.
     shapes : tuple of Shape
         Largest first; with N planes, ``labels`` are N + i where shape i is.
     shape_labels : tuple of int

@@ -68,7 +68,7 @@ def write_verified(path: Path, chunks: Iterable[bytes], sha256: str) -> None:
     chunks : iterable of bytes
         The content.
     sha256 : str
-        What the content must hash to.
+        Required hash of the content.
 
     Raises
     ------
@@ -153,7 +153,7 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
 
 
 def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[bytes]:
-    """Yield what comes, as it comes; refuse what is too much or too slow."""
+    """Yield the data as it arrives; raise if it is too much or too slow."""
     start_s = time.monotonic()
     received_bytes = 0
     while chunk := response.read1(_CHUNK_BYTES):  # `read` waits for all of them

@@ -164,7 +164,7 @@ class DepthEstimator:
                               f'stage: {measured}')
 
     def advise(self, share: float) -> str:
-        """Return which setting would bring the time of the network to a share of what it is."""
+        """Return the setting that would reduce the time of the network to a given share."""
         sides = self._session.short_sides
         if not sides:
             return 'its input has a fixed size: a smaller network or a GPU would be faster'
@@ -176,7 +176,7 @@ class DepthEstimator:
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """What the log and the diagnostics say of it."""
+        """Description for the log and the diagnostics."""
         width, height = self.input_size(*plausibility.CORRIDOR_SIZE)
         facts = {'depth_model': self.name, 'depth_model_reason': self.reason,
                  'execution_provider': self.provider, 'network_input': f'{width} x {height}'}
@@ -194,7 +194,7 @@ class DepthEstimator:
 
     def _read(self, arrays: Sequence[np.ndarray], rgb: np.ndarray,
               intrinsics: CameraIntrinsics | None) -> Prediction:
-        """Make a prediction of what the network gave for an image."""
+        """Convert the network's output for an image to a prediction."""
         size = (rgb.shape[1], rgb.shape[0])
         framing = self._recipe.framing(size, self._session.input_size(*size))
         try:
@@ -218,7 +218,7 @@ class DepthEstimator:
 
 def _first_that_runs(path: Path, config: DepthConfig, interface: Interface, recipe: InputRecipe
                      ) -> tuple[OnnxSession, str, list[str], list[np.ndarray]]:
-    """Return the session of the first provider that runs, and what it gives for a corridor."""
+    """Return the session of the first provider that runs, and its output for a test image."""
     passed_over: list[str] = []
     for provider in config.providers:
         try:
@@ -259,7 +259,7 @@ def _reader(config: DepthConfig, network: Network | None) -> Reader:
 
 
 def _interface(config: DepthConfig, network: Network | None, reader: Reader) -> Interface:
-    """Return what the file must take and give; the settings of the size come first."""
+    """Return the required interface of the file; the settings of the size come first."""
     wanted = (config.input_width, config.input_height)
     if network is None:
         return Interface(reader.outputs, {}, wanted, config.short_side, config.side_multiple)

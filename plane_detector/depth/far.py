@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a network puts farther away than it can know: no surface, and so no plane.
+Reject depth that is too far for the network: no surface, and so no plane.
 
-Disparity within its noise of 0 may be anything from there to infinity. Sky is given some depth by
-networks that were trained in rooms, so it is told by the image: an even, bright and bluish region
-at the upper border, in the farther half of the depth, that gets whiter and not darker downwards.
-That is what Rayleigh scattering does to a clear sky; a wall keeps its colour where its brightness
-changes. What is even and white below it, down to the horizon, belongs to it. A sky of clouds has
-texture, an overcast one no colour: these are not told.
+Disparity within its noise of 0 may be at any distance up to infinity. Networks trained in rooms
+give the sky a finite depth, so sky is found in the image: an even, bright and bluish region at the
+upper border, in the farther half of the depth, that gets whiter and not darker downwards. Rayleigh
+scattering causes this in a clear sky; a wall keeps its colour when its brightness changes. The
+even and white region below, down to the horizon, belongs to the sky. A cloudy sky has texture and
+an overcast one has no colour: these are not found.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ import cv2
 import numpy as np
 
 FAR_DEVIATIONS = 3.0
-"""Nearer to 0 than this many standard deviations, a disparity says no distance (3 sigma)."""
+"""A disparity below this many standard deviations determines no distance (3 sigma)."""
 _SMALL_WIDTH_PX = 160
 # Of a small image with values of 0 to 255.
 _TEXTURE_WINDOW_PX, _MOST_TEXTURE = 5, 6.0
 _LEAST_GREY, _LEAST_BLUE_MINUS_RED = 110.0, 4.0
-_LEAST_SHARE = 0.02  # of the image: less hardly makes a plane, and says little of its colours
+_LEAST_SHARE = 0.02  # of the image: less is hardly a plane, and too few pixels for the colours
 _LEAST_FAR_SHARE = 0.6
 # Of blue over red from the upper to the lower tenth of the region. Seen: 0.12 and 0.19 for skies
 # (KITTI, a photograph of a temple), 0.03 to 0.06 for a bluish wall in 60 images of a room.
@@ -30,12 +30,12 @@ _LEAST_WHITENING = 0.09
 _MOST_DARKENING = 5.0
 # The white above the horizon is hardly darker than the blue, and hardly redder than blue.
 _HORIZON_DARKER, _HORIZON_REDDER = 15.0, 5.0
-_BORDER_PX = 3  # the texture window sees what is beside the region this far off
+_BORDER_PX = 3  # the texture window reaches this far beyond the region
 
 
 def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray:
     """
-    Return where a disparity says how far something is.
+    Return where a disparity determines a distance.
 
     Parameters
     ----------
@@ -49,12 +49,12 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
     Returns
     -------
     (H, W) bool
-        False for what is too far for its noise, and for clear sky.
+        False where the depth is too far for its noise, and in clear sky.
 
     """
-    # Where some values are negative, 0 is not infinitely far: the shift is not known.
-    least = -np.inf if (disparity < 0).any() else FAR_DEVIATIONS * noise
-    known = ~(disparity < least)
+    # If some values are negative, 0 is not infinitely far: the shift is unknown.
+    nearest_unknown = -np.inf if (disparity < 0).any() else FAR_DEVIATIONS * noise
+    known = ~(disparity < nearest_unknown)
     sky = find_sky(rgb, disparity)
     return known & ~sky if sky is not None else known
 
@@ -72,7 +72,7 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     Returns
     -------
     (H, W) bool or None
-        None where there is none.
+        None if there is no sky.
 
     """
     height, width = rgb.shape[:2]
@@ -104,7 +104,7 @@ def _is_even(small: np.ndarray) -> np.ndarray:
 
 
 def _even_region_at_the_top(small: np.ndarray) -> np.ndarray:
-    """Return the even, bright and bluish pixels that hang together with the upper border."""
+    """Return the even, bright and bluish pixels that are connected to the upper border."""
     candidates = _is_even(small) & _is_bright(small, _LEAST_GREY, _LEAST_BLUE_MINUS_RED)
     top = np.zeros_like(candidates)
     top[0] = candidates[0]
@@ -112,7 +112,7 @@ def _even_region_at_the_top(small: np.ndarray) -> np.ndarray:
 
 
 def _touching(candidates: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Return the candidates that hang together with a seed."""
+    """Return the candidates that are connected to a seed."""
     _, parts = cv2.connectedComponents((candidates | seeds).astype(np.uint8), connectivity=4)
     found = np.unique(parts[seeds])
     return np.isin(parts, found[found > 0])

@@ -16,7 +16,7 @@ OWN_FOCAL = -1.0
 def lens_factor(intrinsics: CameraIntrinsics, reference_focal_px: float,
                 focal_per_height: float) -> float:
     """
-    Return what the metres of a network have to be multiplied with.
+    Return the factor that corrects the metres of a network.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def lens_factor(intrinsics: CameraIntrinsics, reference_focal_px: float,
     Returns
     -------
     float
-        1 where nothing is to be corrected or nothing is known.
+        1 if no correction is needed or the focal length is unknown.
 
     """
     if reference_focal_px > 0:

@@ -15,7 +15,7 @@ from plane_detector.stopping import Background, raise_if_stopped
 
 # The first run of an input size allocates; the median of these after it counts.
 REPEATS = 3
-# What is asked of the network at most, so that a frame that takes longer than usual is not late.
+# Largest share of the period given to the network, so that a slow frame is not late.
 LOAD = 0.9
 
 

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The known depth networks: where from, SHA-256, licence, input, and what the outputs mean.
+The known depth networks: source, SHA-256, licence, input, and meaning of the outputs.
 
 The weights have licences of their own and are not part of this package.
 """
@@ -40,13 +40,13 @@ class Network:
     sha256 : str
         Of the file.
     licence : str
-        Of the weights: SPDX where it is plain, else what is known.
+        Of the weights: the SPDX name if it is clear, else a description.
     summary : str
-        What it gives and what it was trained on, in a few words.
+        Its output and training data, in a few words.
     recipe : InputRecipe
         How an image becomes its input.
     reader : Reader
-        What its outputs mean.
+        Meaning of its outputs.
     noise_share : float
         Typical error of its disparity as a share of the disparities of the image, see
         `plane_detector.geometry.disparity.noise_reference`.
@@ -61,7 +61,7 @@ class Network:
         the output does not depend on the lens. Metric depth of another camera is off by about
         the ratio of the two.
     scalars : mapping of str to int
-        Further inputs, each one whole number, and what they are set to.
+        Further inputs, each a whole number, and their values.
     is_opt_in : bool
         Never taken unless it is named, for the sake of its licence.
 
@@ -86,7 +86,7 @@ class Network:
 
     @property
     def output(self) -> str:
-        """What it gives: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        """Its output: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
         return self.reader.kind
 
 

@@ -22,7 +22,7 @@ from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 @dataclass(frozen=True)
 class Observation:
     """
-    An image with its depth, before the scale of it is known.
+    An image with its depth, before the scale is known.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class Observation:
     config : Config
         The settings that this image is processed with.
     prediction : Prediction
-        What is segmented.
+        The input of the segmentation.
     is_measured : bool
         The prediction is the measurement of a sensor, so that its metres are metres.
     sensor_depth_m : (H, W) floating or None
@@ -61,7 +61,7 @@ class Observation:
 
     @property
     def output(self) -> str:
-        """What is segmented: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        """Kind of the input: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
         return self.prediction.output
 
     @cached_property
@@ -72,7 +72,7 @@ class Observation:
 
     @property
     def disparity_noise(self) -> float:
-        """What the source is known for, in the unit of the disparity."""
+        """Noise level specified for the source, in the unit of the disparity."""
         return self.noise_share and self.noise_share * noise_reference(self.disparity)
 
     def with_values(self, values: np.ndarray) -> Observation:
@@ -86,7 +86,7 @@ class Observation:
 
 
 class SensorDepth:
-    """The depth image of a sensor is what is segmented."""
+    """Source whose segmented input is the depth image of a sensor."""
 
     output = 'metric_depth'
     facts: Mapping[str, str] = {'depth_model': 'the depth topic, no network'}
@@ -136,12 +136,12 @@ class ModelDepth:
 
     @property
     def output(self) -> str:
-        """What the model gives."""
+        """Output of the model."""
         return self.model.output
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """What the log and the diagnostics say of the model."""
+        """Description of the model for the log and the diagnostics."""
         return self.model.facts
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
@@ -207,7 +207,7 @@ class DepthFunction:
     function : callable
         Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) floating, NaN invalid.
     output : str
-        What it returns: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+        Its output: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     noise_share, focal_per_height
         As in :class:`~plane_detector.types.DepthModel`.
     blur_px : float

@@ -41,14 +41,14 @@ class ProviderError(ValueError):
 @dataclass(frozen=True)
 class Interface:
     """
-    What a network takes and gives beside its file.
+    Interface of a network that its file does not state.
 
     Attributes
     ----------
     outputs : tuple of str
         Names of the outputs that are wanted, in order; empty: the one that is the depth.
     scalars : mapping of str to int
-        Inputs beside the image, each one whole number, and what they are set to.
+        Inputs beside the image, each a whole number, and their values.
     input_size : (int, int)
         Width and height of the input where it must be this one; (0, 0): as the file says.
     short_side, side_multiple : int
@@ -70,7 +70,7 @@ class OnnxSession:
     Raises
     ------
     ValueError
-        The network does not take one image and give what is wanted, or not of the size asked for.
+        The network's inputs or outputs, or their sizes, are not those required.
     ProviderError
         The execution provider cannot run it.
 
@@ -227,7 +227,7 @@ class OnnxSession:
                               'depth.input_width and depth.input_height')
 
     def misfit(self, what: str) -> ValueError:
-        """Return an error that names the file, what does not fit, and what the file has."""
+        """Return an error that names the file, the mismatch, and the interface of the file."""
         return ValueError(f'{self._path} does not fit: {what}. It has {self._ends_text()}')
 
     def _ends_text(self) -> str:
@@ -238,13 +238,13 @@ class OnnxSession:
 
 
 def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
-    """Load a network for one provider; the CPU does what the provider has no kernels for."""
+    """Load a network for one provider; the CPU runs operators that the provider lacks."""
     if provider not in ort.get_available_providers():
         raise ProviderError('not in this build of ONNX Runtime')
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.use_deterministic_compute = True
-    # Else the threads look for work long after each image, on the cores of the stages to come.
+    # Else idle threads keep spinning after each image, on the cores of the following stages.
     options.add_session_config_entry('session.force_spinning_stop', '1')
     options.log_severity_level = 3  # exported networks are full of harmless warnings
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))

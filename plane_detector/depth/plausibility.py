@@ -21,7 +21,7 @@ MOST_NEGATIVE = 0.01
 # derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor, and what only
 # looks at the colour of a pixel 0.01.
 LEAST_OPPOSITE_CORRELATION = 0.4
-# Below this contrast an image shows nothing, and a constant depth of it is no fault.
+# Below this contrast an image shows nothing, and constant depth is not an error.
 _LEAST_CONTRAST = 2.0
 _SAMPLED_SIDE = 96
 # Smaller inputs cannot show the checkerboard.
@@ -37,7 +37,7 @@ _GREYS = (60, 110)
 
 
 class ImplausibleDepthError(ValueError):
-    """What a network gave cannot be the depth that its file is said to give."""
+    """The output of a network cannot be the depth that is stated for its file."""
 
 
 def corridor() -> tuple[np.ndarray, np.ndarray]:
@@ -75,9 +75,9 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     Parameters
     ----------
     values : (h, w) floating
-        The network's output, not yet rid of what is invalid.
+        The network's output, invalid values included.
     kind : str
-        What it is said to be, `Prediction.output`.
+        Its stated kind, `Prediction.output`.
     rgb : (H, W, 3) uint8
         The image.
 

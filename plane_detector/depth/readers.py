@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the outputs of a network mean: each kind of network has a reader that makes a Prediction.
+Readers of network outputs: each kind of network has a reader that makes a Prediction.
 
 A reader names the outputs that it needs, gets their arrays in this order, and knows units, axes
 and what the network leaves open. The lens is handed in, since some need it.
@@ -25,7 +25,7 @@ LEAST_MASK = 0.5
 
 
 class OutputError(ValueError):
-    """The arrays of a network are not what its reader expects."""
+    """The arrays of a network are not those its reader expects."""
 
 
 class Reader(Protocol):
@@ -146,7 +146,7 @@ def as_map(array: np.ndarray, channels: int = 1) -> np.ndarray:
     Raises
     ------
     OutputError
-        It is not one image of so many channels.
+        It is not one image with the required number of channels.
 
     """
     image = array.squeeze()

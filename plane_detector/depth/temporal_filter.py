@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Flicker of a network's disparity, damped while the image stays the same.
+Temporal filter that damps the flicker of a network's disparity while the image is static.
 
-A network sees sensor noise too, and gives another depth in every frame of a camera that stands
-still. While nothing moves the disparity is averaged over time; as soon as anything does, the new
-image stands alone, the whole of it: a lag would bend planes, and an image that is damped in
-one part only has two levels of noise, of which the segmentation sees one. Both the image and
-the disparity are compared with their own averages, so that slow motion adds up.
+Sensor noise changes the output of a network in each frame, even if the camera stands still. While
+nothing moves, the disparity is averaged over time. As soon as anything moves, the whole new image
+is used unfiltered: a lag would bend planes, and an image filtered in one part only has two noise
+levels, of which the segmentation estimates one. Image and disparity are compared with their own
+averages, so that slow motion adds up.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ import numpy as np
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated
 
 _BLUR_PX = 1.5
-# Brightness that differs by this many standard deviations of its noise is another one; the noise
-# is taken to be within these grey levels.
+# Brightness has changed if it differs by this many standard deviations of its noise; the noise is
+# clipped to these grey levels.
 _GREY_SIGMAS, _GREY_NOISE = 5.0, (0.4, 1.5)
-# So is the mean disparity of a block, if it is off by more than this share of the image's span
-# too: networks flicker ten times more at edges than elsewhere.
+# The same for the mean disparity of a block, which must also differ by more than this share of the
+# image's span: networks flicker ten times more at edges than elsewhere.
 _DEPTH_SIGMAS, _DEPTH_SHARE, _BLOCK_PX = 4.0, 0.1, 8
-# Something moves where more than this share of the pixels has another brightness or disparity;
+# Something moves if more than this share of the pixels has changed in brightness or disparity;
 # less is noise or, with its surroundings, too small for a plane.
 _GREY_MOVING, _DEPTH_MOVING, _SPREAD_PX = 0.0005, 0.005, 8
-_STEP_PX = 4  # statistics need not look at every row and column
-# Without this many edges in these nothing tells that the camera stands still.
+_STEP_PX = 4  # statistics use a part of the rows and columns
+# With fewer edge pixels than this a static camera cannot be recognised.
 _EDGE_GREY_PER_PX, _FEWEST_ON_EDGES = 6.0, 50
 _FIT_ROUNDS, _FEWEST_FITTED = 3, 100
 
@@ -38,16 +38,16 @@ _FIT_ROUNDS, _FEWEST_FITTED = 3, 100
 @dataclass(frozen=True)
 class FilteredDisparity:
     """
-    Averages up to an image.
+    Averages up to and including an image.
 
     Attributes
     ----------
     disparity : (H, W) float32
-        Not finite where that of the last image is not.
+        Not finite where the disparity of the last image is not finite.
     grey : (H, W) float32
         Blurred brightness.
     image_count : int
-        How many went into the averages.
+        Number of images in the averages.
 
     """
 
@@ -59,22 +59,22 @@ class FilteredDisparity:
 def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, rgb: np.ndarray,
                  keep: float, *, same_scale: bool) -> FilteredDisparity:
     """
-    Average the disparity of an image with those before, if nothing has changed.
+    Average the disparity of an image with the previous ones, if nothing has changed.
 
     Parameters
     ----------
     previous : FilteredDisparity or None
-        Of the image before; None, or of another size: the image starts a new average.
+        Averages up to the previous image; if None or of another size, a new average starts.
     disparity : (H, W) floating
         Not finite where invalid.
     rgb : (H, W, 3) uint8
         The image itself.
     keep : float
-        Share of the average that is kept at every image, 0 to below 1. The first images
-        count alike.
+        Weight of the old average at each image, 0 to below 1. The first images have equal
+        weights.
     same_scale : bool
-        False for relative disparity, whose scale and shift may change with every image: the
-        average is brought to those of the new one.
+        False for relative disparity, whose scale and shift may change with each image: the
+        average is converted to those of the new image.
 
     Returns
     -------
@@ -107,14 +107,14 @@ def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, 
 
 
 def _shows_motion(grey: np.ndarray) -> bool:
-    """Say whether the image has edges, by which a motion of the camera would be seen."""
+    """Say whether the image has enough edges to show a motion of the camera."""
     on_edges = sum(np.count_nonzero(np.abs(np.diff(lines, axis=axis)) > _EDGE_GREY_PER_PX)
                    for lines, axis in ((grey[::_STEP_PX], 1), (grey[:, ::_STEP_PX], 0)))
     return on_edges >= _FEWEST_ON_EDGES
 
 
 def _has_changed(before: np.ndarray, grey: np.ndarray) -> np.ndarray:
-    """Return where the brightness is another one, (H, W) bool."""
+    """Return where the brightness has changed, (H, W) bool."""
     difference = np.abs(grey - before)
     sigma = np.clip(SIGMA_PER_MEDIAN * np.median(difference[::_STEP_PX, ::_STEP_PX]), *_GREY_NOISE)
     return difference > _GREY_SIGMAS * sigma
@@ -126,7 +126,7 @@ def _spread(mask: np.ndarray) -> np.ndarray:
 
 def _in_scale_of(disparity: np.ndarray, before: np.ndarray,
                  still: np.ndarray) -> np.ndarray | None:
-    """Return what was before in scale and shift of a new disparity; None where they are unsure."""
+    """Return the old disparity in scale and shift of a new one; None if they are uncertain."""
     thinned = (slice(None, None, _STEP_PX),) * 2
     used = still[thinned]
     old, new = (values[thinned][used].astype(float) for values in (before, disparity))
@@ -143,7 +143,7 @@ def _in_scale_of(disparity: np.ndarray, before: np.ndarray,
 
 
 def _differs(disparity: np.ndarray, expected: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return where the disparity is further off than it flickers, (H, W) bool."""
+    """Return where the disparity has changed by more than its flicker, (H, W) bool."""
     thinned = (slice(None, None, _STEP_PX),) * 2
     if not known[thinned].any():
         return np.zeros(known.shape, bool)

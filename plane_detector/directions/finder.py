@@ -20,7 +20,7 @@ from plane_detector.types import CameraIntrinsics
 @dataclass(frozen=True)
 class ImageDirections:
     """
-    The lines of an image and what they say.
+    The lines of an image and the directions found from them.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.
 @dataclass(frozen=True)
 class Surroundings:
     """
-    What is known of the directions around the camera.
+    Knowledge of the directions around the camera.
 
     Attributes
     ----------

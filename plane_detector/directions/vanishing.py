@@ -85,7 +85,7 @@ class AxisPair:
 @dataclass(frozen=True)
 class SceneDirections:
     """
-    What the lines of an image say.
+    Directions found from the lines of an image.
 
     Attributes
     ----------

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Depth and its inverse, and which values of them are valid.
+Depth, disparity, and their valid values.
 
-Disparity here is anything affine in 1/z: 1/z itself in 1/metres, or what a network gives in a unit
-of its own. Invalid is NaN in both.
+Disparity is any value affine in 1/z: 1/z itself in 1/metres, or the output of a network in its own
+unit. Invalid values are NaN in both.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
 
 def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return disparity that sums can be taken of, 0 where invalid, and where it is valid.
+    Return the disparity with 0 where invalid, and where it is valid.
 
     Parameters
     ----------
@@ -108,12 +108,12 @@ def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def noise_reference(disparity: np.ndarray) -> float:
     """
-    Return what the noise of a network is a share of: the range of the disparities of an image.
+    Return the range of the disparities of an image, the unit of a network's noise.
 
-    The errors of networks go with the disparities that a scene has. A level per metre that is
-    right in a room, where they lie between 0.2 and 1, swallows a street, where they lie between
-    0.01 and 0.06. Their range goes with any unit and does not change with a shift. A surface that
-    fills the image has hardly any; a quarter of its median is the least.
+    The errors of networks scale with the disparities of the scene. A level in 1/m that is right in
+    a room, with disparities of 0.2 to 1, is far too high in a street, with 0.01 to 0.06. The range
+    scales with the unit and does not depend on the shift. A surface that fills the image has
+    hardly any range; the lower bound is a quarter of its median.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
-# An accelerometer that reads another force is being moved: then it does not show down.
+# If the force differs by more, the accelerometer is being moved and does not show down.
 MAX_FORCE_ERROR_SHARE = 0.1
 SMOOTHING_S = 0.5
 
@@ -34,7 +34,7 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
 def gravity_from_acceleration(acceleration: Sequence[float],
                               imu_to_camera: Sequence[float]) -> np.ndarray | None:
     """
-    Return the direction down that an accelerometer at rest shows.
+    Return the direction down from an accelerometer at rest.
 
     Parameters
     ----------

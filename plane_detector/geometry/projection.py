@@ -23,12 +23,12 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
 
 def check_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> None:
     """
-    Check that a depth image is one, and of the size that the intrinsics are for.
+    Check type and size of a depth image.
 
     Raises
     ------
     ValueError
-        It is not a 2-D floating point array, or of another size.
+        It is not a 2-D floating point array, or its size differs from the intrinsics.
 
     """
     if depth_m.ndim != 2 or not np.issubdtype(depth_m.dtype, np.floating):
@@ -58,7 +58,7 @@ def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.nda
     Raises
     ------
     ValueError
-        Depth and intrinsics do not fit together.
+        Sizes of depth and intrinsics differ.
 
     Examples
     --------

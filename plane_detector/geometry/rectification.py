@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Images and depth images of a real lens to those of a pinhole camera.
+Rectify images and depth images of a real lens to those of a pinhole camera.
 
 The models are those of sensor_msgs/CameraInfo as OpenCV implements them: plumb_bob (Brown, 5
 coefficients), rational_polynomial (8; 12 and 14 with OpenCV's thin prism and tilted sensor) and

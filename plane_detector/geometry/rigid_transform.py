@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation and translation from one frame into another, and what they do to planes."""
+"""Rotation and translation between frames, and their effect on planes."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class RigidTransform:
         """
         Return a plane in the target frame.
 
-        Its normal goes on looking at the camera; its offset may be negative there.
+        Its normal still points to the camera; its offset may be negative there.
         """
         normal = self.rotation @ plane.normal
         return replace(plane, normal=normal, centroid_m=self.points(plane.centroid_m),

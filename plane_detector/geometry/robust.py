@@ -29,7 +29,7 @@ def median(values: np.ndarray) -> float:
 
 def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
     """
-    Return a mask (H, W) bool grown by a square of so many pixels to each side.
+    Return a mask (H, W) bool dilated by a square that reaches this many pixels to each side.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a plane is, by the direction of gravity: floor, ceiling, wall, table, other."""
+"""Classes of planes by the direction of gravity: floor, ceiling, wall, table, other."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
     regions : PixelRegions
         Of 1/z in one unit, with true angles.
     prediction : Prediction
-        Of the same image; without normals nothing is changed.
+        Of the same image; without normals the result is unchanged.
     intrinsics : CameraIntrinsics
 
     Returns

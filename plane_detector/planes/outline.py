@@ -124,7 +124,7 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
 def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
                         centroid_m: np.ndarray) -> Rectangle:
     """
-    Return the smallest rectangle, in a plane, around points of it.
+    Return the smallest rectangle around points on a plane.
 
     Parameters
     ----------

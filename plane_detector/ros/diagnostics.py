@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node tells of itself: rate, latency per stage, drops, the network, the last error."""
+"""Diagnostics of the node: rate, latency per stage, drops, the network, the last error."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Statistics:
             self._last_error = error
 
     def report(self) -> Report:
-        """Return what happened, and begin anew what is counted since the last report."""
+        """Return the report, and reset the counts since the last one."""
         with self._lock:
             elapsed_s = max(time.monotonic() - self._window_start_s, 1e-9)
             count = self._window_processed
@@ -121,7 +121,7 @@ class DiagnosticsPublisher:
         The stamps are of its clock; the period is of the steady one, so that a simulation that
         stands still does not silence the diagnostics.
     statistics : Statistics
-        What is counted.
+        The counts.
     describe : callable
         Report to (level, message, facts).
 
@@ -149,7 +149,7 @@ class DiagnosticsPublisher:
 
 def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: str) -> list[str]:
     """
-    Return what is logged at configure: where depth comes from, why, what goes in and out.
+    Return the log message at configure: source of depth and why, inputs and outputs.
 
     Parameters
     ----------

@@ -98,6 +98,6 @@ async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.
 
 
 def describe_frame(header: Header, plane_count: int) -> str:
-    """Return what a call is answered: how many planes, and the stamp of the image."""
+    """Return the answer to a call: number of planes and stamp of the image."""
     return (f'{plane_count} planes in the image of {header.stamp.sec}.'
             f'{header.stamp.nanosec:09d}')

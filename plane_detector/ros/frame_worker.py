@@ -13,7 +13,7 @@ from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.stopping import Background, Stop, Stopped
 
 SKIPPED = None
-"""What the first half returns for a frame that has no second half."""
+"""Result of the first half for a frame without a second half."""
 
 
 class FrameWorker:
@@ -74,7 +74,7 @@ class FrameWorker:
             stop.set()
 
     def stop(self) -> None:
-        """Drop what there is, take no more frames, and return at once."""
+        """Drop all frames, accept no more, and return at once."""
         with self._changed:
             self._ended = True
         self.drop()
@@ -92,7 +92,7 @@ class FrameWorker:
             observed = _called(first, frame, stop)
             self._first_s = time.monotonic() - start_s
             self._hand_over(observed, stop)
-            del frame, observed, taken  # nothing is kept while there is nothing to do
+            del frame, observed, taken  # keep no references while idle
 
     def _run_second(self) -> None:
         _, second = self._halves
@@ -145,7 +145,7 @@ class FrameWorker:
 
 
 def _called(half: Callable[[Any], Any], given: Any, stop: Stop) -> Any:
-    """Call one half of the pipeline; what is told to stop is skipped."""
+    """Call one half of the pipeline; skip the frame if it is stopped."""
     try:
         with stop.applies():
             return half(given)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with the node: one level and one sentence, and a log line when it changes."""
+"""Health of the node: one level and one sentence, and a log line when it changes."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ class Health:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the frames so far: what is missing now is logged again."""
+        """Forget the frames so far: missing inputs are logged again."""
         self._gap = ''
         self._told: set[str] = set()
         self._facts: dict[str, str] = {}
 
     @property
     def facts(self) -> dict[str, str]:
-        """What the last frame says: what fixes the unit, what tells gravity, and an advice."""
+        """Findings of the last frame: source of the unit, source of gravity, and advice."""
         return self._facts
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
@@ -111,7 +111,7 @@ def _advice(longer_side_px: int) -> dict[str, str]:
 
 def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     """
-    Return what a frame lacks for classes and obstacles, with the remedy; empty if nothing.
+    Return what a frame lacks for classes and obstacles, and the remedy; empty if nothing.
 
     Parameters
     ----------

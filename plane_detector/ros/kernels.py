@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The loops of what is asked for are compiled before the first frame, not with it."""
+"""Compile the loops of the configured stages before the first frame, not with it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from plane_detector.config import Config
 
 
 def load_kernels(config: Config, log: Callable[[str], None]) -> None:
-    """Load the machine code from the user's cache, or compile it and say so to ``log``."""
+    """Load the machine code from the user's cache, or compile it and report that to ``log``."""
     for subject in ('segmentation', *(['shapes'] if config.shapes.wanted else [])):
         if not are_compiled(subject):
             log(f'compiling the loops of the {subject} for this machine, once')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The arguments of launch/plane_detector.launch.py, and what becomes of them. No launch here."""
+"""The arguments of launch/plane_detector.launch.py and their use. Does not import launch."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class NodeArguments(NamedTuple):
 
 def node_arguments(values: Mapping[str, str], installed_file: str) -> NodeArguments:
     """
-    Return what the node is started with.
+    Return the parameters that the node is started with.
 
     Parameters
     ----------

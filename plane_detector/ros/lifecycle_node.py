@@ -151,10 +151,10 @@ class PlaneDetectorNode(LifecycleNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the subscriptions and throw away what is worked on."""
+        """End the subscriptions and drop the frames in work."""
         self._unsubscribe()
         self._worker.drop()
-        self._processor.reset()  # what is kept for the next frame may be half of the last one
+        self._processor.reset()  # the kept state may come from half a frame
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -212,7 +212,7 @@ class PlaneDetectorNode(LifecycleNode):
             self._skip(observed.frame, error)
 
     def _skip(self, frame: Frame, error: Exception) -> None:
-        """Count and log a frame that failed; what is broken off may fail in any way."""
+        """Count and log a frame that failed; a stopped frame may fail in any way."""
         if not current_stop().is_set:
             reason = self._faults.tell(error)
             self._statistics.add_skipped(reason)
@@ -221,7 +221,7 @@ class PlaneDetectorNode(LifecycleNode):
     # Parameters and services
 
     def _on_change(self) -> None:
-        """Pass on what the inputs use; the rest is taken over between two frames."""
+        """Apply the settings of the inputs; the others are applied between two frames."""
         if self._inputs is not None:
             self._inputs.set_stamp_slop(self._live.settings.stamp_slop)
 
@@ -243,7 +243,7 @@ class PlaneDetectorNode(LifecycleNode):
                             else 'the node is not configured')
         return response
 
-    # What the node tells of itself
+    # Diagnostics
 
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""

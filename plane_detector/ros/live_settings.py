@@ -17,14 +17,14 @@ from plane_detector.ros.frame_processor import FrameProcessor
 
 class LiveSettings:
     """
-    What the parameters of a node say now.
+    Current settings, from the parameters of a node.
 
     Parameters
     ----------
     node : rclpy.node.Node
         Its parameters are declared.
     is_active : callable
-        Whether what is read at configure is fixed.
+        Whether the settings that are read at configure are fixed.
     on_change : callable
         Called after each change.
 

@@ -14,7 +14,7 @@ from plane_detector.geometry.disparity import to_depth, to_disparity
 from plane_detector.pipeline import PlaneDetector, segment_planes
 from plane_detector.ros.diagnostics import Report
 
-# What a network's depth is like: the plane stage is timed on it.
+# Like a network's depth: the plane stage is timed on it.
 _NOISE_PER_M, _BLUR_PX = 0.005, 12.0
 # A pace that differs by less is that of the clocks.
 _TOLERANCE = 1.1

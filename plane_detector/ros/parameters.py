@@ -87,7 +87,7 @@ def fixed_changes(old: AnySettings, new: AnySettings) -> list[str]:
 
 
 def with_live(configured: AnySettings, wanted: AnySettings) -> AnySettings:
-    """Return what is wanted, except for what is read only at configure: that stays."""
+    """Return the new settings; those that are read only at configure stay unchanged."""
     changes = {}
     for field in fields(configured):
         old, new = getattr(configured, field.name), getattr(wanted, field.name)
@@ -126,7 +126,7 @@ def descriptor(field: Field, default: Any) -> ParameterDescriptor:
 
 
 def _declare_one(node: Node, name: str, described: ParameterDescriptor, default: Any) -> Parameter:
-    """Declare a parameter; a whole number is taken for a float, which rclpy refuses."""
+    """Declare a parameter; accept a whole number for a float, which rclpy refuses."""
     if isinstance(_first(default), float):
         given = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
         node.undeclare_parameter(name)
@@ -151,7 +151,7 @@ def _as_float(default: Any, value: Any) -> Any:
 
 
 def _constraints(meta: Any) -> str:
-    """Return in words what a range of the descriptor cannot say: choices, limits of arrays."""
+    """Return in words the limits that a descriptor's range cannot express: choices, arrays."""
     if meta['choices']:
         return 'one of ' + ', '.join(meta['choices'])
     limits = [f'at least {meta["low"]:g}' if meta['low'] is not None else '',

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service: what is asked of the inputs and offered on the outputs."""
+"""Quality of service: requested from the inputs, offered on the outputs."""
 
 from __future__ import annotations
 
@@ -130,7 +130,7 @@ class InputSubscription:
             self._follow()
 
     def _follow(self) -> None:
-        """Open a subscription with what the publishers offer now, if it is another one."""
+        """Reopen a subscription if the publishers' offer has changed."""
         offered = self._offered()
         if self._next is not None and self._next.qos_profile.reliability == offered:
             return

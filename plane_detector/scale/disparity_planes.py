@@ -4,8 +4,8 @@
 The planes of an image as affine functions of a disparity of unknown scale and shift.
 
 With the ray (x, y, 1) of a pixel, a plane is D = p x + q y + r in any disparity that is affine
-in 1/z. Where 1/z = scale * (D + tau), its normal is proportional to (p, q, r + tau): the only
-thing that the angles between planes need is tau, the shift in units of D.
+in 1/z. If 1/z = scale * (D + tau), its normal is proportional to (p, q, r + tau): the angles
+between planes depend only on tau, the shift in units of D.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from plane_detector.types import CameraIntrinsics
 # More pixels than these only cost time: the noise of disparity is smooth over the image.
 MAX_SAMPLES = 80_000
 MIN_SAMPLES = 30
-# Neighbouring errors of a depth map are alike; about this share of the width apart they are not.
+# Errors of a depth map are uncorrelated beyond this share of the image width.
 CORRELATION_SHARE = 1.0 / 20.0
 REJECTION_SIGMAS = 2.5
 
@@ -28,7 +28,7 @@ REJECTION_SIGMAS = 2.5
 @dataclass(frozen=True)
 class DisparityPlanes:
     """
-    The planes that the pixels of each label fit.
+    The planes fitted to the pixels of each label.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class DisparityPlanes:
     pixel_share : (N,) float64
         Share of the pixels of all these planes.
     labels : (N,) int64
-        Which label each is.
+        Label of each plane.
 
     """
 
@@ -76,7 +76,7 @@ class DisparityPlanes:
 def fit_disparity_planes(disparity: np.ndarray, labels: np.ndarray,
                          intrinsics: CameraIntrinsics) -> DisparityPlanes:
     """
-    Fit every label's pixels by least squares, twice more without the outliers.
+    Fit the pixels of each label by least squares, then twice more without outliers.
 
     Parameters
     ----------

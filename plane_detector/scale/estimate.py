@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What scale and shift of a disparity are, 1/z = scale * disparity + shift, and their use."""
+"""Scale and shift of a disparity, 1/z = scale * disparity + shift, and their application."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ MAX_RELATIVE_DEPTH = 1000.0
 @dataclass(frozen=True)
 class ScaleEstimate:
     """
-    1/z = scale * disparity + shift, and where it comes from.
+    1/z = scale * disparity + shift, and the method that found it.
 
     Attributes
     ----------
     scale, shift : float
-        1/metres, or 1/unit where the unit is unknown: then the middle depth of the image
-        that the unit was chosen on is 1.
+        1/metres, or 1/unit if the unit is unknown: the median depth of the image that the unit
+        was chosen on is then 1.
     method : str
         ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
     is_metric : bool
@@ -33,10 +33,10 @@ class ScaleEstimate:
     has_true_angles : bool
         Whether the angles between planes are those of the scene. False for ``relative``.
     uncertainty : float
-        Standard deviation of depth by that of scale and shift, as a share of depth, at the far
-        tenth of the image; NaN where it is not known.
+        Standard deviation of depth due to scale and shift, as a share of depth, at the far tenth
+        of the image; NaN if unknown.
     note : str
-        What the method found, or why the others refused; for the log and the diagnostics.
+        Finding of the method, or why the others refused; for the log and the diagnostics.
     span : (3,) tuple of float
         Disparity of the far tenth, the middle and the near tenth of the image.
 
@@ -53,11 +53,11 @@ class ScaleEstimate:
 
     @property
     def unit_method(self) -> str:
-        """What fixes the unit: the method, or ``relative`` where nothing does."""
+        """The method that fixes the unit, or ``relative`` if none does."""
         return self.method if self.is_metric else RELATIVE
 
     def with_covariance(self, covariance: np.ndarray) -> ScaleEstimate:
-        """Return the estimate with the uncertainty that a covariance (2, 2) means."""
+        """Return the estimate with the uncertainty of a covariance (2, 2) of scale and shift."""
         far = np.array([self.span[0], 1.0])
         inverse_depth = far @ [self.scale, self.shift]
         sigma = np.sqrt(max(far @ covariance @ far, 0.0))
@@ -80,7 +80,7 @@ def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
     disparity : (H, W) floating
     estimate : ScaleEstimate
     max_depth_m : float
-        Holds only where the unit is the metre.
+        Applies only if the unit is the metre.
 
     """
     farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH

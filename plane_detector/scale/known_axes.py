@@ -111,7 +111,7 @@ def _fit(off_deg: np.ndarray) -> np.ndarray:
 
 
 def _refined(planes: DisparityPlanes, tau: float, axes: np.ndarray) -> float:
-    """Return the weighted mean of what the planes that agree propose, in rounds."""
+    """Return the weighted mean of the proposals of the planes that agree, iterated."""
     for _ in range(ROUNDS):
         axis, weight = _members(planes, tau, axes)
         if not weight.sum() > 0:

@@ -40,7 +40,7 @@ UPRIGHT_MARGIN = 0.03
 @dataclass(frozen=True)
 class ManhattanVote:
     """
-    What the right angles say.
+    Shift found from right angles.
 
     Attributes
     ----------

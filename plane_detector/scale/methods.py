@@ -3,10 +3,10 @@
 """
 From a disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift.
 
-A method fixes both, or refuses and says why. ``auto`` takes the first that gives metres, in this
-order: the network's own, measured depth, the camera's height above the floor, right angles with
-that height, the given numbers. Right angles alone fix the shift only: angles are then true and the
-unit stays unknown. Where nothing helps both are: ``relative``.
+A method finds both, or refuses with a reason. ``auto`` uses the first method that gives metres, in
+this order: the network's own metres, measured depth, the camera's height above the floor, right
+angles with that height, the given numbers. Right angles alone determine the shift only: angles
+are then true, and the unit stays unknown. If no method succeeds, both are unknown: ``relative``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SPAN_QUANTILES = (0.1, 0.5, 0.9)
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What the methods look at."""
+    """Inputs of the methods."""
 
     disparity: np.ndarray
     labels: np.ndarray
@@ -59,29 +59,29 @@ def estimate_scale(disparity: np.ndarray, labels: np.ndarray, intrinsics: Camera
                    level_axes: np.ndarray | None = None,
                    sensor_depth_m: np.ndarray | None = None) -> ScaleEstimate:
     """
-    Find scale and shift of one image by the method that the settings ask for.
+    Find scale and shift of one image by the configured method.
 
     Parameters
     ----------
     disparity : (H, W) floating
         Affine in 1/z; not finite where invalid.
     labels : (H, W) int
-        Plane of each pixel, -1 none; planes are the same pixels at any scale and shift.
+        Plane of each pixel, -1 none; the same at any scale and shift.
     intrinsics : CameraIntrinsics
     config : ScaleConfig, optional
     output : str
-        What the network gives: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+        Output of the network: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     gravity_camera : (3,) floating, optional
         Direction down in the optical frame; by default ``config.gravity``.
     level_axes : (A, 3) float64, optional
-        Horizontal directions that walls are along and across, where they are known.
+        Horizontal directions parallel and perpendicular to the walls, if known.
     sensor_depth_m : (H, W) floating, optional
         Measured depth, sparse or dense.
 
     Returns
     -------
     ScaleEstimate
-        ``relative`` when no method has an answer; its note says why.
+        ``relative`` if no method succeeds; its note gives the reasons.
 
     Examples
     --------
@@ -129,13 +129,13 @@ def _evidence(disparity, labels, intrinsics, config, output, gravity_camera, lev
 
 
 def _relative(evidence: _Evidence, note: str) -> ScaleEstimate:
-    """Leave the shift as it is, unless disparity is negative somewhere."""
+    """Return no shift, or the smallest that makes the disparity positive."""
     return _unitless(evidence, max(0.0, -1.01 * evidence.lowest), RELATIVE, False, np.nan, note)
 
 
 def _unitless(evidence: _Evidence, tau: float, method: str, has_true_angles: bool,
               tau_sigma: float, note: str) -> ScaleEstimate:
-    """Choose the unit so that the middle depth of the image is 1."""
+    """Choose the unit so that the median depth of the image is 1."""
     middle = evidence.span[1] + tau
     scale = 1.0 / middle if middle > 0 else 1.0
     estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
@@ -192,7 +192,7 @@ def _manhattan(evidence: _Evidence) -> ScaleEstimate | str:
 
 
 def _vote(evidence: _Evidence) -> ManhattanVote:
-    """Return the shift by gravity, by the level axes too, or by right angles of any direction."""
+    """Return the shift by gravity, by gravity and level axes, or by right angles alone."""
     config, down = evidence.config, evidence.down_camera
     if down is not None and config.gravity_tolerance <= COARSE_GRAVITY_DEG:
         axes = np.vstack([down, evidence.level_axes])

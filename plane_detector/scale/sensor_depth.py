@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Scale and shift of a disparity by measured depth of the same camera, sparse or dense.
+Scale and shift of a disparity from measured depth of the same camera, sparse or dense.
 
-D = alpha / z + beta is fit with the measured 1/z as the exact side, since the error is the
+D = alpha / z + beta is fitted with the measured 1/z as the exact variable, since the error is the
 network's: median of slopes over far-apart pairs (Siegel's and Theil and Sen's idea; holds with a
 quarter of wrong points), then least squares with Tukey's weights.
 """
@@ -21,16 +21,16 @@ MIN_POINTS = 5
 MAX_POINTS = 20_000
 TUKEY_SIGMAS = 4.685
 ITERATIONS = 10
-# Errors of a depth map are alike nearby: more points than these add nothing to the precision.
+# Errors of a depth map are correlated: more points than these add no precision.
 INDEPENDENT_POINTS = 300
-# Scale and shift need near and far points; all at one depth leave the scale more uncertain.
+# Scale and shift need near and far points: without them the scale is more uncertain than this.
 MAX_SCALE_SIGMA_SHARE = 0.1
 
 
 @dataclass(frozen=True)
 class DepthFit:
     """
-    1/z = scale * D + shift by measured depth.
+    1/z = scale * D + shift, from measured depth.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class DepthFit:
     point_count : int
         Points that agree.
     refusal : str
-        Why there is no answer; empty when there is.
+        Why there is no result; empty if there is one.
 
     """
 
@@ -66,7 +66,7 @@ def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> Dep
     Returns
     -------
     DepthFit
-        Refused with too few points, or all at one depth, or where they disagree.
+        Refused if the points are too few, all at one depth, or contradictory.
 
     """
     both = valid_depth(sensor_depth_m) & np.isfinite(disparity)
@@ -119,7 +119,7 @@ def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
 def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, sigma: float):
     design = np.stack([x, np.ones_like(x)], axis=1)
     normal_matrix = design.T @ (weights[:, None] * design)
-    # All at one depth is singular: then the variance becomes huge, and the fit is refused.
+    # Points at one depth make it singular: the variance becomes huge, and the fit is refused.
     normal_matrix += 1e-12 * (1.0 + np.trace(normal_matrix)) * np.eye(2)
     inverse = np.linalg.inv(normal_matrix)
     alpha, beta = inverse @ (design.T @ (weights * y))

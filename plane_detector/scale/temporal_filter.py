@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Scale and shift over time: smoothed, held while nothing fixes them, unmoved by an outlier.
+Temporal filter of scale and shift: smoothing, holding without a measurement, outlier rejection.
 
-What a frame measures is compared by what it does to depth. A small change is blended in; a large
-one is ignored until some frames in a row agree on it: then the scene is a new one.
+Two estimates are compared by the change of depth between them. A small change is blended in; a
+large one is ignored until several frames in a row agree on it: then the scene has changed.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from plane_detector.config import ScaleConfig
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.methods import METHODS
 
-# These are measured frame by frame; what the others say holds at once.
+# Methods that measure in each frame; the results of the others are used unfiltered.
 MEASURED = ('depth_topic', 'camera_height', 'manhattan')
 
 
 @dataclass(frozen=True)
 class ScaleState:
     """
-    The scale in use, and what is remembered for the next frame.
+    The scale in use, and the memory for the next frame.
 
     Attributes
     ----------
     estimate : ScaleEstimate
         In use.
     outliers : tuple of ScaleEstimate
-        The last frames in a row that disagree with it and agree with each other.
+        The last consecutive frames that disagree with it and agree with each other.
     missed : int
-        Frames since the method in use had an answer.
+        Frames since the method in use last succeeded.
     event : str
-        What changed at this frame, for the log; empty when nothing did.
+        Change at this frame, for the log; empty if none.
 
     """
 
@@ -48,12 +48,12 @@ class ScaleState:
 def update_scale(state: ScaleState | None, measured: ScaleEstimate,
                  config: ScaleConfig) -> ScaleState:
     """
-    Take one more frame into account.
+    Update the filter with one more frame.
 
     Parameters
     ----------
     state : ScaleState or None
-        None at the start, or to forget everything (time jumped back).
+        None at the start, or for a reset (time jumped back).
     measured : ScaleEstimate
         Of the new frame alone.
     config : ScaleConfig
@@ -98,7 +98,7 @@ def _rank(estimate: ScaleEstimate) -> tuple[bool, int]:
 
 
 def _in_same_unit(measured: ScaleEstimate, current: ScaleEstimate) -> ScaleEstimate:
-    """Keep the unit of the first frame where it is not the metre: only the shift is measured."""
+    """Keep the unit of the first frame if it is not the metre: only the shift is measured."""
     if measured.is_metric:
         return measured
     middle = measured.span[1]

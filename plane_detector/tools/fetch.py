@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fetch depth networks before they are needed; without a name, list those that there are."""
+"""Fetch depth networks before they are needed; without a name, list all networks."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def obtain(name: str, cache_dir: str) -> tuple[Network, Path]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Fetch what is named; exit code 1 where one cannot be had."""
+    """Fetch the named networks; exit code 1 if one is not available."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector fetch', description=__doc__)
     parser.add_argument('names', nargs='*', metavar='NAME',
                         help='network, or auto for what depth.model auto would take now')

@@ -62,12 +62,12 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
         ``first_label`` + i where shape i is.
     first_label : int
     keep_frames : int
-        A shape that is not found keeps its label for so many images.
+        A shape that is not found keeps its label for this many images.
 
     Returns
     -------
     known : tuple of ShapeTrack
-        What is known now.
+        The tracks after this image.
     labels : tuple of int
         Label of each shape, above 0, no label twice.
 

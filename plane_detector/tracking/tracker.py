@@ -125,7 +125,7 @@ def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: T
     Returns
     -------
     known : tuple of Track
-        What is known now: planes of this image and those that are missing for a while.
+        The tracks after this image: its planes and those missing for a while.
     seen : tuple of Track
         The track of each plane of this image, in its order.
 

@@ -124,7 +124,7 @@ def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
 
 
 def wrong_size(size: tuple[int, int], expected: tuple[int, int]) -> str:
-    """Return what is wrong with an image of another width and height than its CameraInfo's."""
+    """Return the error message for an image whose size differs from its CameraInfo's."""
     return (f'the image is {size[0]} x {size[1]}, its CameraInfo is for {expected[0]} x '
             f'{expected[1]} (after region of interest and binning)')
 

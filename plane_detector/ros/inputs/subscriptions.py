@@ -19,7 +19,7 @@ from plane_detector.ros.qos import InputSubscription
 
 class Inputs:
     """
-    Subscribes to what the settings ask for.
+    Subscribes to the topics that the settings require.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class Inputs:
     settings : NodeConfig
         Transport and quality of service.
     output : str
-        What the network gives: relative disparity can use measured depth.
+        Output of the network: relative disparity can use measured depth.
     on_frame : callable
         Called with each frame, in the thread of the executor.
     on_dropped : callable

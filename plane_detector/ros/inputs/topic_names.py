@@ -10,7 +10,7 @@ COMPRESSED = '/compressed'
 
 
 class Resolver(Protocol):
-    """What is asked of a node: the names after its remaps."""
+    """The part of a node that is used: names after its remaps."""
 
     def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
         """Return the whole name, after the remaps unless it is only to be expanded."""

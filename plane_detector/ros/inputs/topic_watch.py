@@ -27,7 +27,7 @@ _COMPRESSED = '/compressed'
 @dataclass
 class _Topic:
     """
-    What is known of one input.
+    State of one input.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class TopicWatch:
         self._topics[role].heard_s.append(self._clock())
 
     def problem(self) -> str:
-        """Return what is wrong, with what was never heard first; log what has changed."""
+        """Return the faults, silent topics first; log the changes."""
         now_s = self._clock()
         for role, topic in self._topics.items():
             self._note(topic, self._problem_of(role, topic, now_s))
@@ -125,14 +125,14 @@ class TopicWatch:
 def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str],
                     published: Mapping[str, str]) -> str:
     """
-    Return why nothing has arrived on a topic, and what to do.
+    Return why nothing has arrived on a topic, and the remedy.
 
     Parameters
     ----------
     role : str
         The name that a remap is given for.
     topic, type_name : str
-        What is subscribed to.
+        The subscription.
     offered : sequence of str
         Types of the publishers of that topic.
     published : mapping of str to str
@@ -163,7 +163,7 @@ def _transport_hint(topic: str, offered: str) -> str:
 
 
 def _other_transport(type_name: str, published: Mapping[str, str]) -> str:
-    """Say which parameter takes the images that there are, if they only come the other way."""
+    """Return the parameter that accepts the published images, if they use the other transport."""
     other = {'sensor_msgs/msg/Image': ('CompressedImage', 'compressed'),
              'sensor_msgs/msg/CompressedImage': ('Image', 'raw')}.get(type_name)
     if other is None:

@@ -56,7 +56,7 @@ class TransformBuffer:
     """
     The tree of frames over time.
 
-    Memory grows with what is added; nothing is forgotten.
+    Memory grows with the transforms added; none is dropped.
     """
 
     def __init__(self) -> None:

@@ -20,7 +20,7 @@ from plane_detector.ros.inputs.transform_buffer import transform_from_msg
 
 
 class Buffer(Protocol):
-    """What is asked of tf2_ros.Buffer."""
+    """The part of tf2_ros.Buffer that is used."""
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Time,
                          timeout: Duration) -> Any:
@@ -47,7 +47,7 @@ class CameraPose:
 
 class FrameTransforms:
     """
-    Looks up what the settings name; without names nothing is asked.
+    Looks up the frames that the settings name; without names it looks up nothing.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the core works with from messages, and messages from what it gives. No state.
+Conversion of messages to inputs of the core, and of its results to messages. No state.
 
 Every output takes over the header of the image that it comes from, so that the stamp and the
 optical frame (REP-103) are those of the image. Labels in messages are above 0; 0 is no plane.

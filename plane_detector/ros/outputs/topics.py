@@ -3,7 +3,7 @@
 """
 The table of outputs: name of the topic, type, and how its message is made.
 
-The node publishes them, the replay writes them into a bag; what is in them is decided here.
+The node publishes them and the replay writes them to a bag; their content is defined here.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Result:
     intrinsics : CameraIntrinsics
         Of it.
     detection : Detection
-        What the pipeline found.
+        Result of the pipeline.
     settings : NodeConfig
         At the time.
     shown : frozenset of int

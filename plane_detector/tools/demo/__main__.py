@@ -136,7 +136,7 @@ def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome
 
 @contextmanager
 def _progress(what: str) -> Iterator[Callable[[], object]]:
-    """Show what is going on and for how long, on a line that vanishes in the end."""
+    """Show the current step and its duration, on a line that is erased at the end."""
     with tqdm(desc=what, bar_format='{desc} {n_fmt} [{elapsed}]', leave=False,
               disable=None) as bar:
         yield bar.update

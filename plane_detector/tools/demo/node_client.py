@@ -37,7 +37,7 @@ _PATIENCE_S = 10.0  # a large network on a busy machine takes seconds
 @dataclass(frozen=True)
 class Received:
     """
-    What the node published for one image.
+    Messages that the node published for one image.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class Received:
 
 @dataclass
 class Timing:
-    """Frames and seconds of a run, and what the diagnostics said of it meanwhile."""
+    """Frames and seconds of a run, and the diagnostics during it."""
 
     frames: int = 0
     seconds: float = 0.0

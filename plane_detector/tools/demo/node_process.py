@@ -46,7 +46,7 @@ class NodeProcess:
     parameters : mapping of str to str
         Names and values in YAML.
     log_path : Path
-        What the node prints goes there.
+        File for the output of the node.
 
     """
 
@@ -78,7 +78,7 @@ class NodeProcess:
         Raises
         ------
         RuntimeError
-            It does not; says what it printed last.
+            The node has ended; the message quotes its last output.
 
         """
         if self._process.poll() is not None:
@@ -86,7 +86,7 @@ class NodeProcess:
                                f'{self.last_words()}')
 
     def last_words(self) -> str:
-        """Return the end of what the node printed."""
+        """Return the end of the node's output."""
         lines = self._log_path.read_text(errors='replace').splitlines()[-_LOG_LINES_SHOWN:]
         return '\n'.join([f'The end of {self._log_path}:', *lines])
 

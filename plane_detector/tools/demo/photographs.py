@@ -13,7 +13,7 @@ import numpy as np
 from plane_detector.types import CameraIntrinsics
 
 STATED_FIELD_OF_VIEW_DEG = 60.0
-"""Horizontal; taken for an image without calibration. A usual phone or web camera has it."""
+"""Horizontal field of view for images without calibration: that of a usual phone or web camera."""
 LONGEST_SIDE_PX = 800
 """Larger images are shrunk: a labelled cloud of 4000 x 3000 points is 240 MB a frame."""
 _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
@@ -22,7 +22,7 @@ _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 @dataclass(frozen=True)
 class Lens:
     """
-    What is known of a camera, for images at their full size.
+    Calibration of a camera, for images at their full size.
 
     Parameters
     ----------

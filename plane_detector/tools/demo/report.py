@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo tells of an image: figure, cloud and table as files, numbers on the screen."""
+"""Report of the demo on an image: figure, cloud and table as files, numbers on the screen."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PURE, _RIGHT_DEG = 0.8, 10.0
 @dataclass(frozen=True)
 class Outcome:
     """
-    An image and what the node made of it.
+    An image and the results of the node.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class Outcome:
     source : str
         Where the depth is from: a network, or the depth topic.
     received : Received
-        What the node published.
+        Messages of the node.
     timing : Timing
         Of many frames of this image.
     ransac_labels : (H, W) integer
@@ -119,7 +119,7 @@ def _figure(outcome: Outcome) -> np.ndarray:
 
 
 def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
-    """Return the image with what its lines say of the upright, as the node finds it too."""
+    """Return the image with the lines and the vertical found from them, as the node does."""
     found = _directions(photograph)
     axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in found.pairs[:1])])
     drawn = drawing.draw_directions(photograph.rgb, photograph.intrinsics, found.down_camera, axes)

@@ -32,7 +32,7 @@ _FINEST_SKIP_NS = 1_000_000
 
 
 class BagError(ValueError):
-    """A bag cannot be read, or does not hold what is looked for."""
+    """A bag cannot be read, or lacks what is required."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class BagReader:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """What is recorded, by name."""
+        """The recorded topics, by name."""
         return tuple(Topic(name, connections[0].msgtype, sum(c.msgcount for c in connections))
                      for name, connections in sorted(self._connections.items()))
 
@@ -125,7 +125,7 @@ class BagReader:
         return self._reader.end_time if self._reader.message_count else 0
 
     def describe(self) -> str:
-        """Return what is recorded as a table for people."""
+        """Return the recorded topics as a table for people."""
         width = max((len(topic.name) for topic in self.topics), default=0)
         rows = [f'  {topic.name:<{width}}  {topic.msg_type}, {topic.count} messages'
                 for topic in self.topics]

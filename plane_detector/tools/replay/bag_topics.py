@@ -25,7 +25,7 @@ _RECTIFIED_WORD = 'rect'
 @dataclass(frozen=True)
 class InputTopics:
     """
-    Names of the topics that are read; empty for what is not.
+    Names of the topics that are read; empty for those that are not.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, st
 
 
 def _check(bag: BagReader, role: str, name: str) -> None:
-    """Check that a topic that is asked for is there and can be what it shall be."""
+    """Check that a requested topic exists and has a suitable type."""
     types = {topic.name: topic.msg_type for topic in bag.topics}
     option = '--' + role.replace('_', '-')
     if name not in types:
@@ -173,7 +173,7 @@ def registered_depth(bag: BagReader, camera: InputTopics) -> tuple[str, str]:
     topic : str
         Empty where there is none.
     what : str
-        What it is, or why there is none, for people.
+        Description, or why there is none, for people.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class BagWriter:
     """
     A new rosbag2; a context manager, which closes it so that it can be read, come what may.
 
-    What is written stays when the process is killed, but for the last second, see `end_frame`.
+    Written data survives a killed process, except for the last second, see `end_frame`.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class BagWriter:
 
     @property
     def topics(self) -> frozenset[str]:
-        """What is announced."""
+        """The announced topics."""
         return frozenset(self._connections)
 
     def describe(self, fields: Mapping[str, str]) -> None:

@@ -24,11 +24,11 @@ class CopiedMessages:
     ----------
     writer : BagWriter
     topics : tuple of str
-        What is copied.
+        Topics to copy.
     inputs : InputTopics
         Of which image, calibration and depth belong to frames; other topics are copied whole.
     every : int
-        Of so many frames one is taken.
+        One frame in this many is copied.
     done : Counter of str
         How many messages of each topic an earlier run copied: the first ones, as the order is
         the same in every run.

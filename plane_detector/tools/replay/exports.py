@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay leaves for people and tables: a figure and a cloud per frame, one table of all."""
+"""Exports of a replay: a figure and a cloud per frame, one table of all frames."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def _figure(result: Result) -> np.ndarray:
 
 
 def _rows(index: int, processed: Processed) -> Iterator[list[object]]:
-    """Yield what is in the message of the planes, a row per plane."""
+    """Yield the content of the planes message, a row per plane."""
     stamp = processed.result.header.stamp
     for plane in np.frombuffer(processed.messages['planes'].data, PLANE_DTYPE):
         yield [index, f'{stamp.sec}.{stamp.nanosec:09d}',

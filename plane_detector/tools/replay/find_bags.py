@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags in folders and behind patterns, and the names of what is made of them."""
+"""Bags in folders and behind patterns, and the names of their results."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is replayed, and what is made of it."""
+"""Input and outputs of a replay."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _NOT_OF_THE_CONTENT = ('source', 'target', 'figures', 'ply', 'table', 'leftover'
 @dataclass(frozen=True)
 class ReplayOptions:
     """
-    What is replayed, and what is made of it.
+    Input and outputs of a replay.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class ReplayOptions:
     start_s, duration_s : float
         The part of the bag that is replayed, from its first message on.
     every : int
-        Of so many frames the first is taken.
+        One frame in this many is used, the first.
     outputs : tuple of str
         Names of the outputs that are written.
     copied : tuple of str or None
@@ -71,7 +71,7 @@ class ReplayOptions:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of all that decides what is in the new bag, but for the source."""
+        """Return a hash of the settings that decide the content of the new bag."""
         content = [(f.name, repr(getattr(self, f.name))) for f in fields(self)
                    if f.name not in _NOT_OF_THE_CONTENT]
         return hashlib.sha256(repr(content).encode()).hexdigest()[:16]

@@ -59,11 +59,11 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
     ----------
     options : ReplayOptions
     should_stop : callable
-        Asked before and during every frame; what is written stays whole.
+        Checked before and during every frame; written data stays complete.
     depth_model : DepthModel or callable, optional
         Takes the place of the network, as in :class:`PlaneDetector`.
     quiet : bool
-        Whether what is read and how far it is stays unsaid.
+        Whether to print neither source nor progress.
 
     Raises
     ------
@@ -176,7 +176,7 @@ class _Run:
                     progress.update()
 
     def _take(self, index: int, time_ns: int, frame: Frame, should_stop: ShouldStop) -> None:
-        """Process a frame and write what comes of it."""
+        """Process a frame and write the results."""
         tally, error = self._tally, ''
         wanted = dict.fromkeys((*self._options.outputs, *self._files.outputs))
         stages: dict[str, float] = {}
@@ -276,7 +276,7 @@ class _Run:
 
 
 def _part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
-    """Return from when on and until when is replayed; an error where no image is in between."""
+    """Return start and end of the replay; raise if no image lies between them."""
     length_ns = bag.end_ns - bag.start_ns
     start_ns = bag.start_ns + round(min(options.start_s * 1e9, length_ns))
     stop_ns = start_ns + round(min(options.duration_s * 1e9, bag.end_ns - start_ns))

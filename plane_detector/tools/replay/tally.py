@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay has done, for people, for the diagnostics in the bag, and for the table."""
+"""Counts of a replay, for people, for the diagnostics in the bag, and for the table."""
 
 from __future__ import annotations
 
