@@ -133,7 +133,7 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
     Raises
     ------
     FileNotFoundError
-        None is to be had; says of each how to put it there by hand.
+        No network is available; the message tells how to install each by hand.
     ValueError
         No network of the order has this output.
 
@@ -151,7 +151,7 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
             passed_over.append(f'{name} ({error.why})')
             errors.append(error)
             continue
-        best = f'; better but not to be had: {", ".join(passed_over)}' if passed_over else ''
+        best = f'; better but not available: {", ".join(passed_over)}' if passed_over else ''
         return NETWORKS[name], path, f'auto took {name} ({how}){best}'
     if any(isinstance(error.__cause__, CacheFolderError) for error in errors):
         raise FileNotFoundError(f'no depth network is available: {errors[0].why}')

@@ -26,31 +26,31 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
 from plane_detector.types import CameraIntrinsics, Plane
 
-# The smooth part of the noise is alike in about this many neighbouring cells.
+# Smooth noise is shared by about this many neighbouring cells.
 CORRELATED_CELLS = 9.0
-# Structure that is everywhere looks like noise; above this share of the typical disparity it is
-# none, and what fits so loosely is no plane.
+# Structure all over the image looks like noise. Above this share of the typical disparity it is
+# not noise, and regions that fit so loosely are rejected.
 MAX_NOISE_SHARE = 0.125
-# Below this the normal is as good as exact.
+# Below this the normal counts as exact.
 LEAST_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
-# Eigenvalues smaller than this share of the largest are rounding.
+# Eigenvalues below this share of the largest are rounding errors.
 LEAST_EIGENVALUE = 1e-15
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _PixelShares:
     """
-    The pixels that each plane has in each cell, where it has any, cell by cell.
+    Sparse counts of the pixels of each plane in each cell.
 
     Attributes
     ----------
     counts : (R * C, K) float64
-        How many, everywhere.
+        Number in the whole image.
     cell, plane : (n,) int
-        Where they are.
+        Cells and planes with pixels.
     count : (n,) float64
-        How many there.
+        Number of pixels in each.
 
     """
 
@@ -60,8 +60,8 @@ class _Parts:
     count: np.ndarray
 
     @classmethod
-    def of(cls, counts: np.ndarray) -> _Parts:
-        """Find where the pixels are."""
+    def of(cls, counts: np.ndarray) -> _PixelShares:
+        """Find the cells that contain pixels of planes."""
         where = np.flatnonzero(counts > 0)
         return cls(counts, *np.divmod(where, max(counts.shape[1], 1)), counts.ravel()[where])
 
@@ -81,7 +81,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
         Of 1/z: in 1/metres, or the planes are in the unit whose inverse the disparity has.
     intrinsics : CameraIntrinsics
     min_pixels : float
-        Planes of fewer pixels, or of none, are left out.
+        Planes with fewer pixels, or without pixels, are dropped.
 
     Returns
     -------
@@ -99,13 +99,13 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     order = np.argsort(-total, kind='stable')
     order = order[kept[order]]
     labels = relabel_sequential(regions.labels, order, len(regions.coefficients))
-    planes, parts = regions.coefficients[order], _Parts.of(counts[:, order])
+    planes, parts = regions.coefficients[order], _PixelShares.of(counts[:, order])
     square = relative_squares(grid, regions.disparity, labels, planes)
     rms = np.sqrt(square / np.maximum(parts.total(1.0), 1))
     return _measure(grid, parts, planes, rms, noise, intrinsics), labels
 
 
-def _measure(grid: CellGrid, parts: _Parts, planes: np.ndarray, relative_rms: np.ndarray,
+def _measure(grid: CellGrid, parts: _PixelShares, planes: np.ndarray, relative_rms: np.ndarray,
              noise: Noise, intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
     """Measure planes (K, 3) from the number of their pixels in each cell."""
     jacobian = ray_plane_jacobian(intrinsics)

@@ -31,10 +31,10 @@ LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2,
 # Log likelihood that is lost when all lines in a plane contradict. tuned: as above, flat from 6
 # to 10; without it living rooms are 5 degrees worse.
 LINE_WEIGHT = 6.0
-# What the error of a network may be, how large it is expected and within which factor.
+# Error of a network's normals: possible values, expected value and its factor of spread.
 SIGMAS_RAD = np.radians([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0])
 EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
-# Nearer than this to an axis nothing is left of a normal across it.
+# Closer than this to an axis a normal has no usable component across it.
 MIN_ACROSS = 0.2
 
 

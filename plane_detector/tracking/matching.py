@@ -48,7 +48,7 @@ def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -
 
 def places_agree(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap) -> np.ndarray:
     """
-    Return to which degree planes are at the same place, (T, N), 0 to 1.
+    Return the degree to which planes are at the same place, (T, N), 0 to 1.
 
     By the pixels that they share or, where the camera turned so far that they share none, by the
     distance of their centroids relative to their size.

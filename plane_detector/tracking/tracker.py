@@ -80,7 +80,7 @@ class PlaneTracker:
     def update(self, found: PlaneSegmentation, config: TrackingConfig
                ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         """
-        Take the planes of the next image.
+        Match the planes of the next image and give them their labels.
 
         Parameters
         ----------
