@@ -157,7 +157,7 @@ def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, scale):
     points['z'] = ROOM.depth_m
     planes = np.ones(2, [(name, 'f4') for name in (
         'normal_x', 'normal_y', 'normal_z', 'd', 'rms', 'area')]
-        + [('label', 'u4'), ('num_inliers', 'u4')])
+        + [('label', 'u4'), ('num_inliers', 'u4'), ('class', 'u1')])
     photograph = Photograph('room', ROOM.rgb, CAMERA, 'calibration as given', ROOM.depth_m)
     outcome = Outcome(photograph, 'a network', Received(points, planes, ROOM.depth_m, ROOM.rgb),
                       Timing(1, 1.0, [{'scale': scale}]), points['label'])

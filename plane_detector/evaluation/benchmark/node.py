@@ -37,8 +37,8 @@ from plane_detector.tools.demo.node_process import NodeProcess, use_private_doma
 
 SUBSCRIPTIONS = {'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}
-_STAGES = ('convert', 'depth', 'wait', 'segmentation', 'scale', 'measurement', 'tracking',
-           'messages', 'publish', 'total')
+_STAGES = ('convert', 'depth', 'wait', 'directions', 'segmentation', 'scale', 'measurement',
+           'shapes', 'tracking', 'messages', 'publish', 'total')
 _NODE_ALONE = ('convert', 'tracking', 'messages')
 _REPEATS = 50
 
@@ -144,7 +144,7 @@ def report_messages() -> None:
     emit(f'### Each message alone, {len(result.detection.planes)} planes',
          table(('message', 'time to make (ms)', 'size (MB)'), rows),
          'What messages share, the label of each pixel and the points, is in each of these times '
-         'but made once a frame. ~/points_without_floor needs gravity.')
+         'but made once a frame.')
 
 
 def _frame(with_depth: bool) -> Frame:

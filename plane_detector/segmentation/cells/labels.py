@@ -19,7 +19,7 @@ def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.n
         return labels
     index = np.full(count + 1, -1, np.int32)
     index[kept] = np.arange(len(kept))
-    return _renumbered(np.ascontiguousarray(labels), index)
+    return _renumbered(np.ascontiguousarray(labels, np.int32), index)
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[::1])')

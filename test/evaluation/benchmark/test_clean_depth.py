@@ -19,6 +19,7 @@ from plane_detector.evaluation.benchmark.clean_depth import (
     report_exact,
     segmented,
 )
+from plane_detector.evaluation.benchmark.rooms import SIGMAS
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.reference_labels import ExactLabels
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -108,7 +109,8 @@ def test_frames_are_reported_and_drawn(capsys, tmp_path):
     assert text.count('| slow | 0.01 | 2 |') == 2
     assert text.count('unclear pixels are left out of the count') == 2
     sheet = cv2.imread(str(tmp_path / 'sheets' / 'living_room_labels.png'))
-    assert 5 * 400 <= sheet.shape[1] < 6 * 400
+    columns = 2 + len(SIGMAS)
+    assert columns * 400 <= sheet.shape[1] < (columns + 1) * 400
     assert 3 * 300 <= sheet.shape[0] < 4 * 400
 
 
