@@ -13,10 +13,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from plane_detector.compilation import compile_kernels
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, random_room, render
 
 pytest.register_assert_rewrite('node_helpers', 'replay_helpers')
 REPOSITORY = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope='session', autouse=True)
+def compiled():
+    """Compile all kernels once, into the cache that the processes of the tests share."""
+    import plane_detector.pipeline  # noqa: F401 - brings the kernels
+    for subject in ('segmentation', 'shapes'):
+        compile_kernels(subject)
 
 
 @lru_cache(maxsize=16)
