@@ -32,17 +32,14 @@ def instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
     do, by the Bayesian information criterion; pixels that nothing explains cost the same on both
     sides.
     """
-    window, mask = view.pixels_of_cells(found.members)
-    touched = np.unique(view.labels[window][mask & view.is_free(window, view.is_open)])
+    counts = view.label_counts(found.members)[:-1]
     absorbed = found.absorbed.copy()
-    for k in touched[touched >= 0]:
+    for k in np.flatnonzero(counts * view.is_open):
         facet = view.plane_pixels(int(k), _FACET_PIXELS)
         absorbed[k] = explained_share(found.fit, facet) >= _MIN_FACET_SHARE
-    mask &= view.is_free(window, absorbed)
-    pixels = view.pixels(window, mask)
+    pixels, labels = view.free_pixels(found.members, absorbed)
     if not absorbed.any():
         return found if len(pixels.points_m) else None
-    labels = view.labels[window][mask]
     better = _shape_cost(found, pixels) < _plane_cost(view, pixels, labels)
     return replace(found, absorbed=absorbed) if better else None
 

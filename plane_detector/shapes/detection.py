@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.config import ShapesConfig
-from plane_detector.segmentation.cells.grid import CellGrid, blocks
+from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.shapes.competition import instead_of_planes
-from plane_detector.shapes.extent import open_share, seen_through_cost
+from plane_detector.shapes.extent import dilated_cells, on_image, open_share, seen_through_cost
 from plane_detector.shapes.labelling import label_shapes
-from plane_detector.shapes.models import MODELS, ShapeModel, surface_of
+from plane_detector.shapes.models import MODELS, ShapeModel
 from plane_detector.shapes.refinement import FittedShape, fits_of, is_determined, plane_cost
 from plane_detector.shapes.search import (
     Candidate,
@@ -26,6 +26,7 @@ from plane_detector.shapes.search import (
 )
 from plane_detector.shapes.surfels import smooth_links, surfels_of_grid
 from plane_detector.shapes.views import DepthView, FoundShape
+from plane_detector.shapes.windows import free_shares
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation, Shape, ShapeType
 
 # A plane of more than this share of the image is no facet of a curved surface.
@@ -83,17 +84,15 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, grid: CellGrid, n
     """
     surfels = surfels_of_grid(grid, intrinsics, noise)
     size = np.array([plane.inlier_count for plane in found.planes])
-    view = DepthView(depth_m, found.labels, found.planes, size < _MAX_FACET_SHARE * depth_m.size,
+    view = DepthView(np.ascontiguousarray(depth_m, np.float64),
+                     np.ascontiguousarray(found.labels, np.int32), found.planes,
+                     size < _MAX_FACET_SHARE * depth_m.size,
                      noise, intrinsics, grid.shape, grid.size_px, surfels, smooth_links(surfels))
-    free = surfels.usable & (_free_share(view, grid) > 0.5)
+    share = free_shares(view.depth_m, view.labels, view.may_take(view.is_open), grid.size_px,
+                        *grid.shape)
+    free = surfels.usable & (share > 0.5)
     models = [MODELS[ShapeType[name.upper()]] for name in config.wanted]
     return label_shapes(view, found, list(_search(view, free, models, config, rng)), config)
-
-
-def _free_share(view: DepthView, grid: CellGrid) -> np.ndarray:
-    """Return the share (R * C,) of each cell's pixels that a shape may take."""
-    free = view.is_free(np.s_[:, :], view.is_open)
-    return blocks(free, grid.size_px, fill=0).mean(axis=(1, 3)).ravel()
 
 
 def _search(view: DepthView, free: np.ndarray, models: Sequence[ShapeModel],
@@ -127,20 +126,24 @@ def _next_shape(view: DepthView, left: np.ndarray, models: Sequence[ShapeModel],
     fit = _best_fit(view, candidates, union)
     if fit is None or not is_determined(fit, _MAX_RADIUS_ERROR_SHARE, _MAX_ANGLE_ERROR_RAD):
         return None
-    agree = among[agreeing(surfels, surface_of(fit.shape, surfels.points_m[among]), among)]
+    agree = agreeing(surfels, fit.shape, among)
     if len(agree) < _MIN_CELLS:
         return None
     members = connected(surfels.shape, agree, agree[np.argmax(union[agree])])
     found = instead_of_planes(view, FoundShape(fit, members, 0.0, view.is_open & False))
-    return found and replace(found, open_share=open_share(view, found))
+    if found is None:
+        return None
+    found = on_image(view, found)
+    return replace(found, open_share=open_share(view, found))
 
 
 def _best_fit(view: DepthView, candidates: Sequence[Candidate],
               cells: np.ndarray) -> FittedShape | None:
     """Return the candidate that explains the pixels of some cells best; None if a plane does."""
-    pixels = view.free_pixels(cells)
+    pixels, _ = view.free_pixels(cells)
+    around = dilated_cells(view, cells)
     fits = fits_of([(one.model, one.shape) for one in candidates], pixels)
-    costs = [fit.cost + seen_through_cost(view, fit, cells) for fit in fits]
+    costs = [fit.cost + seen_through_cost(view, fit, cells, around) for fit in fits]
     if min(costs, default=np.inf) >= plane_cost(pixels):
         return None
     return fits[int(np.argmin(costs))]

@@ -4,14 +4,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
 from plane_detector.geometry.robust import dilated
-from plane_detector.shapes.models import AXIS, depth_on_rays_m, surface_of
-from plane_detector.shapes.refinement import FittedShape, shape_residuals
+from plane_detector.shapes.models import AXIS, surface_of
+from plane_detector.shapes.refinement import FittedShape
 from plane_detector.shapes.surfels import DEVIATIONS, depth_sigma_m
-from plane_detector.shapes.views import DepthView, FoundShape, Window
+from plane_detector.shapes.views import DepthView, FoundShape
+from plane_detector.shapes.windows import pixels_on, rays_through
 
 # derived: cells that the silhouette cuts are no members; a border is up to two of them wide.
 _BORDER_CELLS = 2
@@ -23,38 +26,36 @@ _THROUGH_STEP_PX = 3
 _MAX_GAP_PX = _RING_PX + 1.0
 
 
-def pixels_on_shape(view: DepthView, found: FoundShape) -> tuple[Window, np.ndarray]:
-    """Return the free pixels (h, w) of a window that lie on a shape, connected with its cells."""
-    window, mask = view.pixels_of_cells(_dilated_cells(view, found.members))
-    mask &= view.is_free(window, found.absorbed)
-    mask[mask] = np.abs(shape_residuals(found.fit, view.pixels(window, mask))) < DEVIATIONS
-    inner_window, inner = view.pixels_of_cells(found.members)
-    core = np.zeros(mask.shape, bool)
-    core[tuple(slice(i.start - o.start, i.stop - o.start)
-               for i, o in zip(inner_window, window, strict=True))] = inner
-    pieces = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)[1]
-    on_shape = np.zeros(pieces.max() + 1, bool)
-    on_shape[pieces[core & mask]] = True
-    return window, mask & on_shape[pieces]
+def on_image(view: DepthView, found: FoundShape) -> FoundShape:
+    """Return a shape with the free pixels that lie on it, connected with its cells."""
+    cells = dilated_cells(view, found.members)
+    window = view.window_of(cells)
+    mask = pixels_on(
+        view.depth_m, view.labels, view.may_take(found.absorbed), cells, view.size_px,
+        tuple(end for side in window for end in (side.start, side.stop)), found.fit.shape,
+        view.camera, DEVIATIONS)
+    count, pieces = cv2.connectedComponents(mask, connectivity=8)
+    rows, columns = (np.arange(side.start, side.stop) // view.size_px for side in window)
+    core = found.members.reshape(view.shape)[np.ix_(rows, columns)]
+    on_shape = np.zeros(count, bool)
+    on_shape[pieces[core]] = True
+    on_shape[0] = False
+    return replace(found, window=window, mask=on_shape[pieces])
 
 
-def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray) -> float:
+def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray,
+                      around: np.ndarray) -> float:
     """
     Return what rays cost that go through the surface of a shape: each counts as an outlier.
 
-    A cylinder may fit the depth of a cone, but not its silhouette.
+    A cylinder may fit the depth of a cone, but not its silhouette. The rays are those of the cells
+    (R, C) around its members (R * C,).
     """
-    window, mask = view.pixels_of_cells(_dilated_cells(view, members))
-    thinned = np.zeros(mask.shape, bool)
-    thinned[::_THROUGH_STEP_PX, ::_THROUGH_STEP_PX] = True
-    thinned &= mask & np.isfinite(view.depth_m[window])
-    pixels = view.pixels(window, thinned)
     along_m = surface_of(fit.shape, view.surfels.points_m[members]).along_m
     ends_m = (along_m.min(), along_m.max()) if fit.shape[AXIS].any() else (-np.inf, np.inf)
-    depth_m = depth_on_rays_m(fit.shape, pixels.rays, ends_m)
-    through = pixels.points_m[:, 2] - depth_m > DEVIATIONS * pixels.depth_sigma_m
-    share = pixels.independent / max(len(through), 1)
-    return float(DEVIATIONS**2 * through.sum() * _THROUGH_STEP_PX**2 * share)
+    through = rays_through(view.depth_m, around, view.size_px, _THROUGH_STEP_PX, fit.shape,
+                              ends_m, view.camera, DEVIATIONS)
+    return DEVIATIONS**2 * through * _THROUGH_STEP_PX**2 / view.correlated
 
 
 def open_share(view: DepthView, found: FoundShape) -> float:
@@ -63,7 +64,7 @@ def open_share(view: DepthView, found: FoundShape) -> float:
 
     It does where pixels just outside belong to no plane and lie at the depth of those inside.
     """
-    window, mask = pixels_on_shape(view, found)
+    window, mask = found.window, found.mask
     near, far = (cv2.dilate(mask.astype(np.uint8), np.ones((2 * k + 1, 2 * k + 1), np.uint8))
                  for k in (_RING_PX - 1, _RING_PX))
     ring = (far > near) & np.isfinite(view.depth_m[window])
@@ -81,5 +82,6 @@ def open_share(view: DepthView, found: FoundShape) -> float:
     return float(goes_on.mean()) if goes_on.size else 0.0
 
 
-def _dilated_cells(view: DepthView, members: np.ndarray) -> np.ndarray:
-    return dilated(members.reshape(view.shape), _BORDER_CELLS).ravel()
+def dilated_cells(view: DepthView, members: np.ndarray) -> np.ndarray:
+    """Return the cells (R, C) bool that the silhouette around some cells (R * C,) may reach."""
+    return np.ascontiguousarray(dilated(members.reshape(view.shape), _BORDER_CELLS), bool)

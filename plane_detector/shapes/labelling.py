@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.config import ShapesConfig
-from plane_detector.shapes.extent import pixels_on_shape
+from plane_detector.shapes.extent import on_image
 from plane_detector.shapes.models import AXIS, HALF_ANGLE, POSITION, RADIUS, surface_of
 from plane_detector.shapes.refinement import explained_share, fit_shape
 from plane_detector.shapes.views import DepthView, FoundShape
@@ -41,8 +41,7 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
     owner, kept = np.full(planes.labels.shape, -1, np.int32), []
     joined = sorted(_joined(view, list(found)), key=lambda one: -one.members.sum())
     for one in joined[:config.max_shapes]:
-        window, mask = pixels_on_shape(view, one)
-        mask &= owner[window] < 0
+        window, mask = one.window, one.mask & (owner[one.window] < 0)
         if mask.sum() >= max(config.min_share * free.size, 1):
             owner[window][mask] = len(kept)
             gone |= one.absorbed
@@ -74,24 +73,24 @@ def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
 def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape | None:
     """Return the shape that explains both, if there is one."""
     large, small = sorted((one, other), key=lambda piece: -piece.members.sum())
-    if explained_share(large.fit, view.free_pixels(small.members)) < _MIN_JOINT_SHARE / 2:
+    if explained_share(large.fit, view.free_pixels(small.members)[0]) < _MIN_JOINT_SHARE / 2:
         return None
     members = one.members | other.members
-    pixels = view.free_pixels(members)
+    pixels, _ = view.free_pixels(members)
     fit = fit_shape(large.fit.model, large.fit.shape, pixels)
     if fit is None or explained_share(fit, pixels) < _MIN_JOINT_SHARE:
         return None
-    return FoundShape(fit, members, max(one.open_share, other.open_share),
-                      one.absorbed | other.absorbed)
+    return on_image(view, FoundShape(fit, members, max(one.open_share, other.open_share),
+                                     one.absorbed | other.absorbed))
 
 
 def _measured(view: DepthView, found: FoundShape, window: tuple[slice, slice],
               mask: np.ndarray) -> Shape:
     """Return the result for a shape with its pixels (h, w) of a window."""
-    fit, pixels = found.fit, view.pixels(window, mask)
+    fit, pixels = found.fit, view.points_in(window, mask)
     surface = surface_of(fit.shape, pixels.points_m)
     low_m, high_m = (float(end) for end in np.quantile(surface.along_m, _LENGTH_QUANTILES))
-    share = explained_share(fit, view.free_pixels(found.members))
+    share = explained_share(fit, view.free_pixels(found.members)[0])
     shape = Shape(
         fit.model.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),
         float(fit.shape[HALF_ANGLE]), 0.0, len(pixels.points_m),

@@ -6,18 +6,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import leastsq
 
 from plane_detector.shapes.models import (
     HALF_ANGLE,
     RADIUS,
     ShapeModel,
     frame_of,
-    jacobian,
-    moved,
-    surface_of,
+)
+from plane_detector.shapes.surface import (
+    distances_deviations,
+    stepped,
+    stepped_distances,
+    stepped_jacobian,
+    weighted_jacobian,
 )
 from plane_detector.shapes.surfels import DEVIATIONS
 from plane_detector.types import Plane
@@ -25,8 +30,10 @@ from plane_detector.types import Plane
 # A shape is fitted, then its inliers are chosen anew.
 _ROUNDS = 2
 # Bounds of the time of a fit.
-_MOST_PIXELS = 500
+MOST_PIXELS = 500
 _MOST_EVALUATIONS = 12
+# derived: of a sum of 500 squares that is a twentieth of one deviation.
+_TOLERANCE = 1e-4
 
 
 @dataclass(frozen=True)
@@ -51,12 +58,6 @@ class Pixels:
     pixel_m: np.ndarray
     independent: float
 
-    def thinned(self, most: int) -> Pixels:
-        """Return every n-th pixel, at most so many, which stand for all."""
-        step = -(-len(self.points_m) // most) or 1
-        return Pixels(self.points_m[::step], self.rays[::step], self.depth_sigma_m[::step],
-                      self.pixel_m[::step], self.independent)
-
 
 @dataclass(frozen=True)
 class FittedShape:
@@ -67,7 +68,7 @@ class FittedShape:
     ----------
     model : ShapeModel
     shape : (8,) float64
-    covariance : (F, F) float64
+    information : (F, F) float64
         Of the model's freedoms.
     cost : float
         Bayesian information criterion on the pixels that it was chosen by; less is better.
@@ -76,8 +77,13 @@ class FittedShape:
 
     model: ShapeModel
     shape: np.ndarray
-    covariance: np.ndarray
+    information: np.ndarray
     cost: float
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of the model's freedoms, (F, F) float64."""
+        return np.linalg.pinv(self.information)
 
 
 def sigma_m(fit: FittedShape, pixels: Pixels) -> tuple[np.ndarray, np.ndarray]:
@@ -109,11 +115,8 @@ def plane_residuals(plane: Plane, pixels: Pixels) -> np.ndarray:
 
 
 def _distances(shape: np.ndarray, pixels: Pixels) -> tuple[np.ndarray, np.ndarray]:
-    surface = surface_of(shape, pixels.points_m)
-    facing = np.abs(np.einsum('nk,nk->n', surface.normal, pixels.rays))
-    # A pixel of width w, seen at an angle, spans w * tan(angle) of depth.
-    spread_m = pixels.pixel_m * np.sqrt(np.maximum(1 - np.minimum(facing, 1) ** 2, 0)) / 12**0.5
-    return surface.distance_m, np.hypot(facing * pixels.depth_sigma_m, spread_m)
+    return distances_deviations(shape, pixels.points_m, pixels.rays, pixels.depth_sigma_m,
+                                pixels.pixel_m)
 
 
 def fit_shape(model: ShapeModel, shape: np.ndarray, pixels: Pixels) -> FittedShape | None:
@@ -126,7 +129,6 @@ def fit_shape(model: ShapeModel, shape: np.ndarray, pixels: Pixels) -> FittedSha
         None if too few pixels agree with it.
 
     """
-    pixels = pixels.thinned(_MOST_PIXELS)
     for _ in range(_ROUNDS):
         distance_m, deviation_m = _distances(shape, pixels)
         inlier = np.abs(distance_m) < 2 * DEVIATIONS * deviation_m
@@ -136,32 +138,23 @@ def fit_shape(model: ShapeModel, shape: np.ndarray, pixels: Pixels) -> FittedSha
         shape = _least_squares(model, shape, points_m, weight)
         if not np.isfinite(shape).all():
             return None
-    design = jacobian(shape, points_m, frame_of(shape))[:, model.freedoms] * weight[:, None]
-    covariance = np.linalg.pinv(design.T @ design) * len(pixels.points_m) / pixels.independent
+    design = weighted_jacobian(shape, points_m, weight, frame_of(shape))[list(model.freedoms)]
+    information = design @ design.T * pixels.independent / len(pixels.points_m)
     distance_m, deviation_m = _distances(shape, pixels)
     cost = criterion(distance_m / deviation_m, len(model.freedoms), pixels.independent)
-    return FittedShape(model, shape, covariance, cost)
+    return FittedShape(model, shape, information, cost)
 
 
 def _least_squares(model: ShapeModel, start: np.ndarray, points_m: np.ndarray,
                    weight: np.ndarray) -> np.ndarray:
     """Return the shape (8,) with the least weighted squared distances from points (N, 3)."""
-    frame, freedoms = frame_of(start), list(model.freedoms)
-
-    def at(values: np.ndarray) -> np.ndarray:
-        steps = np.zeros(7)
-        steps[freedoms] = values
-        return moved(start, steps, frame)
-
-    def residuals(values: np.ndarray) -> np.ndarray:
-        return surface_of(at(values), points_m).distance_m * weight
-
-    def derivatives(values: np.ndarray) -> np.ndarray:
-        return jacobian(at(values), points_m, frame)[:, freedoms] * weight[:, None]
-
-    found = least_squares(residuals, np.zeros(len(freedoms)), jac=derivatives, method='lm',
-                          x_scale='jac', max_nfev=_MOST_EVALUATIONS)
-    return at(found.x)
+    freedoms = np.array(model.freedoms)
+    about = freedoms, start, frame_of(start), points_m, weight
+    # Machine code without the step through Kernel, for there are many calls.
+    found = leastsq(stepped_distances.compiled(), np.zeros(len(freedoms)), about,
+                    stepped_jacobian.compiled(), full_output=True, col_deriv=True,
+                    ftol=_TOLERANCE, xtol=_TOLERANCE, maxfev=_MOST_EVALUATIONS)
+    return stepped(found[0], freedoms, start, about[2])
 
 
 def fits_of(candidates: Sequence[tuple[ShapeModel, np.ndarray]],
@@ -191,7 +184,6 @@ def criterion(residual: np.ndarray, freedoms: int, independent: float) -> float:
 
 def plane_cost(pixels: Pixels) -> float:
     """Return the criterion of the least-squares plane, fitted in 1/z, where it is affine."""
-    pixels = pixels.thinned(_MOST_PIXELS)
     disparity = 1 / pixels.points_m[:, 2]
     sigma = pixels.depth_sigma_m * disparity**2
     weighted = pixels.rays / np.square(sigma)[:, None]

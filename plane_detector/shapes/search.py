@@ -26,17 +26,19 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from plane_detector.config import ShapesConfig
-from plane_detector.shapes.models import AXIS, HALF_ANGLE, RADIUS, ShapeModel, Surface, surface_of
+from plane_detector.shapes.hypotheses import (
+    TRIES,
+    agreeing_cells,
+    best_hypothesis,
+    draw_samples,
+)
+from plane_detector.shapes.models import ShapeModel
 from plane_detector.shapes.surfels import DEVIATIONS, Surfels
 
 # after: Schnabel 2007 takes samples from the cells of an octree of random level.
 _WINDOWS_CELLS = (2, 4, 8)
 # derived: a cone of less is a cylinder within its length, of more a plane with a dent.
 _HALF_ANGLES_RAD = (np.radians(4.0), np.radians(70.0))
-# after: Schnabel 2007 uses 10 to 20 degrees between the normal of a point and of the shape.
-_NORMAL_TOLERANCE_RAD = np.radians(15.0)
-# derived: the mean of a cell on a ball as wide as four cells lies 1/8 of the cell's side below it.
-_CELL_TOLERANCE = 0.125
 # derived: with 99 % one of so many samples of three is good if a third of the cells are.
 _HYPOTHESES = 120
 # Hypotheses are compared by a sample of the cells.
@@ -81,39 +83,30 @@ def best_candidates(surfels: Surfels, among: np.ndarray, models: Sequence[ShapeM
         Draws the samples.
 
     """
-    looked_at = among[::-(-len(among) // _SCORED_CELLS)]
+    looked_at = np.ascontiguousarray(among[::-(-len(among) // _SCORED_CELLS)])
+    samples = _draw(surfels.shape, among, _HYPOTHESES, rng)
+    bounds = np.array([config.min_radius, config.max_radius, *_HALF_ANGLES_RAD])
     found = [candidate for model in models if (
-        candidate := _best_candidate(surfels, among, looked_at, model, config, rng)) is not None]
+        candidate := _best_candidate(surfels, among, looked_at, model, samples, bounds))]
     most = max((one.score for one in found), default=0.0)
     return [one for one in found if one.score >= _MIN_SCORE_SHARE * most]
 
 
-def _best_candidate(surfels: Surfels, among: np.ndarray, looked_at: np.ndarray,
-                    model: ShapeModel, config: ShapesConfig,
-                    rng: np.random.Generator) -> Candidate | None:
-    samples = _draw(surfels.shape, among, model.sample_size, _HYPOTHESES, rng)
+def _best_candidate(surfels: Surfels, among: np.ndarray, looked_at: np.ndarray, model: ShapeModel,
+                    samples: np.ndarray, bounds: np.ndarray) -> Candidate | None:
+    samples = samples[samples[:, model.sample_size - 1] >= 0, :model.sample_size]
     shapes = model.from_samples(surfels.points_m[samples], surfels.normals[samples])
-    sane = _is_sane(shapes, surfels.points_m[samples[:, 0]], config)
-    shapes, seeds = shapes[sane], samples[sane, 0]
-    if not len(shapes):
+    seeds = samples[:, 0].copy()
+    best = best_hypothesis(shapes, seeds, bounds, surfels.table, looked_at, DEVIATIONS)
+    if best < 0:
         return None
-    agree = agreeing(surfels, surface_of(shapes, surfels.points_m[looked_at]), looked_at)
-    best = int((agree @ surfels.count[looked_at]).argmax())
-    shape = shapes[best]
-    cells = among[agreeing(surfels, surface_of(shape, surfels.points_m[among]), among)]
-    members = connected(surfels.shape, cells, seeds[best])
-    return Candidate(model, shape, members, float(surfels.count[members].sum()))
+    members = connected(surfels.shape, agreeing(surfels, shapes[best], among), seeds[best])
+    return Candidate(model, shapes[best], members, float(surfels.count[members].sum()))
 
 
-def agreeing(surfels: Surfels, surface: Surface, among: np.ndarray) -> np.ndarray:
-    """Return which cells (..., n) agree with a surface in distance and in normal."""
-    facing = np.abs(np.einsum('...nk,nk->...n', surface.normal, surfels.rays[among]))
-    # The mean of a curved cell lies below its surface by up to its sagitta.
-    allowed_m = np.hypot(DEVIATIONS * facing * surfels.depth_sigma_m[among],
-                         _CELL_TOLERANCE * surfels.width_m[among])
-    cosine = np.einsum('...nk,nk->...n', surface.normal, surfels.normals[among])
-    turn_rad = _NORMAL_TOLERANCE_RAD + DEVIATIONS * surfels.normal_sigma_rad[among]
-    return (np.abs(surface.distance_m) < allowed_m) & (cosine > np.cos(np.minimum(turn_rad, 1.0)))
+def agreeing(surfels: Surfels, shape: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """Return those of some cells that agree with a shape (8,) in distance and in normal."""
+    return among[agreeing_cells(shape, surfels.table, among, DEVIATIONS)]
 
 
 def connected(shape: tuple[int, int], cells: np.ndarray, seed: int) -> np.ndarray:
@@ -124,35 +117,11 @@ def connected(shape: tuple[int, int], cells: np.ndarray, seed: int) -> np.ndarra
     return (pieces == pieces[seed]) & (mask > 0)
 
 
-def _draw(shape: tuple[int, int], among: np.ndarray, size: int, count: int,
+def _draw(shape: tuple[int, int], among: np.ndarray, count: int,
           rng: np.random.Generator) -> np.ndarray:
-    """Return samples (H, size) of different cells: seeds, and others from windows around them."""
+    """Return triples (H, 3) of different cells: seeds, and others from windows around them."""
     inside = np.zeros(shape[0] * shape[1], bool)
     inside[among] = True
-    seeds = rng.choice(among, count)
-    reach = rng.choice(_WINDOWS_CELLS, count)[:, None, None]
-    # Several tries each, since windows reach beyond the component.
-    steps = rng.integers(-reach, reach + 1, (count, 4 * (size - 1), 2))
-    rows, columns = np.divmod(seeds, shape[1])
-    at = np.stack([rows, columns], axis=1)[:, None] + steps
-    good = ((at >= 0) & (at < shape)).all(axis=2)
-    cell = np.where(good, at[..., 0] * shape[1] + at[..., 1], seeds[:, None])
-    good = inside[cell] & (cell != seeds[:, None])
-    order = np.argsort(~good, axis=1, kind='stable')[:, :size - 1]
-    partners = np.take_along_axis(cell, order, axis=1)
-    complete = np.take_along_axis(good, order, axis=1).all(axis=1)
-    if size > 2:
-        complete &= partners[:, 0] != partners[:, 1]
-    return np.column_stack([seeds, partners])[complete]
-
-
-def _is_sane(shapes: np.ndarray, seeds_m: np.ndarray, config: ShapesConfig) -> np.ndarray:
-    """Say which hypotheses (H,) are of a size that is looked for."""
-    radius, angle = shapes[RADIUS], shapes[HALF_ANGLE]
-    is_cone = angle != 0
-    along = ((seeds_m - shapes[..., 0:3]) * shapes[AXIS]).sum(axis=1)
-    with np.errstate(invalid='ignore'):
-        round_ = (radius >= config.min_radius) & (radius <= config.max_radius)
-        pointed = ((angle > _HALF_ANGLES_RAD[0]) & (angle < _HALF_ANGLES_RAD[1])
-                   & (along * np.tan(angle) <= config.max_radius) & (along > 0))
-    return np.isfinite(shapes).all(axis=1) & np.where(is_cone, pointed, round_)
+    seeds = among[rng.integers(0, len(among), count)]
+    reach = np.array(_WINDOWS_CELLS)[rng.integers(0, len(_WINDOWS_CELLS), count)]
+    return draw_samples(inside.reshape(shape), seeds, reach, rng.random((count, 2 * TRIES, 2)))

@@ -18,6 +18,10 @@ from plane_detector.types import CameraIntrinsics
 _MAX_GAP_SHARE = 0.5
 # after: the usual three deviations of a normal distribution.
 DEVIATIONS = 3.0
+# after: Schnabel 2007 uses 10 to 20 degrees between the normal of a point and of the shape.
+_NORMAL_TOLERANCE_RAD = np.radians(15.0)
+# derived: the mean of a cell on a ball as wide as four cells lies 1/8 of the cell's side below it.
+_CELL_TOLERANCE = 0.125
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,19 @@ class Surfels:
     depth_sigma_m: np.ndarray
     normal_sigma_rad: np.ndarray
     usable: np.ndarray
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """
+        What :func:`plane_detector.shapes.hypotheses.agrees` asks of the cells, (R * C, 13).
+
+        Point (3), normal (3), ray (3), deviation of the depth, what a curved cell may lie off,
+        least cosine between the normals, pixels.
+        """
+        turn_rad = np.minimum(_NORMAL_TOLERANCE_RAD + DEVIATIONS * self.normal_sigma_rad, 1.0)
+        return np.ascontiguousarray(np.column_stack([
+            self.points_m, self.normals, self.rays, self.depth_sigma_m,
+            _CELL_TOLERANCE * self.width_m, np.cos(turn_rad), self.count]))
 
     @cached_property
     def median_disparity(self) -> float:

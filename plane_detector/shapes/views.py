@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.shapes.refinement import FittedShape, Pixels
-from plane_detector.shapes.surfels import Surfels, depth_sigma_m
+from plane_detector.shapes.refinement import MOST_PIXELS, FittedShape, Pixels
+from plane_detector.shapes.surfels import Surfels
+from plane_detector.shapes.windows import free_pixels, label_counts, plane_pixels, points_of
 from plane_detector.types import CameraIntrinsics, Plane
 
 Window = tuple[slice, slice]
@@ -32,6 +34,8 @@ class FoundShape:
         Share of its border across which the surface goes on.
     absorbed : (K,) bool
         The planes that it takes the place of.
+    window, mask : (slice, slice), (h, w) bool
+        Where it is in the image.
 
     """
 
@@ -39,6 +43,8 @@ class FoundShape:
     members: np.ndarray
     open_share: float
     absorbed: np.ndarray
+    window: Window = (slice(0, 0), slice(0, 0))
+    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,7 @@ class DepthView:
 
     Attributes
     ----------
-    depth_m : (H, W) floating
+    depth_m : (H, W) float64
     labels : (H, W) int32
         Plane of each pixel, -1 none.
     planes : tuple of Plane
@@ -77,45 +83,71 @@ class DepthView:
     surfels: Surfels
     links: tuple[np.ndarray, np.ndarray]
 
-    def pixels_of_cells(self, cells: np.ndarray) -> tuple[Window, np.ndarray]:
-        """Return the window around some cells (R * C,) and its pixels (h, w) that are theirs."""
-        grid = cells.reshape(self.shape)
-        ends = [np.flatnonzero(grid.any(axis=axis))[[0, -1]] + [0, 1] for axis in (1, 0)]
-        inside = grid[slice(*ends[0]), slice(*ends[1])]
-        mask = inside.repeat(self.size_px, axis=0).repeat(self.size_px, axis=1)
-        window = tuple(slice(low * self.size_px, min(high * self.size_px, side))
-                       for (low, high), side in zip(ends, self.labels.shape, strict=True))
-        height, width = (side.stop - side.start for side in window)
-        return window, mask[:height, :width]
+    @cached_property
+    def camera(self) -> np.ndarray:
+        """What the compiled loops know of rays and noise, (6,) float64."""
+        camera, noise = self.intrinsics, self.noise
+        return np.array([camera.fx, camera.fy, camera.cx, camera.cy,
+                         (noise.mean_sigma**2 + noise.pixel_sigma**2) ** 0.5, noise.depth_floor_m])
 
-    def pixels(self, window: Window, mask: np.ndarray) -> Pixels:
-        """Return the points of the pixels (h, w) bool of a window."""
-        v, u = np.nonzero(mask)
-        z_m = self.depth_m[window][v, u].astype(np.float64)
-        camera = self.intrinsics
-        rays = np.column_stack([(u + window[1].start - camera.cx) / camera.fx,
-                                (v + window[0].start - camera.cy) / camera.fy, np.ones(len(u))])
+    @cached_property
+    def correlated(self) -> float:
+        """How many pixels are as good as one with independent noise."""
         smooth, grain = self.noise.mean_sigma**2, self.noise.pixel_sigma**2
-        sigma_m = depth_sigma_m(z_m, (smooth + grain) ** 0.5, self.noise.depth_floor_m)
         floor = self.noise.variance_floor(self.surfels.median_disparity)
-        correlated = ((smooth * CORRELATED_CELLS * self.size_px**2 + grain + floor)
-                      / (smooth + grain + floor))
-        return Pixels(rays * z_m[:, None], rays, sigma_m, z_m / camera.fx, len(u) / correlated)
+        return ((smooth * CORRELATED_CELLS * self.size_px**2 + grain + floor)
+                / (smooth + grain + floor))
 
-    def free_pixels(self, cells: np.ndarray) -> Pixels:
-        """Return the pixels of some cells that have a depth and no plane but an open one."""
-        window, mask = self.pixels_of_cells(cells)
-        return self.pixels(window, mask & self.is_free(window, self.is_open))
+    def window_of(self, cells: np.ndarray) -> Window:
+        """Return the window around some cells (R, C) bool."""
+        ends = [np.flatnonzero(cells.any(axis=axis))[[0, -1]] + [0, 1] for axis in (1, 0)]
+        return tuple(slice(int(low) * self.size_px, min(int(high) * self.size_px, side))
+                     for (low, high), side in zip(ends, self.labels.shape, strict=True))
 
-    def is_free(self, window: Window, open_planes: np.ndarray) -> np.ndarray:
-        """Say which pixels (h, w) have a depth and no plane but one of the open (K,) bool."""
-        # The last entry serves the label -1.
-        may_take = np.append(open_planes, True)
-        return may_take[self.labels[window]] & np.isfinite(self.depth_m[window])
+    def label_counts(self, cells: np.ndarray) -> np.ndarray:
+        """Return how many pixels with a depth some cells (R * C,) have by plane; last, without."""
+        return label_counts(self.depth_m, self.labels, cells.reshape(self.shape), self.size_px,
+                            len(self.planes))
+
+    def free_pixels(self, cells: np.ndarray, open_planes: np.ndarray | None = None,
+                    ) -> tuple[Pixels, np.ndarray]:
+        """
+        Return pixels of some cells, at most MOST_PIXELS, which stand for all, and their labels.
+
+        Parameters
+        ----------
+        cells : (R * C,) bool
+        open_planes : (K,) bool, optional
+            They have a depth and no plane but one of these; the open ones of the view by default.
+
+        """
+        may_take = self.may_take(self.is_open if open_planes is None else open_planes)
+        count = self.label_counts(cells)[may_take].sum()
+        step = -(-count // MOST_PIXELS) or 1
+        where = free_pixels(self.depth_m, self.labels, may_take, cells.reshape(self.shape),
+                            self.size_px, step)
+        return self._pixels(where, count), self.labels.ravel()[where]
 
     def plane_pixels(self, k: int, most: int) -> Pixels:
         """Return the pixels of a plane, thinned to about so many."""
         step = max(1, int(np.sqrt(self.planes[k].inlier_count / most)))
-        mask = np.zeros(self.labels.shape, bool)
-        mask[::step, ::step] = self.labels[::step, ::step] == k
-        return self.pixels((slice(0, mask.shape[0]), slice(0, mask.shape[1])), mask)
+        where = plane_pixels(self.depth_m, self.labels, k, step)
+        return self._pixels(where, len(where))
+
+    def points_in(self, window: Window, mask: np.ndarray) -> Pixels:
+        """Return the points of the pixels (h, w) bool of a window."""
+        v, u = np.nonzero(mask)
+        where = (v + window[0].start) * self.labels.shape[1] + u + window[1].start
+        return self._pixels(where, len(where))
+
+    def is_free(self, window: Window, open_planes: np.ndarray) -> np.ndarray:
+        """Say which pixels (h, w) have a depth and no plane but one of the open (K,) bool."""
+        return self.may_take(open_planes)[self.labels[window]] & np.isfinite(self.depth_m[window])
+
+    @staticmethod
+    def may_take(open_planes: np.ndarray) -> np.ndarray:
+        """Return the open planes (K + 1,) with an entry more, which serves the label -1."""
+        return np.append(open_planes, True)
+
+    def _pixels(self, where: np.ndarray, stand_for: int) -> Pixels:
+        return Pixels(*points_of(self.depth_m, where, self.camera), stand_for / self.correlated)
