@@ -98,7 +98,8 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
                        help='image, depth and planes of each frame as .jpg; of many bags a '
                             'folder each in it, as for --ply and --csv')
     group.add_argument('--ply', type=Path, metavar='FOLDER', help='labelled cloud of each frame')
-    group.add_argument('--csv', type=Path, metavar='FILE', help='table of all planes')
+    group.add_argument('--csv', type=Path, metavar='FILE', help=(
+        'table of all planes; with shapes.types there is one of all shapes beside it'))
 
 
 def _add_workers(group: argparse._ArgumentGroup) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Exports of a replay: a figure and a cloud per frame, one table of all frames."""
+"""Exports of a replay: a figure and a cloud per frame, tables of all frames."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import NamedTemporaryFile
+from typing import TextIO
 
 import cv2
 import numpy as np
@@ -17,6 +18,7 @@ from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.ros.frame_processor import Processed
 from plane_detector.ros.outputs.plane_table import PLANE_DTYPE
+from plane_detector.ros.outputs.shapes import SHAPE_DTYPE
 from plane_detector.ros.outputs.topics import Result
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.ply import write_ply
@@ -24,7 +26,7 @@ from plane_detector.tools.ply import write_ply
 
 class ReplayFiles:
     """
-    Writes the files of each frame; a context manager, which closes the table.
+    Writes the files of each frame; a context manager, which closes the tables.
 
     Parameters
     ----------
@@ -32,34 +34,40 @@ class ReplayFiles:
         Folders, made if need be, of an image (.jpg) and of a labelled cloud of each frame.
     table : Path, optional
         CSV file of all planes of all frames, replaced when it is there.
+    shapes : bool
+        Whether there is a second table, ``<stem>_shapes.csv`` beside it, of all shapes.
     first_index : int
         Number of the first frame that comes: of a table that is there the rows before are kept.
 
     Raises
     ------
     OSError
-        A folder or the table cannot be written.
+        A folder or a table cannot be written.
 
     """
 
     def __init__(self, figures: Path | None = None, ply: Path | None = None,
-                 table: Path | None = None, first_index: int = 0):
-        self._figures, self._ply, self._table = figures, ply, table
+                 table: Path | None = None, first_index: int = 0, shapes: bool = False):
+        self._figures, self._ply, self._tables = figures, ply, {}
+        if table is not None:
+            self._tables['planes'] = table, PLANE_DTYPE
+            if shapes:
+                beside = table.with_name(f'{table.stem}_shapes.csv')
+                self._tables['shapes'] = beside, SHAPE_DTYPE
         self._first_index = first_index
         self._opened = ExitStack()
-        self._rows = None
+        self._files: dict[str, TextIO] = {}
 
     def __enter__(self) -> ReplayFiles:
         for folder in (self._figures, self._ply):
             if folder is not None:
                 _check_writable(folder)
-        if self._table is not None:
-            kept = _rows_before(self._table, self._first_index)
-            self._table.parent.mkdir(parents=True, exist_ok=True)
-            self._file = open(self._table, 'w', newline='', encoding='utf-8')
-            self._opened.enter_context(self._file)
-            self._rows = csv.writer(self._file)
-            self._rows.writerows([['frame', 'stamp', *PLANE_DTYPE.names], *kept])
+        for name, (table, dtype) in self._tables.items():
+            kept = _rows_before(table, self._first_index)
+            table.parent.mkdir(parents=True, exist_ok=True)
+            file = self._files[name] = self._opened.enter_context(
+                open(table, 'w', newline='', encoding='utf-8'))
+            csv.writer(file).writerows([['frame', 'stamp', *dtype.names], *kept])
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -68,12 +76,12 @@ class ReplayFiles:
     @property
     def is_wanted(self) -> bool:
         """Whether anything is written at all."""
-        return any((self._figures, self._ply, self._table))
+        return any((self._figures, self._ply, self._tables))
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs that these files are made of."""
-        return ('planes',) if self._table is not None else ()
+        return tuple(self._tables)
 
     def write(self, index: int, processed: Processed) -> None:
         """Write the files of a frame, whose number is in their names."""
@@ -88,9 +96,9 @@ class ReplayFiles:
             write_ply(self._ply / f'{index:06d}.ply', points_m,
                       drawing.tint(result.rgb, result.labels), result.labels,
                       in_metres=result.detection.scale_method != RELATIVE)
-        if self._rows is not None:
-            self._rows.writerows(_rows(index, processed))
-            self._file.flush()  # no later than the bag, which a resumed run goes by
+        for name, file in self._files.items():
+            csv.writer(file).writerows(_rows(index, processed, name, self._tables[name][1]))
+            file.flush()  # no later than the bag, which a resumed run goes by
 
 
 def _check_writable(folder: Path) -> None:
@@ -122,9 +130,10 @@ def _figure(result: Result) -> np.ndarray:
     ], columns=3)
 
 
-def _rows(index: int, processed: Processed) -> Iterator[list[object]]:
-    """Yield the content of the planes message, a row per plane."""
+def _rows(index: int, processed: Processed, name: str,
+          dtype: np.dtype) -> Iterator[list[object]]:
+    """Yield the content of the message of planes or shapes, a row per point."""
     stamp = processed.result.header.stamp
-    for plane in np.frombuffer(processed.messages['planes'].data, PLANE_DTYPE):
+    for point in np.frombuffer(processed.messages[name].data, dtype):
         yield [index, f'{stamp.sec}.{stamp.nanosec:09d}',
-               *(f'{value:.6g}' if isinstance(value, np.floating) else value for value in plane)]
+               *(f'{value:.6g}' if isinstance(value, np.floating) else value for value in point)]

@@ -99,7 +99,8 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
                   file=sys.stderr)
         earlier = read_earlier(folder.before)
         files = opened.enter_context(ReplayFiles(options.figures, options.ply, options.table,
-                                                 earlier.next_index))
+                                                 earlier.next_index,
+                                                 bool(choice.config.shapes.wanted)))
         with BagWriter(folder.bag, options.storage, options.compressed) as writer:
             run = _Run(options, bag, part_ns, topics, choice, processor, writer, files)
             tally = run.to_end(earlier, should_stop, depth, quiet)
