@@ -19,8 +19,10 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 
 # The number of cells hardly depends on the image size: the cells grow with the image.
+# tuned: benchmark sensitivity; not flat: precision -0.044 at 0.7 times, -0.013 at 1.4 times.
 CELLS_PER_IMAGE = 4800
 # A few lidar lines determine the plane of a cell, one line does not.
+# tuned: on rooms and sparse lidar; compiled in, so their ranges were not swept.
 MIN_VALID_SHARE = 0.15
 MIN_SPREAD = 0.01
 # Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.

@@ -10,6 +10,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
 
 # Lower bound of the disparity, to avoid division by 0.
+# derived: far below what any sensor measures.
 TINY_DISPARITY = 1e-9
 
 

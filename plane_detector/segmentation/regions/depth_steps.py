@@ -26,8 +26,10 @@ from plane_detector.segmentation.regions.model_selection import prefer_two_plane
 from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clusters
 
 # Blocks of pixels along the side of a cell.
+# derived: half a cell is two of them.
 BLOCKS = 4
 # The compared means cover half a cell across and three cells along the step.
+# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 LENGTH_CELLS = 3
 # Step in standard deviations of the differences in the image: all along it, and somewhere.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
