@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One thread for the matrix products of the plane stage.
+One thread for the matrix products of the plane stage, or for all that a worker does.
 
 The products are so small that waking a second thread takes longer than the product. With the
 other cores busy with the network or other programs, a product takes twice as long.
@@ -9,11 +9,13 @@ other cores busy with the network or other programs, a product takes twice as lo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, wraps
 from typing import ParamSpec, TypeVar
 
-from threadpoolctl import ThreadpoolController
+import cv2
+from threadpoolctl import ThreadpoolController, threadpool_limits
 
 P, R = ParamSpec('P'), TypeVar('R')
 
@@ -37,3 +39,15 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
             for library, count in zip(_libraries(), before, strict=True):
                 library.set_num_threads(count)
     return on_one_thread
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV, BLAS and OpenMP to one thread."""
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(before)

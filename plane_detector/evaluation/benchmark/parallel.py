@@ -13,17 +13,7 @@ from contextlib import contextmanager
 import cv2
 from threadpoolctl import threadpool_limits
 
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Keep OpenCV, BLAS and OpenMP to one thread."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        cv2.setNumThreads(before)
+from plane_detector.segmentation.threads import one_thread
 
 
 @contextmanager

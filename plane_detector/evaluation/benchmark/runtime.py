@@ -16,7 +16,6 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.parallel import one_thread
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, noisy_depth, room
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.peers import Method, OpenCv, Ours, Paper
@@ -28,6 +27,7 @@ from plane_detector.evaluation.scenes.rooms import (
     random_room,
     render,
 )
+from plane_detector.segmentation.threads import one_thread
 from plane_detector.types import CameraIntrinsics
 
 SIZES = ((320, 240), (640, 480), (1280, 720))

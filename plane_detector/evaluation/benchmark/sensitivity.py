@@ -27,12 +27,12 @@ import plane_detector.segmentation
 from plane_detector import segment_planes
 from plane_detector.evaluation.benchmark.curved import CURVED, curved_scene, judge_labels
 from plane_detector.evaluation.benchmark.living_rooms import furnished
-from plane_detector.evaluation.benchmark.parallel import one_thread
 from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import Scene
+from plane_detector.segmentation.threads import one_thread
 
 FACTORS = (0.7, 1.4)
 _FOLDER = Path(plane_detector.segmentation.__file__).parent

@@ -16,7 +16,6 @@ from tqdm import tqdm
 from plane_detector import PlaneDetector
 from plane_detector.config import ShapesConfig
 from plane_detector.evaluation.benchmark.options import at_least_one
-from plane_detector.evaluation.benchmark.parallel import one_thread
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.metrics import score
@@ -24,6 +23,7 @@ from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
 from plane_detector.evaluation.shape_methods import CONFIG, PyRansac, ShapeGuess, ours
+from plane_detector.segmentation.threads import one_thread
 from plane_detector.types import CameraIntrinsics, ShapeType
 
 SIGMAS = (0.0, 0.001, 0.004)

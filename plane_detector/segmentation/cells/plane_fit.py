@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Least-squares planes from moments, and quadric surfaces from products."""
+"""Least-squares planes from moments, and linear least squares from sums of products."""
 
 from __future__ import annotations
 
@@ -65,56 +65,6 @@ def squared_errors(planes, moments):
     for k in range(len(planes)):
         error[k] = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], moments[k])
     return error
-
-
-def quadratic_products(members: np.ndarray, x: np.ndarray, y: np.ndarray,
-                       d: np.ndarray) -> np.ndarray:
-    """
-    Sum the products for surface fits over the cells of each region.
-
-    Parameters
-    ----------
-    members : (K, n) float64
-        1 for the cells of each region, 0 elsewhere.
-    x, y, d : (n,) float64
-        Place and disparity of each cell.
-
-    Returns
-    -------
-    (K, 7, 7) float64
-        Sums of the products of two of 1, x, y, xx, xy, yy and d.
-
-    """
-    basis = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, d], axis=1)
-    products = (basis[:, :, None] * basis[:, None, :]).reshape(len(x), -1)
-    return (members @ products).reshape(-1, 7, 7)
-
-
-def least_squares(products: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Fit surfaces that are linear in their coefficients: planes (3 terms) or quadrics (6 terms).
-
-    Parameters
-    ----------
-    products : (K, 7, 7) float64
-        From :func:`quadratic_products`; the last row and column belong to the disparity.
-    terms : int
-        How many of the first rows and columns to use.
-
-    Returns
-    -------
-    error : (K,) float64
-        Squared error.
-    coefficients : (K, terms) float64
-
-    """
-    normal_matrix, projection = products[:, :terms, :terms], products[:, :terms, 6]
-    square = products[:, 6, 6]
-    scale = np.sqrt(np.maximum(np.einsum('kii->ki', normal_matrix), np.finfo(float).tiny))
-    unit = normal_matrix / (scale[:, :, None] * scale[:, None, :])
-    coefficients = (pseudo_inverse(unit, LEAST_EIGENVALUE)
-                    @ (projection / scale)[..., None])[..., 0] / scale
-    return np.maximum(square - (coefficients * projection).sum(axis=1), 0), coefficients
 
 
 def pseudo_inverse(matrix: np.ndarray, min_ratio: float) -> np.ndarray:

@@ -6,14 +6,10 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import cv2
-from threadpoolctl import threadpool_limits
-
+from plane_detector.segmentation.threads import one_thread
 from plane_detector.stopping import Stopped
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.part_folder import FINISHED, STATE, replay_fields
@@ -71,7 +67,7 @@ def replay_bag(options: ReplayOptions, run_folder: Path) -> BagSummary:
     summary = _done_before(options)
     if summary is None:
         start_s = time.monotonic()
-        with _one_thread():
+        with one_thread():
             summary = _replayed(options, run_folder / STOP_FILE)
         summary = BagSummary(**{**asdict(summary), 'seconds': time.monotonic() - start_s})
     write_summary(summary, run_folder)
@@ -122,15 +118,3 @@ def _replayed(options: ReplayOptions, stop: Path) -> BagSummary:
     state = FAILED if tally.failure else tally.state
     return BagSummary(name, state, tally.processed, tally.planes, tally.skipped, tally.damaged,
                       depth=tally.depth, error=tally.failure)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Keep linear algebra and OpenCV on one thread: the workers share the cores."""
-    before = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        cv2.setNumThreads(before)
