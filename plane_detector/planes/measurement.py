@@ -9,18 +9,10 @@ With X = (u - cx) / fx and Y = (v - cy) / fy a plane is 1/z = A X + B Y + C, so 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from plane_detector.segmentation.cells import grid as cells
-from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.labels import (
-    TINY_DISPARITY,
-    count_labels,
-    relabel_sequential,
-    relative_squares,
-)
+from plane_detector.segmentation.cells.grid import XX, XY, YY, CellGrid, D, N, X, Y
+from plane_detector.segmentation.cells.labels import relabel_sequential, sum_over_pixels
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
@@ -36,38 +28,6 @@ LEAST_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
 # Eigenvalues below this share of the largest are rounding errors.
 LEAST_EIGENVALUE = 1e-15
-
-
-@dataclass(frozen=True)
-class _PixelShares:
-    """
-    Sparse counts of the pixels of each plane in each cell.
-
-    Attributes
-    ----------
-    counts : (R * C, K) float64
-        Number in the whole image.
-    cell, plane : (n,) int
-        Cells and planes with pixels.
-    count : (n,) float64
-        Number of pixels in each.
-
-    """
-
-    counts: np.ndarray
-    cell: np.ndarray
-    plane: np.ndarray
-    count: np.ndarray
-
-    @classmethod
-    def of(cls, counts: np.ndarray) -> _PixelShares:
-        """Find the cells that contain pixels of planes."""
-        where = np.flatnonzero(counts > 0)
-        return cls(counts, *np.divmod(where, max(counts.shape[1], 1)), counts.ravel()[where])
-
-    def total(self, values: np.ndarray | float) -> np.ndarray:
-        """Add up values (n,) over the pixels of each plane, (K,)."""
-        return np.bincount(self.plane, self.count * values, self.counts.shape[1])
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
@@ -90,42 +50,39 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
         Index into these, -1 none.
 
     """
-    grid, noise = regions.grid, regions.noise
-    counts = count_labels(grid, regions.labels, len(regions.coefficients))
-    total = np.ones(len(counts)) @ counts
-    kept = total >= max(min_pixels, 1)
-    if noise.mean_sigma > max(noise.source_sigma, MAX_NOISE_SHARE * grid.typical_disparity):
-        kept[:] = False
-    order = np.argsort(-total, kind='stable')
-    order = order[kept[order]]
-    labels = relabel_sequential(regions.labels, order, len(regions.coefficients))
-    planes, parts = regions.coefficients[order], _PixelShares.of(counts[:, order])
-    square = relative_squares(grid, regions.disparity, labels, planes)
-    rms = np.sqrt(square / np.maximum(parts.total(1.0), 1))
-    return _measure(grid, parts, planes, rms, noise, intrinsics), labels
+    noise, typical = regions.noise, regions.grid.typical_disparity
+    sums = sum_over_pixels(regions.grid, regions.disparity, regions.labels, regions.coefficients)
+    is_kept = sums[:, N] >= max(min_pixels, 1)
+    if noise.mean_sigma > max(noise.source_sigma, MAX_NOISE_SHARE * typical):
+        is_kept[:] = False
+    kept = np.argsort(-sums[:, N], kind='stable')
+    kept = kept[is_kept[kept]]
+    labels = relabel_sequential(regions.labels, kept, len(sums))
+    return _measure(regions, sums[kept], regions.coefficients[kept], intrinsics), labels
 
 
-def _measure(grid: CellGrid, parts: _PixelShares, planes: np.ndarray, relative_rms: np.ndarray,
-             noise: Noise, intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
-    """Measure planes (K, 3) from the number of their pixels in each cell."""
+def _measure(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,
+             intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
+    """Measure planes (K, 3) from the sums (K, 15) over their pixels."""
     jacobian = ray_plane_jacobian(intrinsics)
     ray_planes = planes @ jacobian.T
     length = np.linalg.norm(ray_planes, axis=1)
     normals, offsets_m = -ray_planes / length[:, None], 1 / length
-    ray_x, ray_y = (ray[parts.cell] for ray in _cell_rays(grid, intrinsics))
-    a, b, c = ray_planes.T.take(parts.plane, axis=1)
-    depth_m = 1 / np.maximum(a * ray_x + b * ray_y + c, TINY_DISPARITY)
-    pixels = parts.total(1.0)
-    centroids_m = np.stack([parts.total(depth_m * ray_x), parts.total(depth_m * ray_y),
-                            parts.total(depth_m)], axis=1) / pixels[:, None]
+    pixels, (depth_x, depth_y, depth_m, cubed_m3, square) = sums[:, N], sums[:, 10:].T
+    # x is (u - middle) / width, the ray's X is (u - cx) / fx.
+    width, height = intrinsics.width, intrinsics.height
+    centroids_m = np.stack([
+        (width * depth_x + ((width - 1) / 2 - intrinsics.cx) * depth_m) / intrinsics.fx,
+        (width * depth_y + ((height - 1) / 2 - intrinsics.cy) * depth_m) / intrinsics.fy,
+        depth_m], axis=1) / pixels[:, None]
     centroids_m -= ((normals * centroids_m).sum(axis=1) + offsets_m)[:, None] * normals
-    areas_m2 = parts.total(depth_m**3) / (intrinsics.fx * intrinsics.fy * offsets_m)
-    rms_m = offsets_m * relative_rms
-    covariances = _covariances(grid, parts.counts, noise, ray_planes, jacobian)
-    sure = confidence(pixels / (intrinsics.width * intrinsics.height), covariances)
+    areas_m2 = cubed_m3 / (intrinsics.fx * intrinsics.fy * offsets_m)
+    rms_m = offsets_m * np.sqrt(square / pixels)
+    covariances = _covariances(regions.grid, sums.T, regions.noise, ray_planes, jacobian)
+    sure = confidence(pixels / (width * height), covariances)
     return tuple(
-        Plane(normals[k], float(offsets_m[k]), centroids_m[k], int(pixels[k]), float(rms_m[k]),
-              float(areas_m2[k]), covariances[k], float(sure[k]))
+        Plane(normals[k], float(offsets_m[k]), centroids_m[k], int(round(pixels[k])),
+              float(rms_m[k]), float(areas_m2[k]), covariances[k], float(sure[k]))
         for k in range(len(planes)))
 
 
@@ -165,22 +122,12 @@ def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
          1]])
 
 
-def _cell_rays(grid: CellGrid, intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
-    """Return X and Y at the mean of each cell's valid pixels, (R * C,) each."""
-    u_px = grid.mean[:, 0] * intrinsics.width + (intrinsics.width - 1) / 2
-    v_px = grid.mean[:, 1] * intrinsics.width + (intrinsics.height - 1) / 2
-    return ((u_px - intrinsics.cx) / intrinsics.fx, (v_px - intrinsics.cy) / intrinsics.fy)
-
-
-def _covariances(grid: CellGrid, counts: np.ndarray, noise: Noise, ray_planes: np.ndarray,
+def _covariances(grid: CellGrid, m: np.ndarray, noise: Noise, ray_planes: np.ndarray,
                  jacobian: np.ndarray) -> np.ndarray:
-    """Propagate the noise through the fits to (normal, offset), (K, 4, 4)."""
-    share = counts / np.maximum(grid.moments[:, cells.N:cells.N + 1], 1)
-    m = (share.T @ grid.moments).T
-    normal_matrix = np.array([[m[cells.XX], m[cells.XY], m[cells.X]],
-                              [m[cells.XY], m[cells.YY], m[cells.Y]],
-                              [m[cells.X], m[cells.Y], m[cells.N]]]).transpose(2, 0, 1)
-    variance = (noise.pixel_sigma**2 + noise.variance_floor(m[cells.D] / m[cells.N])
+    """Propagate the noise through the fits of moments m to (normal, offset), (K, 4, 4)."""
+    normal_matrix = np.array([[m[XX], m[XY], m[X]], [m[XY], m[YY], m[Y]],
+                              [m[X], m[Y], m[N]]]).transpose(2, 0, 1)
+    variance = (noise.pixel_sigma**2 + noise.variance_floor(m[D] / m[N])
                 + CORRELATED_CELLS * grid.size_px**2 * noise.mean_sigma**2)
     fit = variance[:, None, None] * pseudo_inverse(normal_matrix, LEAST_EIGENVALUE)
     length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
