@@ -45,7 +45,7 @@ def instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
 
 
 def _shape_cost(found: FoundShape, pixels: Pixels) -> float:
-    return criterion(shape_residuals(found.fit, pixels), len(found.fit.model.freedoms),
+    return criterion(shape_residuals(found.fit.shape, pixels), len(found.fit.model.freedoms),
                      pixels.independent)
 
 

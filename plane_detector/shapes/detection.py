@@ -10,21 +10,19 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.config import ShapesConfig
-from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.shapes.competition import instead_of_planes
 from plane_detector.shapes.extent import dilated_cells, on_image, open_share, seen_through_cost
 from plane_detector.shapes.labelling import label_shapes
 from plane_detector.shapes.models import MODELS, ShapeModel
-from plane_detector.shapes.refinement import FittedShape, fits_of, is_determined, plane_cost
+from plane_detector.shapes.refinement import FittedShape, fit_shape, is_determined, plane_cost
 from plane_detector.shapes.search import (
     Candidate,
     agreeing,
     best_candidates,
-    components_of,
     connected,
 )
-from plane_detector.shapes.surfels import smooth_links, surfels_of_grid
+from plane_detector.shapes.surfels import smooth_components, surfels_of_grid
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.shapes.windows import free_shares
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation, Shape, ShapeType
@@ -45,7 +43,7 @@ _MAX_FAILURES = 2
 _MAX_RADIUS_ERROR_SHARE, _MAX_ANGLE_ERROR_RAD = 0.25, np.radians(12.0)
 
 
-def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, grid: CellGrid, noise: Noise,
+def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelRegions,
                 intrinsics: CameraIntrinsics, config: ShapesConfig,
                 rng: np.random.Generator) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
     """
@@ -64,11 +62,8 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, grid: CellGrid, n
     depth_m : (H, W) floating
         NaN where invalid.
     found : PlaneSegmentation
-        The planes of this depth.
-    grid : CellGrid
-        Of 1/depth_m.
-    noise : Noise
-        That the planes were found with, 1/m.
+        The planes of this depth, measured on these regions of 1/depth_m.
+    regions : PixelRegions
     intrinsics : CameraIntrinsics
     config : ShapesConfig
     rng : numpy.random.Generator
@@ -76,32 +71,35 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, grid: CellGrid, n
     Returns
     -------
     PlaneSegmentation
-        Without the planes that turned out to be facets of a shape. With K planes left, its
-        ``labels`` are K + i where shape i is.
+        Without the planes that are facets of a shape; with K left, K + i labels shape i.
     shapes : tuple of Shape
         Largest first.
 
     """
-    surfels = surfels_of_grid(grid, intrinsics, noise)
-    size = np.array([plane.inlier_count for plane in found.planes])
-    view = DepthView(np.ascontiguousarray(depth_m, np.float64),
-                     np.ascontiguousarray(found.labels, np.int32), found.planes,
-                     size < _MAX_FACET_SHARE * depth_m.size,
-                     noise, intrinsics, grid.shape, grid.size_px, surfels, smooth_links(surfels))
-    share = free_shares(view.depth_m, view.labels, view.may_take(view.is_open), grid.size_px,
-                        *grid.shape)
-    free = surfels.usable & (share > 0.5)
+    view = _view(depth_m, found, regions, intrinsics)
     models = [MODELS[ShapeType[name.upper()]] for name in config.wanted]
-    return label_shapes(view, found, list(_search(view, free, models, config, rng)), config)
+    return label_shapes(view, found, list(_search(view, models, config, rng)), config)
 
 
-def _search(view: DepthView, free: np.ndarray, models: Sequence[ShapeModel],
-            config: ShapesConfig, rng: np.random.Generator) -> Iterator[FoundShape]:
+def _view(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelRegions,
+          intrinsics: CameraIntrinsics) -> DepthView:
+    grid, noise = regions.grid, regions.noise
+    size = np.array([plane.inlier_count for plane in found.planes])
+    return DepthView(np.ascontiguousarray(depth_m, np.float64),
+                     np.ascontiguousarray(found.labels, np.int32), found.planes,
+                     size < _MAX_FACET_SHARE * depth_m.size, noise, intrinsics, grid.shape,
+                     grid.size_px, surfels_of_grid(grid, intrinsics, noise))
+
+
+def _search(view: DepthView, models: Sequence[ShapeModel], config: ShapesConfig,
+            rng: np.random.Generator) -> Iterator[FoundShape]:
     """Yield shapes, component by component, until none is left in it."""
     min_pixels = config.min_share * view.labels.size
-    component = components_of(free, view.links)
-    names, cells = np.unique(component[component >= 0], return_counts=True)
-    for name in names[cells >= _MIN_CELLS]:
+    share = free_shares(view.image(view.is_open), view.size_px, *view.shape)
+    component = smooth_components(view.surfels.table, view.surfels.usable & (share > 0.5),
+                                  view.shape[1])
+    cells = np.bincount(component[component >= 0])
+    for name in np.flatnonzero(cells >= _MIN_CELLS):
         left, failures = component == name, 0
         while (failures < _MAX_FAILURES and left.sum() >= _MIN_CELLS
                and view.surfels.count[left].sum() >= min_pixels):
@@ -141,9 +139,12 @@ def _best_fit(view: DepthView, candidates: Sequence[Candidate],
               cells: np.ndarray) -> FittedShape | None:
     """Return the candidate that explains the pixels of some cells best; None if a plane does."""
     pixels, _ = view.free_pixels(cells)
-    around = dilated_cells(view, cells)
-    fits = fits_of([(one.model, one.shape) for one in candidates], pixels)
-    costs = [fit.cost + seen_through_cost(view, fit, cells, around) for fit in fits]
-    if min(costs, default=np.inf) >= plane_cost(pixels):
-        return None
-    return fits[int(np.argmin(costs))]
+    around, best, least = dilated_cells(view, cells), None, plane_cost(pixels)
+    fits = [fit for one in candidates if (fit := fit_shape(one.model, one.shape, pixels))]
+    for fit in sorted(fits, key=lambda one: one.cost):
+        if fit.cost >= least:  # rays only add to it
+            break
+        cost = fit.cost + seen_through_cost(view, fit, cells, around)
+        if cost < least:
+            best, least = fit, cost
+    return best

@@ -57,8 +57,8 @@ class ShapeDetector:
         """
         if not (config.shapes.wanted and in_metres):
             return planes, (), ()
-        planes, shapes = find_shapes(depth_m, planes, regions.grid, regions.noise, intrinsics,
-                                     config.shapes, np.random.default_rng(config.ransac.seed))
+        planes, shapes = find_shapes(depth_m, planes, regions, intrinsics, config.shapes,
+                                     np.random.default_rng(config.ransac.seed))
         if not config.tracking.enabled:
             self.reset()
             return planes, shapes, ()

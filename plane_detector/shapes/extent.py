@@ -12,16 +12,15 @@ import numpy as np
 from plane_detector.geometry.robust import dilated
 from plane_detector.shapes.models import AXIS, surface_of
 from plane_detector.shapes.refinement import FittedShape
-from plane_detector.shapes.surfels import DEVIATIONS, depth_sigma_m
+from plane_detector.shapes.surface import DEVIATIONS
+from plane_detector.shapes.surfels import depth_sigma_m
 from plane_detector.shapes.views import DepthView, FoundShape
-from plane_detector.shapes.windows import pixels_on, rays_through
+from plane_detector.shapes.windows import THROUGH_STEP_PX, pixels_on, rays_through
 
 # derived: cells that the silhouette cuts are no members; a border is up to two of them wide.
 _BORDER_CELLS = 2
 # The pixels of a silhouette are mixtures; what is looked at lies so many pixels outside.
 _RING_PX = 3
-# Rays are looked at in steps of this many pixels, to save time.
-_THROUGH_STEP_PX = 3
 # derived: over as many pixels a surface at 45 degrees to the ray goes as far in depth.
 _MAX_GAP_PX = _RING_PX + 1.0
 
@@ -30,10 +29,8 @@ def on_image(view: DepthView, found: FoundShape) -> FoundShape:
     """Return a shape with the free pixels that lie on it, connected with its cells."""
     cells = dilated_cells(view, found.members)
     window = view.window_of(cells)
-    mask = pixels_on(
-        view.depth_m, view.labels, view.may_take(found.absorbed), cells, view.size_px,
-        tuple(end for side in window for end in (side.start, side.stop)), found.fit.shape,
-        view.camera, DEVIATIONS)
+    ends = tuple(end for side in window for end in (side.start, side.stop))
+    mask = pixels_on(view.image(found.absorbed), cells, ends, found.fit.shape, view.camera)
     count, pieces = cv2.connectedComponents(mask, connectivity=8)
     rows, columns = (np.arange(side.start, side.stop) // view.size_px for side in window)
     core = found.members.reshape(view.shape)[np.ix_(rows, columns)]
@@ -53,9 +50,8 @@ def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray,
     """
     along_m = surface_of(fit.shape, view.surfels.points_m[members]).along_m
     ends_m = (along_m.min(), along_m.max()) if fit.shape[AXIS].any() else (-np.inf, np.inf)
-    through = rays_through(view.depth_m, around, view.size_px, _THROUGH_STEP_PX, fit.shape,
-                              ends_m, view.camera, DEVIATIONS)
-    return DEVIATIONS**2 * through * _THROUGH_STEP_PX**2 / view.correlated
+    through = rays_through(view.depth_m, around, fit.shape, ends_m, view.camera)
+    return DEVIATIONS**2 * through * THROUGH_STEP_PX**2 / view.correlated
 
 
 def open_share(view: DepthView, found: FoundShape) -> float:

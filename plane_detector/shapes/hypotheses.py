@@ -7,10 +7,13 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.shapes.surface import TINY, distance_normal
+from plane_detector.shapes.surface import DEVIATIONS, TINY, distance_normal, turn_of
+from plane_detector.types import ShapeType
 
 # Below this the determinant of three unit normals says that they lie in a plane.
 _MIN_DETERMINANT = 1e-6
+# The kinds as ShapeType numbers them, which compiled code cannot look up.
+_SPHERE, _CYLINDER, _CONE = (int(kind) for kind in ShapeType)
 # Partners that are tried for each cell of a sample, since windows reach beyond the component.
 TRIES = 4
 
@@ -61,17 +64,15 @@ def radius_of_pair(points, normals):
     return product / square if square > TINY else np.nan
 
 
-@kernel('float64[:, ::1](float64[:, :, ::1], float64[:, :, ::1])')
-def spheres(points, normals):
-    """Return the spheres (H, 8) through two oriented points (H, 2, 3) each; NaN if degenerate."""
-    shapes = np.zeros((len(points), 8))
-    for h in range(len(points)):
-        radius = radius_of_pair(points[h], normals[h])
-        for k in range(3):
-            shapes[h, k] = (points[h, 0, k] + points[h, 1, k]
-                            - radius * (normals[h, 0, k] + normals[h, 1, k])) / 2
-        shapes[h, 6] = radius
-    return shapes
+@kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
+def sphere_through(points, normals):
+    """Return the sphere (8,) through two oriented points (2, 3); NaN if degenerate."""
+    shape = np.zeros(8)
+    radius = radius_of_pair(points, normals)
+    for k in range(3):
+        shape[k] = (points[0, k] + points[1, k] - radius * (normals[0, k] + normals[1, k])) / 2
+    shape[6] = radius
+    return shape
 
 
 @kernel('float64[::1](float64[::1], float64[::1])')
@@ -83,23 +84,15 @@ def unit_cross(a, b):
     return result / (length if length > TINY else np.nan)
 
 
-@kernel('float64[:, ::1](float64[:, :, ::1], float64[:, :, ::1])')
-def cylinders(points, normals):
-    """Return the cylinders (H, 8) through two oriented points (H, 2, 3); NaN if degenerate."""
-    shapes = np.zeros((len(points), 8))
-    flat = np.empty((2, 3))
-    for h in range(len(points)):
-        axis = unit_cross(normals[h, 0], normals[h, 1])
-        for i in range(2):
-            along = (points[h, i] * axis).sum()
-            flat[i] = points[h, i] - along * axis
-        radius = radius_of_pair(flat, normals[h])
-        for k in range(3):
-            shapes[h, k] = (points[h, 0, k] + points[h, 1, k]
-                            - radius * (normals[h, 0, k] + normals[h, 1, k])) / 2
-            shapes[h, 3 + k] = axis[k]
-        shapes[h, 6] = radius
-    return shapes
+@kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
+def cylinder_through(points, normals):
+    """Return the cylinder (8,) through two oriented points (2, 3); NaN if degenerate."""
+    axis, flat = unit_cross(normals[0], normals[1]), np.empty((2, 3))
+    for i in range(2):
+        flat[i] = points[i] - (points[i] * axis).sum() * axis
+    shape = sphere_through(flat, normals)
+    shape[3:6] = axis
+    return shape
 
 
 @kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
@@ -117,43 +110,47 @@ def apex_of(points, normals):
     return apex / (determinant if abs(determinant) > _MIN_DETERMINANT else np.nan)
 
 
-@kernel('float64[:, ::1](float64[:, :, ::1], float64[:, :, ::1])')
-def cones(points, normals):
-    """Return the cones (H, 8) through three oriented points (H, 3, 3) each; NaN if degenerate."""
-    shapes = np.zeros((len(points), 8))
-    for h in range(len(points)):
-        apex = apex_of(points[h], normals[h])
-        sides = np.empty((3, 3))
-        for i in range(3):
-            side = points[h, i] - apex
-            length = np.sqrt((side * side).sum())
-            sides[i] = side / (length if length > TINY else np.nan)
-        axis = unit_cross(sides[0] - sides[1], sides[0] - sides[2])
-        cosine = ((sides[0] + sides[1] + sides[2]) * axis).sum() / 3
-        shapes[h, 0:3] = apex
-        shapes[h, 3:6] = axis * np.sign(cosine)
-        shapes[h, 7] = np.arccos(min(abs(cosine), 1.0)) if np.isfinite(cosine) else np.nan
-    return shapes
+@kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
+def cone_through(points, normals):
+    """Return the cone (8,) through three oriented points (3, 3); NaN if degenerate."""
+    apex, sides, shape = apex_of(points, normals), np.empty((3, 3)), np.zeros(8)
+    for i in range(3):
+        side = points[i] - apex
+        length = np.sqrt((side * side).sum())
+        sides[i] = side / (length if length > TINY else np.nan)
+    axis = unit_cross(sides[0] - sides[1], sides[0] - sides[2])
+    cosine = ((sides[0] + sides[1] + sides[2]) * axis).sum() / 3
+    shape[0:3] = apex
+    shape[3:6] = axis * np.sign(cosine)
+    shape[7] = np.arccos(min(abs(cosine), 1.0)) if np.isfinite(cosine) else np.nan
+    return shape
 
 
-@kernel('boolean(float64[::1], float64, float64, float64[::1], float64)')
-def agrees(shape, cosine, sine, cell, deviations):
+@kernel('float64[::1](int64, float64[:, ::1], float64[:, ::1])')
+def shape_through(kind, points, normals):
+    """Return the shape (8,) of a :class:`ShapeType` through oriented points (2 or 3, 3)."""
+    if kind == _SPHERE:
+        return sphere_through(points, normals)
+    return cone_through(points, normals) if kind == _CONE else cylinder_through(points, normals)
+
+
+@kernel('boolean(float64[::1], UniTuple(float64, 2), float64[::1])')
+def agrees(shape, turn, cell):
     """Say whether a cell, a row of :attr:`Surfels.table`, agrees in distance and in normal."""
-    distance, x, y, z = distance_normal(shape, cosine, sine, cell[0], cell[1], cell[2])
+    distance, x, y, z = distance_normal(shape, turn, cell[0], cell[1], cell[2])
     if not x * cell[3] + y * cell[4] + z * cell[5] > cell[11]:
         return False
     facing = x * cell[6] + y * cell[7] + z * cell[8]
-    noise = deviations * facing * cell[9]
+    noise = DEVIATIONS * facing * cell[9]
     return distance * distance < noise * noise + cell[10] * cell[10]
 
 
-@kernel('boolean[::1](float64[::1], float64[:, ::1], int64[::1], float64)')
-def agreeing_cells(shape, table, among, deviations):
+@kernel('boolean[::1](float64[::1], float64[:, ::1], int64[::1])')
+def agreeing_cells(shape, table, among):
     """Return which cells (n,) of a table agree with a shape (8,)."""
-    cosine, sine = np.cos(shape[7]), np.sin(shape[7])
-    result = np.empty(len(among), np.bool_)
+    turn, result = turn_of(shape), np.empty(len(among), np.bool_)
     for i in range(len(among)):
-        result[i] = agrees(shape, cosine, sine, table[among[i]], deviations)
+        result[i] = agrees(shape, turn, table[among[i]])
     return result
 
 
@@ -171,18 +168,52 @@ def is_sane(shape, seed, bounds):
             and along * np.tan(shape[7]) <= bounds[1])
 
 
-@kernel('int64(float64[:, ::1], int64[::1], float64[::1], float64[:, ::1], int64[::1], float64)')
-def best_hypothesis(shapes, seeds, bounds, table, among, deviations):
-    """Return the shape (H, 8) of a sane size with which most pixels agree, or -1."""
-    best, most = -1, -1.0
-    for h in range(len(shapes)):
-        if not is_sane(shapes[h], table[seeds[h]], bounds):
+@kernel('float64(float64[::1], float64[:, ::1], int64[::1], float64, float64)')
+def score_of(shape, table, among, most, total):
+    """Return how many pixels of some cells agree with a shape; 0 once it cannot exceed most."""
+    turn, score, left = turn_of(shape), 0.0, total
+    for i in among:
+        left -= table[i, 12]
+        if agrees(shape, turn, table[i]):
+            score += table[i, 12]
+        elif score + left <= most:
+            return 0.0
+    return score
+
+
+@kernel('Tuple((float64[::1], int64))(int64, int64[:, ::1], float64[::1], float64[:, ::1], '
+        'int64[::1])')
+def best_hypothesis(kind, samples, bounds, table, among):
+    """
+    Return the shape (8,) of a sane size with which most pixels agree, and its sample, or -1.
+
+    Parameters
+    ----------
+    kind : int
+        A :class:`ShapeType`.
+    samples : (H, 3) int64
+        Cells, -1 where there are fewer.
+    bounds : (4,) float64
+        Least and largest radius, least and largest half angle.
+    table : (R * C, 13) float64
+        Of :class:`Surfels`.
+    among : (n,) int64
+        The cells that are looked at.
+
+    """
+    points, normals = np.empty((3, 3)), np.empty((3, 3))
+    needed, best, found, most = 3 if kind == _CONE else 2, np.zeros(8), -1, 0.0
+    total = 0.0
+    for i in among:
+        total += table[i, 12]
+    for h in range(len(samples)):
+        if samples[h, needed - 1] < 0:
             continue
-        cosine, sine = np.cos(shapes[h, 7]), np.sin(shapes[h, 7])
-        total = 0.0
-        for i in among:
-            if agrees(shapes[h], cosine, sine, table[i], deviations):
-                total += table[i, 12]
-        if total > most:
-            best, most = h, total
-    return best
+        for i in range(needed):
+            points[i], normals[i] = table[samples[h, i], 0:3], table[samples[h, i], 3:6]
+        shape = shape_through(kind, points, normals)
+        if is_sane(shape, points[0], bounds):
+            score = score_of(shape, table, among, most, total)
+            if score > most:
+                best, found, most = shape, h, score
+    return best, found

@@ -37,18 +37,21 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
         Bounds their size and number.
 
     """
-    free, gone = planes.labels < 0, np.zeros(len(planes.planes), bool)
-    owner, kept = np.full(planes.labels.shape, -1, np.int32), []
+    gone, kept = np.zeros(len(planes.planes), bool), []
+    taken = np.zeros(planes.labels.shape, bool)
     joined = sorted(_joined(view, list(found)), key=lambda one: -one.members.sum())
     for one in joined[:config.max_shapes]:
-        window, mask = one.window, one.mask & (owner[one.window] < 0)
-        if mask.sum() >= max(config.min_share * free.size, 1):
-            owner[window][mask] = len(kept)
+        mask = one.mask & ~taken[one.window]
+        if mask.sum() >= max(config.min_share * taken.size, 1):
+            taken[one.window] |= mask
             gone |= one.absorbed
-            kept.append(_measured(view, one, window, mask))
+            kept.append(replace(one, mask=mask))
     labels, left = remove_planes(planes.labels, planes.planes, gone)
-    labels = np.where(owner >= 0, owner + len(left), labels).astype(np.int32)
-    return replace(planes, planes=left, labels=labels), tuple(kept)
+    labels = labels.copy()
+    for k, one in enumerate(kept):
+        labels[one.window][one.mask] = len(left) + k
+    return (replace(planes, planes=left, labels=labels),
+            tuple(_measured(view, one) for one in kept))
 
 
 def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
@@ -56,7 +59,7 @@ def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
     """Return labels (H, W) and planes without those that are gone (K,) bool."""
     if not gone.any():
         return labels, planes
-    number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1)
+    number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1).astype(labels.dtype)
     return number[labels], tuple(p for p, g in zip(planes, gone, strict=True) if not g)
 
 
@@ -84,16 +87,17 @@ def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape |
                                      one.absorbed | other.absorbed))
 
 
-def _measured(view: DepthView, found: FoundShape, window: tuple[slice, slice],
-              mask: np.ndarray) -> Shape:
-    """Return the result for a shape with its pixels (h, w) of a window."""
-    fit, pixels = found.fit, view.points_in(window, mask)
+def _measured(view: DepthView, found: FoundShape) -> Shape:
+    """Return the result for a shape with its pixels."""
+    fit, pixels = found.fit, view.points_in(found.window, found.mask)
     surface = surface_of(fit.shape, pixels.points_m)
-    low_m, high_m = (float(end) for end in np.quantile(surface.along_m, _LENGTH_QUANTILES))
+    along_m = np.sort(surface.along_m)
+    low_m, high_m = (float(along_m[round(share * (len(along_m) - 1))])
+                     for share in _LENGTH_QUANTILES)
     share = explained_share(fit, view.free_pixels(found.members)[0])
     shape = Shape(
         fit.model.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),
-        float(fit.shape[HALF_ANGLE]), 0.0, len(pixels.points_m),
+        float(fit.shape[HALF_ANGLE]), 0.0, int(found.mask.sum()),
         float(np.sqrt(np.mean(surface.distance_m**2))), fit.covariance,
         (1 - found.open_share) * share)
     if fit.model.type == ShapeType.CYLINDER:

@@ -20,12 +20,10 @@ R. Schnabel, R. Wahl, R. Klein: Efficient RANSAC for Point-Cloud Shape Detection
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.shapes.hypotheses import cones, cylinders, spheres
 from plane_detector.shapes.surface import surface_at
 from plane_detector.types import ShapeType
 
@@ -61,20 +59,14 @@ class ShapeModel:
     Attributes
     ----------
     type : ShapeType
-    sample_size : int
-        Oriented points that determine it.
     freedoms : tuple of int
         What is fitted, of the seven steps of
         :func:`plane_detector.shapes.surface.moved`.
-    from_samples : callable
-        Points and normals (H, sample_size, 3) to parameters (H, 8), NaN where degenerate.
 
     """
 
     type: ShapeType
-    sample_size: int
     freedoms: tuple[int, ...]
-    from_samples: Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def surface_of(shape: np.ndarray, points: np.ndarray) -> Surface:
@@ -82,20 +74,7 @@ def surface_of(shape: np.ndarray, points: np.ndarray) -> Surface:
     return Surface(*surface_at(shape, np.ascontiguousarray(points, float)))
 
 
-def frame_of(shape: np.ndarray) -> np.ndarray:
-    """Return an orthonormal frame (3, 3) whose last row is the axis of a shape (8,), if any."""
-    axis = x, y, z = shape[AXIS]
-    if not (x or y or z):
-        return np.eye(3)
-    side = np.hypot(x, y)
-    first = np.array([-y / side, x / side, 0.0]) if side > abs(z) / 2 else (
-        np.array([0.0, z, -y]) / np.hypot(y, z))
-    second = (y * first[2] - z * first[1], z * first[0] - x * first[2],
-              x * first[1] - y * first[0])
-    return np.array([first, second, axis])
-
-
-SPHERE = ShapeModel(ShapeType.SPHERE, 2, (0, 1, 2, 5), spheres)
-CYLINDER = ShapeModel(ShapeType.CYLINDER, 2, (0, 1, 3, 4, 5), cylinders)
-CONE = ShapeModel(ShapeType.CONE, 3, (0, 1, 2, 3, 4, 6), cones)
+SPHERE = ShapeModel(ShapeType.SPHERE, (0, 1, 2, 5))
+CYLINDER = ShapeModel(ShapeType.CYLINDER, (0, 1, 3, 4, 5))
+CONE = ShapeModel(ShapeType.CONE, (0, 1, 2, 3, 4, 6))
 MODELS = {model.type: model for model in (SPHERE, CYLINDER, CONE)}

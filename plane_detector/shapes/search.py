@@ -22,8 +22,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from plane_detector.config import ShapesConfig
 from plane_detector.shapes.hypotheses import (
@@ -33,7 +31,7 @@ from plane_detector.shapes.hypotheses import (
     draw_samples,
 )
 from plane_detector.shapes.models import ShapeModel
-from plane_detector.shapes.surfels import DEVIATIONS, Surfels
+from plane_detector.shapes.surfels import Surfels
 
 # after: Schnabel 2007 takes samples from the cells of an octree of random level.
 _WINDOWS_CELLS = (2, 4, 8)
@@ -56,15 +54,6 @@ class Candidate:
     shape: np.ndarray
     members: np.ndarray
     score: float
-
-
-def components_of(free: np.ndarray, links: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Return the component of each cell (R * C,), -1 for those that are not free."""
-    first, second = links
-    kept = free[first] & free[second]
-    graph = coo_matrix((np.ones(kept.sum(), bool), (first[kept], second[kept])),
-                       shape=(free.size, free.size))
-    return np.where(free, connected_components(graph, directed=False)[1], -1)
 
 
 def best_candidates(surfels: Surfels, among: np.ndarray, models: Sequence[ShapeModel],
@@ -94,19 +83,16 @@ def best_candidates(surfels: Surfels, among: np.ndarray, models: Sequence[ShapeM
 
 def _best_candidate(surfels: Surfels, among: np.ndarray, looked_at: np.ndarray, model: ShapeModel,
                     samples: np.ndarray, bounds: np.ndarray) -> Candidate | None:
-    samples = samples[samples[:, model.sample_size - 1] >= 0, :model.sample_size]
-    shapes = model.from_samples(surfels.points_m[samples], surfels.normals[samples])
-    seeds = samples[:, 0].copy()
-    best = best_hypothesis(shapes, seeds, bounds, surfels.table, looked_at, DEVIATIONS)
+    shape, best = best_hypothesis(int(model.type), samples, bounds, surfels.table, looked_at)
     if best < 0:
         return None
-    members = connected(surfels.shape, agreeing(surfels, shapes[best], among), seeds[best])
-    return Candidate(model, shapes[best], members, float(surfels.count[members].sum()))
+    members = connected(surfels.shape, agreeing(surfels, shape, among), samples[best, 0])
+    return Candidate(model, shape, members, float(surfels.count[members].sum()))
 
 
 def agreeing(surfels: Surfels, shape: np.ndarray, among: np.ndarray) -> np.ndarray:
     """Return those of some cells that agree with a shape (8,) in distance and in normal."""
-    return among[agreeing_cells(shape, surfels.table, among, DEVIATIONS)]
+    return among[agreeing_cells(shape, surfels.table, among)]
 
 
 def connected(shape: tuple[int, int], cells: np.ndarray, seed: int) -> np.ndarray:

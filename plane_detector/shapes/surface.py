@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops over points that lie about one shape: distances, derivatives, rays."""
+"""Compiled geometry of one shape (8,): distances, moves, rays."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 from plane_detector.compilation import kernel
 
 TINY = 1e-12
+# after: the usual three deviations of a normal distribution.
+DEVIATIONS = 3.0
 
 
 @kernel('UniTuple(float64, 5)(float64[::1], float64, float64, float64)')
@@ -22,62 +24,78 @@ def about_axis(shape, x, y, z):
     return along, away, x * scale, y * scale, z * scale
 
 
-@kernel('UniTuple(float64, 4)(float64[::1], float64, float64, float64, float64, float64)')
-def distance_normal(shape, cosine, sine, x, y, z):
-    """Return the distance of a point from a shape and its gradient."""
+@kernel('UniTuple(float64, 4)(float64[::1], UniTuple(float64, 2), float64, float64, float64)')
+def distance_normal(shape, turn, x, y, z):
+    """Return the distance of a point from a shape and its gradient; turn is cos, sin of it."""
     along, away, out_x, out_y, out_z = about_axis(shape, x, y, z)
+    cosine, sine = turn
     return (away * cosine - along * sine - shape[6], cosine * out_x - sine * shape[3],
             cosine * out_y - sine * shape[4], cosine * out_z - sine * shape[5])
+
+
+@kernel('UniTuple(float64, 2)(float64[::1])')
+def turn_of(shape):
+    """Return cosine and sine of the half angle of a shape (8,)."""
+    return np.cos(shape[7]), np.sin(shape[7])
 
 
 @kernel('Tuple((float64[::1], float64[:, ::1], float64[::1]))(float64[::1], float64[:, ::1])')
 def surface_at(shape, points):
     """Return distances (N,), normals (N, 3) and ways along the axis (N,) of points (N, 3)."""
-    cosine, sine = np.cos(shape[7]), np.sin(shape[7])
-    count = len(points)
+    turn, count = turn_of(shape), len(points)
     distance, normal, along = np.empty(count), np.empty((count, 3)), np.empty(count)
     for i in range(count):
         x, y, z = points[i]
         distance[i], normal[i, 0], normal[i, 1], normal[i, 2] = distance_normal(
-            shape, cosine, sine, x, y, z)
+            shape, turn, x, y, z)
         along[i] = about_axis(shape, x, y, z)[0]
     return distance, normal, along
 
 
-@kernel('UniTuple(float64, 2)(float64[::1], float64, float64, float64, float64, float64, '
-        'float64, float64)')
-def distance_deviation(shape, cosine, sine, ray_x, ray_y, z, sigma, pixel):
+@kernel('UniTuple(float64, 2)(float64[::1], UniTuple(float64, 2), UniTuple(float64, 3), '
+        'UniTuple(float64, 2))')
+def distance_deviation(shape, turn, point, noise):
     """
     Return the distance of a point from a shape and its standard deviation.
+
+    A point moves along its ray; towards the silhouette that changes its distance less and less,
+    and the side of the pixel is what remains.
 
     Parameters
     ----------
     shape : (8,) float64
-    cosine, sine : float
-        Of its half angle.
-    ray_x, ray_y, z : float
-        The point is z (ray_x, ray_y, 1).
-    sigma, pixel : float
+    turn : (float, float)
+        Cosine and sine of its half angle.
+    point : (float, float, float)
+    noise : (float, float)
         Deviation of z and side of the pixel at z.
 
     """
-    distance, n_x, n_y, n_z = distance_normal(shape, cosine, sine, ray_x * z, ray_y * z, z)
-    facing = abs(n_x * ray_x + n_y * ray_y + n_z)
+    x, y, z = point
+    distance, n_x, n_y, n_z = distance_normal(shape, turn, x, y, z)
+    facing = abs(n_x * x + n_y * y + n_z * z) / z
     # A pixel of width w, seen at an angle, spans w * tan(angle) of depth.
-    spread2 = pixel * pixel * (1 - min(facing, 1.0) ** 2) / 12
-    return distance, np.sqrt((facing * sigma) ** 2 + spread2)
+    spread2 = noise[1] * noise[1] * (1 - min(facing, 1.0) ** 2) / 12
+    return distance, np.sqrt((facing * noise[0]) ** 2 + spread2)
 
 
-@kernel('UniTuple(float64[::1], 2)(float64[::1], float64[:, ::1], float64[:, ::1], float64[::1], '
-        'float64[::1])')
-def distances_deviations(shape, points, rays, sigma, pixel):
-    """Return the distances (N,) of points (N, 3) on rays (N, 3) and their deviations (N,)."""
-    cosine, sine = np.cos(shape[7]), np.sin(shape[7])
-    distance, deviation = np.empty(len(points)), np.empty(len(points))
-    for i in range(len(points)):
-        distance[i], deviation[i] = distance_deviation(
-            shape, cosine, sine, rays[i, 0], rays[i, 1], points[i, 2], sigma[i], pixel[i])
-    return distance, deviation
+@kernel('float64[:, ::1](float64[::1])')
+def frame_of(shape):
+    """Return an orthonormal frame (3, 3) whose last row is the axis of a shape (8,), if any."""
+    x, y, z = shape[3], shape[4], shape[5]
+    frame = np.eye(3)
+    if x == 0 and y == 0 and z == 0:
+        return frame
+    side = np.hypot(x, y)
+    if side > abs(z) / 2:
+        frame[0] = np.array([-y / side, x / side, 0.0])
+    else:
+        side = np.hypot(y, z)
+        frame[0] = np.array([0.0, z / side, -y / side])
+    frame[1] = np.array([y * frame[0, 2] - z * frame[0, 1], z * frame[0, 0] - x * frame[0, 2],
+                         x * frame[0, 1] - y * frame[0, 0]])
+    frame[2] = shape[3:6]
+    return frame
 
 
 @kernel('float64[::1](float64[::1], float64[::1], float64[:, ::1])')
@@ -92,7 +110,7 @@ def moved(shape, steps, frame):
         Three of the position along the rows of the frame, two of the axis along the first two
         rows, the radius and the half angle.
     frame : (3, 3) float64
-        Of :func:`plane_detector.shapes.models.frame_of`.
+        Of :func:`frame_of`.
 
     """
     result = shape.copy()
@@ -106,62 +124,6 @@ def moved(shape, steps, frame):
     if length > TINY:
         result[3:6] /= length
     return result
-
-
-@kernel('float64[::1](float64[::1], float64[:, ::1], float64[::1])')
-def weighted_distances(shape, points, weight):
-    """Return the distances (N,) of points (N, 3) from a shape (8,), times a weight (N,)."""
-    cosine, sine = np.cos(shape[7]), np.sin(shape[7])
-    result = np.empty(len(points))
-    for i in range(len(points)):
-        along, away, _, _, _ = about_axis(shape, points[i, 0], points[i, 1], points[i, 2])
-        result[i] = (away * cosine - along * sine - shape[6]) * weight[i]
-    return result
-
-
-@kernel('float64[:, ::1](float64[::1], float64[:, ::1], float64[::1], float64[:, ::1])')
-def weighted_jacobian(shape, points, weight, frame):
-    """Return the derivatives (7, N) of weighted distances with respect to :func:`moved`."""
-    cosine, sine = np.cos(shape[7]), np.sin(shape[7])
-    result = np.empty((7, len(points)))
-    for i in range(len(points)):
-        along, away, x, y, z = about_axis(shape, points[i, 0], points[i, 1], points[i, 2])
-        w = weight[i]
-        n_x, n_y = cosine * x - sine * shape[3], cosine * y - sine * shape[4]
-        n_z = cosine * z - sine * shape[5]
-        # Turning the axis changes both the way along it and the distance from it.
-        lever = -(along * cosine + away * sine) * w
-        for k in range(3):
-            result[k, i] = -(n_x * frame[k, 0] + n_y * frame[k, 1] + n_z * frame[k, 2]) * w
-        for k in range(2):
-            result[3 + k, i] = lever * (x * frame[k, 0] + y * frame[k, 1] + z * frame[k, 2])
-        result[5, i] = -w
-        result[6, i] = -(away * sine + along * cosine) * w
-    return result
-
-
-@kernel('float64[::1](float64[::1], int64[::1], float64[::1], float64[:, ::1])')
-def stepped(values, freedoms, start, frame):
-    """Return a shape (8,) moved by the steps (F,) that have these numbers (F,)."""
-    steps = np.zeros(7)
-    for k in range(len(freedoms)):
-        steps[freedoms[k]] = values[k]
-    return moved(start, steps, frame)
-
-
-@kernel('float64[::1](float64[::1], int64[::1], float64[::1], float64[:, ::1], float64[:, ::1], '
-        'float64[::1])')
-def stepped_distances(values, freedoms, start, frame, points, weight):
-    """Return the weighted distances (N,) of points (N, 3) from a shape after :func:`stepped`."""
-    return weighted_distances(stepped(values, freedoms, start, frame), points, weight)
-
-
-@kernel('float64[:, ::1](float64[::1], int64[::1], float64[::1], float64[:, ::1], '
-        'float64[:, ::1], float64[::1])')
-def stepped_jacobian(values, freedoms, start, frame, points, weight):
-    """Return their derivatives (F, N) with respect to the steps (F,)."""
-    whole = weighted_jacobian(stepped(values, freedoms, start, frame), points, weight, frame)
-    return whole[freedoms]
 
 
 @kernel('float64(float64[::1], float64, float64, float64, float64)')
@@ -190,12 +152,3 @@ def depth_on_ray(shape, ray_x, ray_y, low, high):
         if z_m > 0 and way >= low and way <= high and z_m < nearest:
             nearest = z_m
     return nearest
-
-
-@kernel('float64[::1](float64[::1], float64[:, ::1], float64, float64)')
-def depth_on_rays_m(shape, rays, low, high):
-    """Return the depths (N,) of :func:`depth_on_ray` on rays (N, 3)."""
-    result = np.empty(len(rays))
-    for i in range(len(rays)):
-        result[i] = depth_on_ray(shape, rays[i, 0], rays[i, 1], low, high)
-    return result

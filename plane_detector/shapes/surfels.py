@@ -9,19 +9,22 @@ from functools import cached_property
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, N
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.types import CameraIntrinsics
 
 # derived: the planes of two cells that meet at less than 90 degrees deviate at each other's centre
 # by less than half the distance of the centres; a larger gap in depth is a step.
 _MAX_GAP_SHARE = 0.5
-# after: the usual three deviations of a normal distribution.
-DEVIATIONS = 3.0
 # after: Schnabel 2007 uses 10 to 20 degrees between the normal of a point and of the shape.
 _NORMAL_TOLERANCE_RAD = np.radians(15.0)
 # derived: the mean of a cell on a ball as wide as four cells lies 1/8 of the cell's side below it.
 _CELL_TOLERANCE = 0.125
+# Columns of Surfels.table: point (3), normal (3), ray (3), deviation of the depth, what a curved
+# cell may lie off, least cosine between normals, pixels.
+POINT, NORMAL, SIGMA, CURVED, MIN_COSINE, COUNT = np.s_[:, 0:3], np.s_[:, 3:6], 9, 10, 11, 12
 
 
 @dataclass(frozen=True)
@@ -33,49 +36,31 @@ class Surfels:
     ----------
     shape : (int, int)
         Rows and columns of cells, R x C.
-    points_m, normals : (R * C, 3) float64
-        In the optical frame; normals look at the camera.
-    rays : (R * C, 3) float64
-        The rays through the points, of depth 1.
-    count : (R * C,) float64
-        Valid pixels of each cell.
-    width_m : (R * C,) float64
-        Side of the cell at the depth of the point.
-    depth_sigma_m : (R * C,) float64
-        Standard deviation of the depth of the point.
-    normal_sigma_rad : (R * C,) float64
-        Standard deviation of the normal.
+    table : (R * C, 13) float64
+        See the column names of this module. Points are in the optical frame, in metres, with rays
+        of depth 1; normals look at the camera.
     usable : (R * C,) bool
 
     """
 
     shape: tuple[int, int]
-    points_m: np.ndarray
-    normals: np.ndarray
-    rays: np.ndarray
-    count: np.ndarray
-    width_m: np.ndarray
-    depth_sigma_m: np.ndarray
-    normal_sigma_rad: np.ndarray
+    table: np.ndarray
     usable: np.ndarray
 
-    @cached_property
-    def table(self) -> np.ndarray:
-        """
-        What :func:`plane_detector.shapes.hypotheses.agrees` asks of the cells, (R * C, 13).
+    @property
+    def points_m(self) -> np.ndarray:
+        """The points, (R * C, 3) float64."""
+        return self.table[POINT]
 
-        Point (3), normal (3), ray (3), deviation of the depth, what a curved cell may lie off,
-        least cosine between the normals, pixels.
-        """
-        turn_rad = np.minimum(_NORMAL_TOLERANCE_RAD + DEVIATIONS * self.normal_sigma_rad, 1.0)
-        return np.ascontiguousarray(np.column_stack([
-            self.points_m, self.normals, self.rays, self.depth_sigma_m,
-            _CELL_TOLERANCE * self.width_m, np.cos(turn_rad), self.count]))
+    @property
+    def count(self) -> np.ndarray:
+        """The pixels with a depth, (R * C,) float64."""
+        return self.table[:, COUNT]
 
     @cached_property
     def median_disparity(self) -> float:
         """1/depth of the middle cell; 0 where there is none."""
-        z_m = self.points_m[self.usable, 2]
+        z_m = self.table[self.usable, 2]
         return 1 / float(np.median(z_m)) if z_m.size else 0.0
 
 
@@ -97,43 +82,96 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
         Of the cells of this grid.
 
     """
-    x, y, disparity = grid.mean.T
-    usable = grid.usable & (disparity > 0)
-    z_m = 1 / np.where(usable, disparity, np.nan)
-    middle = (intrinsics.width - 1) / 2, (intrinsics.height - 1) / 2
-    rays = np.column_stack([
-        (x * grid.width_px + middle[0] - intrinsics.cx) / intrinsics.fx,
-        (y * grid.width_px + middle[1] - intrinsics.cy) / intrinsics.fy, np.ones_like(x)])
-    # 1/z = a r_x + b r_y + c is the plane (a, b, c) . p = 1.
-    focal = np.array([intrinsics.fx, intrinsics.fy]) / grid.width_px
-    a, b = (grid.slope * focal).T
-    plane = np.column_stack([a, b, disparity - a * rays[:, 0] - b * rays[:, 1]])
-    length = np.linalg.norm(plane, axis=1).clip(1e-12)
-    width_m = grid.size_px / intrinsics.fx * z_m
-    grain_m = depth_sigma_m(z_m, noise.pixel_sigma, noise.depth_floor_m)
-    # A step within a cell bends it by more than any curved surface that the cell can show.
-    usable &= grid.inner_rms * z_m**2 < np.hypot(DEVIATIONS * grain_m, _MAX_GAP_SHARE * width_m)
-    return Surfels(
-        grid.shape, rays * z_m[:, None], -plane / length[:, None], rays, grid.moments[:, N],
-        width_m, depth_sigma_m(z_m, noise.mean_sigma, noise.depth_floor_m),
-        noise.slope_sigma * focal.mean() / length, usable)
+    camera = np.array([
+        intrinsics.fx, intrinsics.fy, intrinsics.cx - (intrinsics.width - 1) / 2,
+        intrinsics.cy - (intrinsics.height - 1) / 2, grid.width_px, grid.size_px])
+    sigmas = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
+                       noise.depth_floor_m])
+    cells = np.column_stack([grid.mean, grid.slope, grid.inner_rms, grid.moments[:, N]])
+    table, usable = surfel_table(cells, grid.usable, camera, sigmas)
+    return Surfels(grid.shape, table, usable)
 
 
-def smooth_links(surfels: Surfels) -> tuple[np.ndarray, np.ndarray]:
+@kernel('Tuple((float64[:, ::1], boolean[::1]))(float64[:, ::1], boolean[::1], float64[::1], '
+        'float64[::1])')
+def surfel_table(cells, usable, camera, sigmas):
     """
-    Return the pairs of adjacent cells (L,), (L,) between which the surface goes on without a step.
+    Return the table (n, 13) of cells (n, 7), and which of them are usable.
+
+    Parameters
+    ----------
+    cells : (n, 7) float64
+        Mean x, y and 1/depth, their slopes, rms about the cell's plane, pixels.
+    usable : (n,) bool
+    camera : (6,) float64
+        fx, fy, cx and cy from the middle of the image, unit of x and y, side of a cell; pixels.
+    sigmas : (4,) float64
+        Noise of means, slopes and pixels, in 1/m, and the floor of the depth in metres.
+
+    """
+    table, good = np.full((len(cells), 13), np.nan), np.zeros(len(cells), np.bool_)
+    focal = (camera[0] + camera[1]) / 2
+    for i in range(len(cells)):
+        disparity, row = cells[i, 2], table[i]
+        row[12] = cells[i, 6]
+        if not (usable[i] and disparity > 0):
+            continue
+        z = 1 / disparity
+        # 1/z = a r_x + b r_y + c is the plane (a, b, c) . p = 1.
+        row[6] = (cells[i, 0] * camera[4] - camera[2]) / camera[0]
+        row[7] = (cells[i, 1] * camera[4] - camera[3]) / camera[1]
+        row[8] = 1.0
+        a, b = cells[i, 3] * camera[0] / camera[4], cells[i, 4] * camera[1] / camera[4]
+        c = disparity - a * row[6] - b * row[7]
+        length = np.sqrt(a * a + b * b + c * c)
+        row[3], row[4], row[5] = -a / length, -b / length, -c / length
+        row[0], row[1], row[2] = row[6] * z, row[7] * z, z
+        width = camera[5] / camera[0] * z
+        row[9] = np.hypot(sigmas[0] * z * z, sigmas[3])
+        row[10] = _CELL_TOLERANCE * width
+        turn = _NORMAL_TOLERANCE_RAD + DEVIATIONS * sigmas[1] * focal / camera[4] / length
+        row[11] = np.cos(min(turn, 1.0))
+        # A step within a cell bends it by more than any curved surface that the cell can show.
+        grain = np.hypot(sigmas[2] * z * z, sigmas[3])
+        good[i] = cells[i, 5] * z * z < np.hypot(DEVIATIONS * grain, _MAX_GAP_SHARE * width)
+    return table, good
+
+
+@kernel('boolean(float64[::1], float64[::1])')
+def goes_on(one, other):
+    """
+    Say whether the surface goes on without a step between adjacent cells, rows of the table.
 
     The gap between two cells is how far each centre lies off the plane of the other.
     """
-    index = np.arange(surfels.usable.size).reshape(surfels.shape)
-    first = np.concatenate([index[:, :-1].ravel(), index[:-1].ravel()])
-    second = np.concatenate([index[:, 1:].ravel(), index[1:].ravel()])
-    both = surfels.usable[first] & surfels.usable[second]
-    first, second = first[both], second[both]
-    apart = surfels.points_m[second] - surfels.points_m[first]
-    gap_m = np.maximum(np.abs((apart * surfels.normals[first]).sum(axis=1)),
-                       np.abs((apart * surfels.normals[second]).sum(axis=1)))
-    distance_m = np.linalg.norm(apart, axis=1)
-    allowed_m = np.hypot(DEVIATIONS * surfels.depth_sigma_m[first], _MAX_GAP_SHARE * distance_m)
-    joined = gap_m < allowed_m
-    return first[joined], second[joined]
+    square = first = second = 0.0
+    for k in range(3):
+        apart = other[k] - one[k]
+        square += apart * apart
+        first += apart * one[3 + k]
+        second += apart * other[3 + k]
+    allowed = (DEVIATIONS * one[9]) ** 2 + _MAX_GAP_SHARE**2 * square
+    return max(first * first, second * second) < allowed
+
+
+@kernel('int64[::1](float64[:, ::1], boolean[::1], int64)')
+def smooth_components(table, free, columns):
+    """Return the component (n,) of the free cells that go on smoothly, -1 for the others."""
+    component, stack = np.full(len(free), -1), np.empty(len(free), np.int64)
+    count = 0
+    for start in range(len(free)):
+        if not free[start] or component[start] >= 0:
+            continue
+        component[start], stack[0], top = count, start, 1
+        while top:
+            top -= 1
+            here = stack[top]
+            column = here % columns
+            for there in (here - columns, here + columns, here - 1 if column else -1,
+                          here + 1 if column < columns - 1 else -1):
+                if (0 <= there < len(free) and free[there] and component[there] < 0
+                        and goes_on(table[min(here, there)], table[max(here, there)])):
+                    component[there], stack[top] = count, there
+                    top += 1
+        count += 1
+    return component

@@ -10,12 +10,14 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.shapes.refinement import MOST_PIXELS, FittedShape, Pixels
+from plane_detector.shapes.refinement import FittedShape, Pixels
 from plane_detector.shapes.surfels import Surfels
 from plane_detector.shapes.windows import free_pixels, label_counts, plane_pixels, points_of
 from plane_detector.types import CameraIntrinsics, Plane
 
 Window = tuple[slice, slice]
+# Bounds of the time of a fit, and of the measurement of a shape.
+FITTED_PIXELS, MEASURED_PIXELS = 500, 2000
 # derived: smooth noise is about the same in a cell and its eight neighbours.
 CORRELATED_CELLS = 9.0
 
@@ -67,8 +69,6 @@ class DepthView:
     size_px : int
         Side of a cell.
     surfels : Surfels
-    links : ((L,) int, (L,) int)
-        Adjacent cells between which the surface goes on.
 
     """
 
@@ -81,14 +81,14 @@ class DepthView:
     shape: tuple[int, int]
     size_px: int
     surfels: Surfels
-    links: tuple[np.ndarray, np.ndarray]
 
     @cached_property
     def camera(self) -> np.ndarray:
-        """What the compiled loops know of rays and noise, (6,) float64."""
+        """What :mod:`plane_detector.shapes.windows` knows of rays and noise, (7,) float64."""
         camera, noise = self.intrinsics, self.noise
         return np.array([camera.fx, camera.fy, camera.cx, camera.cy,
-                         (noise.mean_sigma**2 + noise.pixel_sigma**2) ** 0.5, noise.depth_floor_m])
+                         (noise.mean_sigma**2 + noise.pixel_sigma**2) ** 0.5, noise.depth_floor_m,
+                         self.size_px])
 
     @cached_property
     def correlated(self) -> float:
@@ -109,10 +109,14 @@ class DepthView:
         return label_counts(self.depth_m, self.labels, cells.reshape(self.shape), self.size_px,
                             len(self.planes))
 
+    def image(self, open_planes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the image as compiled loops know it, with the planes (K,) that may be taken."""
+        return self.depth_m, self.labels, self.may_take(open_planes)
+
     def free_pixels(self, cells: np.ndarray, open_planes: np.ndarray | None = None,
                     ) -> tuple[Pixels, np.ndarray]:
         """
-        Return pixels of some cells, at most MOST_PIXELS, which stand for all, and their labels.
+        Return pixels of some cells, at most FITTED_PIXELS, which stand for all, and their labels.
 
         Parameters
         ----------
@@ -121,24 +125,27 @@ class DepthView:
             They have a depth and no plane but one of these; the open ones of the view by default.
 
         """
-        may_take = self.may_take(self.is_open if open_planes is None else open_planes)
-        count = self.label_counts(cells)[may_take].sum()
-        step = -(-count // MOST_PIXELS) or 1
-        where = free_pixels(self.depth_m, self.labels, may_take, cells.reshape(self.shape),
-                            self.size_px, step)
-        return self._pixels(where, count), self.labels.ravel()[where]
+        where = np.flatnonzero(cells)
+        step = -(-len(where) * self.size_px**2 // FITTED_PIXELS) or 1
+        # Without a common divisor all rows and columns of the cells are looked at.
+        while np.gcd(step, self.size_px) > 1:
+            step += 1
+        image = self.image(self.is_open if open_planes is None else open_planes)
+        found = free_pixels(image, where, self.shape[1], self.size_px, step)
+        return self._pixels(found, step), self.labels.ravel()[found]
 
     def plane_pixels(self, k: int, most: int) -> Pixels:
         """Return the pixels of a plane, thinned to about so many."""
         step = max(1, int(np.sqrt(self.planes[k].inlier_count / most)))
-        where = plane_pixels(self.depth_m, self.labels, k, step)
-        return self._pixels(where, len(where))
+        return self._pixels(plane_pixels(self.depth_m, self.labels, k, step), step * step)
 
     def points_in(self, window: Window, mask: np.ndarray) -> Pixels:
-        """Return the points of the pixels (h, w) bool of a window."""
-        v, u = np.nonzero(mask)
+        """Return the points of pixels (h, w) bool of a window, at most MEASURED_PIXELS."""
+        inside = np.flatnonzero(mask)
+        step = -(-len(inside) // MEASURED_PIXELS) or 1
+        v, u = np.divmod(inside[::step], mask.shape[1])
         where = (v + window[0].start) * self.labels.shape[1] + u + window[1].start
-        return self._pixels(where, len(where))
+        return self._pixels(where, step)
 
     def is_free(self, window: Window, open_planes: np.ndarray) -> np.ndarray:
         """Say which pixels (h, w) have a depth and no plane but one of the open (K,) bool."""
@@ -149,5 +156,7 @@ class DepthView:
         """Return the open planes (K + 1,) with an entry more, which serves the label -1."""
         return np.append(open_planes, True)
 
-    def _pixels(self, where: np.ndarray, stand_for: int) -> Pixels:
-        return Pixels(*points_of(self.depth_m, where, self.camera), stand_for / self.correlated)
+    def _pixels(self, where: np.ndarray, step: int) -> Pixels:
+        """Return the pixels v * W + u (N,), each of which stands for as many as the step."""
+        return Pixels(*points_of(self.depth_m, where, self.camera),
+                      len(where) * step / self.correlated)

@@ -1,18 +1,34 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops over the pixels of cells."""
+"""
+Compiled loops over the pixels of cells.
+
+Of an image they know the depth (H, W), the plane of each pixel (H, W), -1 none, and which planes
+may be taken (K + 1,), the last entry for -1. The camera is seven numbers: fx, fy, cx, cy, the
+deviation of 1/depth, the least deviation of the depth, and the side of a cell in pixels.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.shapes.surface import depth_on_ray, distance_deviation
+from plane_detector.shapes.surface import DEVIATIONS, depth_on_ray, distance_deviation, turn_of
+
+# Rays are looked at in steps of this many pixels, to save time.
+THROUGH_STEP_PX = 3
 
 
-@kernel('float64[::1](float64[:, ::1], int32[:, ::1], boolean[::1], int64, int64, int64)')
-def free_shares(depth, labels, may_take, size, rows, columns):
-    """Return the share (rows * columns,) of each cell's pixels that have a depth and are free."""
+@kernel('UniTuple(float64, 2)(float64, float64[::1])')
+def noise_at(z, camera):
+    """Return the deviation of the depth of a pixel, and its side there."""
+    return np.sqrt((camera[4] * z * z) ** 2 + camera[5] ** 2), z / camera[0]
+
+
+@kernel('float64[::1](Tuple((float64[:, ::1], int32[:, ::1], boolean[::1])), int64, int64, int64)')
+def free_shares(image, size, rows, columns):
+    """Return the share (rows * columns,) of each cell's pixels that are free."""
+    depth, labels, may_take = image
     share = np.zeros(rows * columns)
     for v in range(min(depth.shape[0], rows * size)):
         for u in range(min(depth.shape[1], columns * size)):
@@ -35,21 +51,22 @@ def label_counts(depth, labels, cells, size, count):
     return result
 
 
-@kernel('int64[::1](float64[:, ::1], int32[:, ::1], boolean[::1], boolean[:, ::1], int64, int64)')
-def free_pixels(depth, labels, may_take, cells, size, step):
-    """Return every step-th free pixel of cells (R, C) with a depth, as v * width + u, in rows."""
+@kernel('int64[::1](Tuple((float64[:, ::1], int32[:, ::1], boolean[::1])), int64[::1], int64, '
+        'int64, int64)')
+def free_pixels(image, cells, columns, size, step):
+    """Return the free ones among every step-th pixel of cells (n,), as v * width + u."""
+    depth, labels, may_take = image
     height, width = depth.shape
-    found = np.empty(cells.sum() * size * size // step + 1, np.int64)
-    seen = count = 0
-    for v in range(min(height, cells.shape[0] * size)):
-        for column in range(cells.shape[1]):
-            if cells[v // size, column]:
-                for u in range(column * size, min((column + 1) * size, width)):
-                    if np.isfinite(depth[v, u]) and may_take[labels[v, u]]:
-                        if seen % step == 0:
-                            found[count] = v * width + u
-                            count += 1
-                        seen += 1
+    area = size * size
+    found = np.empty(len(cells) * area // step + 1, np.int64)
+    count = 0
+    for k in range(0, len(cells) * area, step):
+        cell, place = cells[k // area], k % area
+        v, u = cell // columns * size + place // size, cell % columns * size + place % size
+        if (v < height and u < width and np.isfinite(depth[v, u])
+                and may_take[labels[v, u]]):
+            found[count] = v * width + u
+            count += 1
     return found[:count].copy()
 
 
@@ -67,69 +84,55 @@ def plane_pixels(depth, labels, k, step):
     return found[:count].copy()
 
 
-@kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[::1], float64[::1]))'
-        '(float64[:, ::1], int64[::1], float64[::1])')
+@kernel('UniTuple(float64[:, ::1], 2)(float64[:, ::1], int64[::1], float64[::1])')
 def points_of(depth, where, camera):
-    """
-    Return points (N, 3), rays (N, 3), deviations (N,) and sides (N,) of pixels.
-
-    Parameters
-    ----------
-    depth : (H, W) float64
-    where : (N,) int64
-        v * W + u.
-    camera : (6,) float64
-        fx, fy, cx, cy, deviation of 1/depth, least deviation of the depth.
-
-    """
+    """Return points (N, 3) of pixels v * width + u (N,), and :func:`noise_at` them (N, 2)."""
     count, width = len(where), depth.shape[1]
-    points, rays = np.empty((count, 3)), np.empty((count, 3))
-    sigma, side = np.empty(count), np.empty(count)
+    points, noise = np.empty((count, 3)), np.empty((count, 2))
     for i in range(count):
         v, u = where[i] // width, where[i] % width
         z = depth[v, u]
-        rays[i, 0] = (u - camera[2]) / camera[0]
-        rays[i, 1] = (v - camera[3]) / camera[1]
-        rays[i, 2] = 1.0
-        points[i] = rays[i] * z
-        sigma[i] = np.sqrt((camera[4] * z * z) ** 2 + camera[5] ** 2)
-        side[i] = z / camera[0]
-    return points, rays, sigma, side
+        points[i, 0] = (u - camera[2]) / camera[0] * z
+        points[i, 1] = (v - camera[3]) / camera[1] * z
+        points[i, 2] = z
+        noise[i, 0], noise[i, 1] = noise_at(z, camera)
+    return points, noise
 
 
-@kernel('uint8[:, ::1](float64[:, ::1], int32[:, ::1], boolean[::1], boolean[:, ::1], int64, '
-        'UniTuple(int64, 4), float64[::1], float64[::1], float64)')
-def pixels_on(depth, labels, may_take, cells, size, window, shape, camera, deviations):
+@kernel('uint8[:, ::1](Tuple((float64[:, ::1], int32[:, ::1], boolean[::1])), boolean[:, ::1], '
+        'UniTuple(int64, 4), float64[::1], float64[::1])')
+def pixels_on(image, cells, window, shape, camera):
     """Return which free pixels of cells (R, C) lie on a shape, (h, w) of v0, v1, u0, u1."""
+    depth, labels, may_take = image
     v0, v1, u0, u1 = window
-    cosine, sine = np.cos(shape[7]), np.sin(shape[7])
+    size, turn = int(camera[6]), turn_of(shape)
     result = np.zeros((v1 - v0, u1 - u0), np.uint8)
     for v in range(v0, v1):
         ray_y = (v - camera[3]) / camera[1]
         for u in range(u0, u1):
-            if not (cells[v // size, u // size] and may_take[labels[v, u]]
-                    and np.isfinite(depth[v, u])):
-                continue
             z = depth[v, u]
-            sigma = np.sqrt((camera[4] * z * z) ** 2 + camera[5] ** 2)
-            distance, deviation = distance_deviation(
-                shape, cosine, sine, (u - camera[2]) / camera[0], ray_y, z, sigma, z / camera[0])
-            result[v - v0, u - u0] = abs(distance) < deviations * deviation
+            if np.isfinite(z) and cells[v // size, u // size] and may_take[labels[v, u]]:
+                point = (u - camera[2]) / camera[0] * z, ray_y * z, z
+                distance, deviation = distance_deviation(shape, turn, point, noise_at(z, camera))
+                result[v - v0, u - u0] = abs(distance) < DEVIATIONS * deviation
     return result
 
 
-@kernel('int64(float64[:, ::1], boolean[:, ::1], int64, int64, float64[::1], '
-        'UniTuple(float64, 2), float64[::1], float64)')
-def rays_through(depth, cells, size, step, shape, ends, camera, deviations):
+@kernel('int64(float64[:, ::1], boolean[:, ::1], float64[::1], UniTuple(float64, 2), '
+        'float64[::1])')
+def rays_through(depth, cells, shape, ends, camera):
     """Return how many rays of cells (R, C) go through a shape between its ends."""
-    through = 0
-    for v in range(0, min(depth.shape[0], cells.shape[0] * size), step):
+    through, size = 0, int(camera[6])
+    for v in range(0, min(depth.shape[0], cells.shape[0] * size), THROUGH_STEP_PX):
         ray_y = (v - camera[3]) / camera[1]
-        for u in range(0, min(depth.shape[1], cells.shape[1] * size), step):
-            z = depth[v, u]
-            if not cells[v // size, u // size] or not np.isfinite(z):
+        for column in range(cells.shape[1]):
+            if not cells[v // size, column]:
                 continue
-            sigma = np.sqrt((camera[4] * z * z) ** 2 + camera[5] ** 2)
-            met = depth_on_ray(shape, (u - camera[2]) / camera[0], ray_y, ends[0], ends[1])
-            through += z - met > deviations * sigma
+            # The first pixel of the cell that is a whole number of steps from the border.
+            first = -(-column * size // THROUGH_STEP_PX) * THROUGH_STEP_PX
+            for u in range(first, min((column + 1) * size, depth.shape[1]), THROUGH_STEP_PX):
+                z = depth[v, u]
+                if np.isfinite(z):
+                    met = depth_on_ray(shape, (u - camera[2]) / camera[0], ray_y, *ends)
+                    through += z - met > DEVIATIONS * noise_at(z, camera)[0]
     return through

@@ -6,15 +6,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import optimize
 
-from plane_detector.shapes.models import (
-    CONE,
-    CYLINDER,
-    SPHERE,
-    frame_of,
-    surface_of,
+from plane_detector.shapes.fitting import (
+    fitted,
+    gradient,
+    least_squares,
+    off_best_plane,
+    solved,
 )
-from plane_detector.shapes.surface import depth_on_rays_m, moved, weighted_jacobian
+from plane_detector.shapes.hypotheses import shape_through
+from plane_detector.shapes.models import CONE, CYLINDER, SPHERE, surface_of
+from plane_detector.shapes.surface import depth_on_ray, frame_of, moved, turn_of
 
 UP = np.array([0.0, 0.0, 1.0])
 SHAPES = {
@@ -36,10 +39,9 @@ def surface_points(model, shape, count, rng):
 @pytest.mark.parametrize('name', SHAPES)
 def test_a_shape_is_found_again_from_its_points_and_normals(name):
     model, shape = SHAPES[name]
-    points, normals = surface_points(model, shape, 30 * model.sample_size,
-                                     np.random.default_rng(0))
-    found = model.from_samples(points.reshape(-1, model.sample_size, 3),
-                               normals.reshape(-1, model.sample_size, 3))
+    points, normals = surface_points(model, shape, 90, np.random.default_rng(0))
+    found = np.array([shape_through(int(model.type), *sample) for sample in zip(
+        points.reshape(-1, 3, 3), normals.reshape(-1, 3, 3), strict=True)])
     distance_m = np.array([surface_of(one, points).distance_m for one in found])
     assert np.median(np.abs(distance_m)) < 1e-9
     np.testing.assert_allclose(np.median(found[:, 6:], axis=0), shape[6:], atol=1e-9)
@@ -65,8 +67,11 @@ def test_jacobian_is_that_of_small_steps(name):
         (surface_of(moved(shape, step, frame), points).distance_m
          - surface_of(moved(shape, -step, frame), points).distance_m) / 2e-6
         for step in 1e-6 * np.eye(7)[freedoms]])
-    found = weighted_jacobian(shape, points, np.ones(len(points)), frame)
-    np.testing.assert_allclose(found[freedoms], expected, atol=1e-6)
+    found = np.empty((20, 7))
+    distance_m = [gradient(shape, turn_of(shape), frame, point, row)
+                  for point, row in zip(points, found, strict=True)]
+    np.testing.assert_allclose(distance_m, surface_of(shape, points).distance_m, atol=1e-12)
+    np.testing.assert_allclose(found.T[freedoms], expected, atol=1e-6)
 
 
 @pytest.mark.parametrize('name', SHAPES)
@@ -74,7 +79,8 @@ def test_rays_meet_the_surface_at_their_depth(name):
     model, shape = SHAPES[name]
     slopes = np.random.default_rng(2).uniform(-0.3, 0.3, (200, 2))
     rays = np.column_stack([slopes, np.ones(len(slopes))])
-    depth_m = depth_on_rays_m(shape, rays, 0.0 if name == 'cone' else -np.inf, np.inf)
+    low_m = 0.0 if name == 'cone' else -np.inf
+    depth_m = np.array([depth_on_ray(shape, *slope, low_m, np.inf) for slope in slopes])
     hit = np.isfinite(depth_m)
     assert 5 < hit.sum() <= 200
     surface = surface_of(shape, rays[hit] * depth_m[hit, None])
@@ -84,13 +90,78 @@ def test_rays_meet_the_surface_at_their_depth(name):
 
 
 def test_parallel_normals_give_no_shape():
-    points = np.array([[[0, 0, 1.0], [1, 0, 1.0]]])
-    normals = np.array([[-UP, -UP]])
-    assert np.isnan(SPHERE.from_samples(points, normals)).any()
-    assert np.isnan(CYLINDER.from_samples(points, normals)).any()
+    points = np.array([[0, 0, 1.0], [1, 0, 1.0], [0, 1, 1.0]])
+    for model, _ in SHAPES.values():
+        assert np.isnan(shape_through(int(model.type), points, np.array([-UP, -UP, -UP]))).any()
 
 
 @pytest.mark.parametrize('name', SHAPES)
 def test_the_frame_is_orthonormal(name):
     frame = frame_of(SHAPES[name][1])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
+
+
+def noisy_points(model, shape, rng):
+    """Return points with noise along their rays, and the noise (N, 2)."""
+    points, _ = surface_points(model, shape, 300, rng)
+    points = points[points[:, 2] > 1.0]
+    sigma = 0.002 * points[:, 2]
+    points *= 1 + 0.002 * rng.normal(0, 1, (len(points), 1))
+    return points, np.column_stack([sigma, 2 * sigma])
+
+
+@pytest.mark.parametrize('name', SHAPES)
+def test_least_squares_are_those_of_scipy(name):
+    model, shape = SHAPES[name]
+    rng = np.random.default_rng(3)
+    points, noise = noisy_points(model, shape, rng)
+    weight, freedoms = 1 / noise[:, 1], np.array(model.freedoms)
+
+    def residual(step):
+        steps = np.zeros(7)
+        steps[freedoms] = step
+        return surface_of(moved(shape, steps, frame_of(shape)), points).distance_m * weight
+
+    best = optimize.least_squares(residual, np.zeros(len(freedoms)), method='lm')
+    found = least_squares(moved(shape, 0.01 * np.eye(7)[freedoms].sum(axis=0), frame_of(shape)),
+                          freedoms, points, weight)
+    cost = ((surface_of(found, points).distance_m * weight) ** 2).sum() / 2
+    assert best.cost <= cost * (1 + 1e-9)
+    assert cost < best.cost * (1 + 1e-3)
+
+
+@pytest.mark.parametrize('name', SHAPES)
+def test_outliers_do_not_change_a_fit(name):
+    model, shape = SHAPES[name]
+    points, noise = noisy_points(model, shape, np.random.default_rng(3))
+    freedoms = np.array(model.freedoms)
+    wild = points.copy()
+    wild[:20] *= 4
+    alone, _ = fitted(shape, freedoms, points[20:].copy(), noise[20:].copy())
+    found, information = fitted(shape, freedoms, wild, noise)
+    np.testing.assert_allclose(found, alone, atol=1e-9)
+    sigma = np.sqrt(np.diag(np.linalg.inv(information)))[-1]
+    assert abs(found - shape)[6:].max() < 5 * sigma
+
+
+def test_too_few_agreeing_points_give_no_fit():
+    points = np.random.default_rng(4).uniform(1, 2, (40, 3))
+    found, _ = fitted(SHAPES['sphere'][1], np.array(SPHERE.freedoms), points,
+                      np.full((40, 2), 1e-5))
+    assert np.isnan(found).all()
+
+
+def test_systems_are_solved_or_refused():
+    matrix = np.array([[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]])
+    np.testing.assert_allclose(matrix @ solved(matrix, np.arange(3.0)), np.arange(3.0), atol=1e-12)
+    assert np.isnan(solved(np.ones((2, 2)), np.ones(2))).all()
+
+
+def test_pixels_of_a_plane_lie_on_their_best_plane():
+    slopes = np.random.default_rng(5).uniform(-0.3, 0.3, (200, 2))
+    rays = np.column_stack([slopes, np.ones(200)])
+    points = rays / (rays @ [0.1, 0.2, 0.5])[:, None]
+    noise = np.full((200, 2), 0.001)
+    np.testing.assert_allclose(off_best_plane(points, noise), 0, atol=1e-8)
+    points[7] *= 1.01
+    assert np.argmax(np.abs(off_best_plane(points, noise))) == 7
