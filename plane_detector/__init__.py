@@ -7,7 +7,7 @@ The recipe is :class:`~plane_detector.pipeline.PlaneDetector`, one folder a move
 
     seen = source.observe(rgb, intrinsics)            depth/         image to depth or disparity
     regions = segment(seen.disparity, noise_floor)    segmentation/  disparity to planar regions
-    scale = estimate_scale(seen.disparity, regions)   scale/         what makes it metres, if any
+    scale = estimate_scale(disparity, ray_planes)     scale/         what makes it metres, if any
     planes = measure_planes(regions.rescaled(scale))  planes/        normal, offset, extent, class
     labels = tracker.update(planes)                   tracking/      labels that stay
 

@@ -16,9 +16,10 @@ from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import classify_by_gravity
 from plane_detector.planes.normal_map import turned_by_normals
+from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.planes.reorientation import measure_turned
 from plane_detector.scale.estimate import ScaleEstimate, apply_scale
-from plane_detector.scale.methods import estimate_scale
+from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
 from plane_detector.segmentation.cells.noise import Noise
@@ -138,7 +139,7 @@ class PlaneDetector:
                                guide=_guide(seen, config))
         with stages('scale'):
             # 3. The scale and shift that make it metres, steadied over time.
-            self._scale = _update_scale(self._scale, seen, regions.labels, config, around)
+            self._scale = _update_scale(self._scale, seen, regions, config, around)
             scale = self._scale.estimate
         with stages('measurement'):
             # 4. Depth and planes in metres, or in a unit of their own where nothing fixes it.
@@ -272,16 +273,14 @@ def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config
     return segment(disparity, noise_floor, config, rng, guide)
 
 
-def _update_scale(before: ScaleState | None, seen: Observation, labels: np.ndarray,
+def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,
                   config: Config, around: Surroundings) -> ScaleState:
     """Return what fixes the unit of this image, given those before."""
-    method = 'metric' if seen.is_measured else config.scale.method
-    scale = replace(config.scale, method=method, gravity_tolerance=around.gravity.tolerance_deg)
-    found = estimate_scale(seen.disparity, labels, seen.intrinsics, scale, output=seen.output,
-                           gravity_camera=around.gravity.down_camera,
-                           level_axes=around.level_axes, sensor_depth_m=seen.sensor_depth_m)
-    found = replace(found, note='measured depth') if seen.is_measured else found
-    return update_scale(before, found, scale)
+    evidence = ScaleEvidence(
+        seen.disparity, ray_planes(regions, seen.intrinsics), seen.output, seen.is_measured,
+        around.gravity.down_camera, around.gravity.tolerance_deg, around.level_axes,
+        seen.sensor_depth_m)
+    return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
 
 
 def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -> np.ndarray:

@@ -190,7 +190,7 @@ class ModelDepth:
             self._average = None
             return seen
         self._average = filter_disparity(self._average, seen.disparity, seen.rgb, keep,
-                                     same_scale=seen.output != 'relative_disparity')
+                                         same_scale=seen.output != 'relative_disparity')
         if self._average.image_count == 1:
             return seen
         values = self._average.disparity

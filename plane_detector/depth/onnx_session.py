@@ -12,9 +12,7 @@ from pathlib import Path
 import numpy as np
 import onnxruntime as ort
 
-from plane_detector.depth.preprocessing import (
-    lower_bound_size,
-)
+from plane_detector.depth.preprocessing import lower_bound_size
 from plane_detector.stopping import current_stop, raise_if_stopped
 
 _NUMBERS = {f'tensor({name})' for name in (

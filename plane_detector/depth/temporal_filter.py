@@ -57,7 +57,7 @@ class FilteredDisparity:
 
 
 def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, rgb: np.ndarray,
-                 keep: float, *, same_scale: bool) -> FilteredDisparity:
+                     keep: float, *, same_scale: bool) -> FilteredDisparity:
     """
     Average the disparity of an image with the previous ones, if nothing has changed.
 
@@ -82,22 +82,28 @@ def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, 
         In scale and shift of the new image.
 
     """
-    disparity = disparity.astype(np.float32, copy=False)
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0),
                             _BLUR_PX)
-    alone = FilteredDisparity(disparity, grey, 1)
+    alone = FilteredDisparity(disparity.astype(np.float32, copy=False), grey, 1)
     if previous is None or previous.grey.shape != grey.shape or not _shows_motion(grey):
         return alone
+    return _averaged(previous, alone, keep, same_scale) or alone
+
+
+def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float,
+              same_scale: bool) -> FilteredDisparity | None:
+    """Return the average with a new image; None if something moved or the scale is uncertain."""
+    disparity, grey = alone.disparity, alone.grey
     changed = _has_changed(previous.grey, grey)
     known = np.isfinite(disparity) & np.isfinite(previous.disparity)
     expected = previous.disparity
     if not same_scale:
         expected = _in_scale_of(disparity, expected, known & ~changed)
         if expected is None:
-            return alone
+            return None
     differs = _differs(disparity, expected, known)
     if changed.mean() > _GREY_MOVING or differs.mean() > _DEPTH_MOVING:
-        return alone
+        return None
     still = ~_spread(changed | differs)
     weight = np.float32(min(keep, previous.image_count / (previous.image_count + 1)))
     return FilteredDisparity(

@@ -122,14 +122,18 @@ def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
          1]])
 
 
+def normal_matrices(m: np.ndarray) -> np.ndarray:
+    """Return the sums of the products of x, y and 1, (K, 3, 3), of moments m (10, K)."""
+    return np.array([[m[XX], m[XY], m[X]], [m[XY], m[YY], m[Y]],
+                     [m[X], m[Y], m[N]]]).transpose(2, 0, 1)
+
+
 def _covariances(grid: CellGrid, m: np.ndarray, noise: Noise, ray_planes: np.ndarray,
                  jacobian: np.ndarray) -> np.ndarray:
     """Propagate the noise through the fits of moments m to (normal, offset), (K, 4, 4)."""
-    normal_matrix = np.array([[m[XX], m[XY], m[X]], [m[XY], m[YY], m[Y]],
-                              [m[X], m[Y], m[N]]]).transpose(2, 0, 1)
     variance = (noise.pixel_sigma**2 + noise.variance_floor(m[D] / m[N])
                 + CORRELATED_CELLS * grid.size_px**2 * noise.mean_sigma**2)
-    fit = variance[:, None, None] * pseudo_inverse(normal_matrix, LEAST_EIGENVALUE)
+    fit = variance[:, None, None] * pseudo_inverse(normal_matrices(m), LEAST_EIGENVALUE)
     length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
     unit = ray_planes[:, :, None] / length
     to_normal = (unit * unit.transpose(0, 2, 1) - np.eye(3)) / length

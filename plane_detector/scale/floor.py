@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.scale.disparity_planes import DisparityPlanes
+from plane_detector.scale.manhattan import ManhattanVote
 
 # The floor's share of the pixels of all planes: less of it is noise, or a table top before a
 # floor that is out of view.
@@ -140,18 +141,16 @@ def _gravity_covariance(floor: DisparityPlanes, down_camera: np.ndarray, height_
     return covariance
 
 
-def fit_floor_of_frame(planes: DisparityPlanes, tau: float, tau_sigma: float, axes: np.ndarray,
-                       down_camera: np.ndarray, height_m: float) -> FloorFit | None:
+def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, down_camera: np.ndarray,
+                       height_m: float) -> FloorFit | None:
     """
     Find the floor by right angles and a coarse direction of gravity.
 
     Parameters
     ----------
     planes : DisparityPlanes
-    tau, tau_sigma : float
-        Shift by the right angles, 1/z proportional to D + tau, and its standard deviation.
-    axes : (3, 3) float64
-        Rows: the axes of the Manhattan frame.
+    vote : ManhattanVote
+        Shift and axes by the right angles.
     down_camera : (3,) floating
         Coarse unit direction of gravity: picks the axis.
     height_m : float
@@ -162,8 +161,8 @@ def fit_floor_of_frame(planes: DisparityPlanes, tau: float, tau_sigma: float, ax
         None where no plane is level and below the camera.
 
     """
-    cosines = axes @ down_camera
-    down = axes[np.abs(cosines).argmax()] * np.sign(cosines[np.abs(cosines).argmax()])
+    cosines, tau = vote.axes @ down_camera, vote.tau
+    down = vote.axes[np.abs(cosines).argmax()] * np.sign(cosines[np.abs(cosines).argmax()])
     level, height = _level_and_height(planes, (1.0, tau), down, UPRIGHT_DEG)
     if not level.any():
         return None
@@ -174,7 +173,7 @@ def fit_floor_of_frame(planes: DisparityPlanes, tau: float, tau_sigma: float, ax
     if share.sum() < MIN_FLOOR_SHARE or _anything_below(planes, level, height / floor_height):
         return None
     scale = floor_height / height_m
-    return FloorFit(scale, scale * tau, np.diag([0.0, (scale * tau_sigma) ** 2]),
+    return FloorFit(scale, scale * tau, np.diag([0.0, (scale * vote.sigma) ** 2]),
                     _upright_share(planes, planes.scaled(scale, scale * tau), down),
                     int(planes.labels[lowest]))
 

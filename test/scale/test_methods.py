@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from plane_detector.config import ScaleConfig
+from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.geometry.disparity import to_disparity
-from plane_detector.scale.disparity_planes import fit_disparity_planes
+from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import apply_scale
-from plane_detector.scale.methods import estimate_scale
+from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.sensor_depth import fit_measured_depth
 from plane_detector.types import CameraIntrinsics
 
@@ -31,10 +32,19 @@ def room(seed=3):
     return scenes.random_room(np.random.default_rng(seed), SMALL)
 
 
-def estimate(scene, noise=0.0, sensor_depth_m=None, output='relative_disparity', **settings):
-    return estimate_scale(relative_disparity(scene.depth_m, noise), scene.labels,
-                          scene.intrinsics, ScaleConfig(**settings),
-                          sensor_depth_m=sensor_depth_m, output=output)
+def evidence(scene, disparity, **known):
+    planes = ray_planes(labelled_regions(disparity, scene.labels), scene.intrinsics)
+    return ScaleEvidence(disparity, planes, **known)
+
+
+def estimate(scene, noise=0.0, known=None, **settings):
+    """Return the scale by the true labels and what else is known, as of ScaleEvidence."""
+    disparity = relative_disparity(scene.depth_m, noise)
+    return estimate_scale(evidence(scene, disparity, **(known or {})), ScaleConfig(**settings))
+
+
+def upright(scene, tolerance_deg=1.0):
+    return {'down_camera': scene.down_camera, 'down_tolerance_deg': tolerance_deg}
 
 
 def worst_angle_error_deg(scene, scale):
@@ -51,25 +61,6 @@ def worst_angle_error_deg(scene, scale):
 def median_depth_error(scene, scale):
     depth_m = apply_scale(relative_disparity(scene.depth_m), scale)
     return np.nanmedian(np.abs(depth_m / scene.depth_m - 1.0))
-
-
-def test_planes_are_affine_in_disparity():
-    scene = scenes.single_wall(SMALL, yaw_deg=20.0, distance_m=3.0)
-    planes = fit_disparity_planes(relative_disparity(scene.depth_m), scene.labels, SMALL)
-    expected = -scene.planes[0, :3] / scene.planes[0, 3]
-    np.testing.assert_allclose(planes.scaled(SCALE, SHIFT)[0], expected, atol=1e-6)
-
-
-def test_planes_ignore_wrong_pixels_and_leave_out_tiny_labels():
-    scene = scenes.single_wall(SMALL)
-    disparity, labels = relative_disparity(scene.depth_m), scene.labels.copy()
-    exact = fit_disparity_planes(disparity, labels, SMALL).coefficients[0]
-    disparity[::7, ::5] += 3.0
-    disparity[100:110] = np.nan
-    labels[0, :10] = 5
-    planes = fit_disparity_planes(disparity, labels, SMALL)
-    assert planes.labels.tolist() == [0]
-    np.testing.assert_allclose(planes.coefficients[0], exact, atol=1e-4)
 
 
 def test_depth_and_disparity_are_each_others_inverse():
@@ -100,7 +91,7 @@ def test_relative_depth_is_positive_and_one_in_the_middle():
     scene = room()
     disparity = relative_disparity(scene.depth_m)
     disparity -= np.median(disparity)
-    scale = estimate_scale(disparity, scene.labels, SMALL, ScaleConfig(method='none'))
+    scale = estimate_scale(evidence(scene, disparity), ScaleConfig(method='none'))
     depth = apply_scale(disparity, scale)
     assert np.nanmedian(depth) == pytest.approx(1.0, rel=0.05)
     assert np.isfinite(depth).mean() > 0.98
@@ -109,7 +100,7 @@ def test_relative_depth_is_positive_and_one_in_the_middle():
 def test_metric_network_keeps_its_metres():
     scene = room()
     disparity = to_disparity(scene.depth_m)
-    scale = estimate_scale(disparity, scene.labels, SMALL, output='metric_depth')
+    scale = estimate_scale(evidence(scene, disparity, output='metric_depth'))
     assert scale.method == 'metric' and scale.is_metric
     np.testing.assert_allclose(apply_scale(disparity, scale), scene.depth_m, rtol=1e-5)
 
@@ -137,7 +128,7 @@ def sparse(depth_m, count, wrong_share=0.0, seed=1):
 @pytest.mark.parametrize('count, wrong_share', [(8, 0.0), (200, 0.2), (76000, 0.1)])
 def test_measured_depth_gives_scale_and_shift(count, wrong_share):
     scene = room()
-    scale = estimate(scene, sensor_depth_m=sparse(scene.depth_m, count, wrong_share))
+    scale = estimate(scene, known={'sensor_depth_m': sparse(scene.depth_m, count, wrong_share)})
     assert scale.method == 'depth_topic' and scale.is_metric
     assert scale.scale == pytest.approx(SCALE, rel=1e-3)
     assert scale.shift == pytest.approx(SHIFT, abs=1e-3)
@@ -165,8 +156,7 @@ def test_measured_depth_refuses_what_cannot_fix_the_scale():
 @pytest.mark.parametrize('seed', [3, 5, 16])
 def test_camera_height_is_exact_without_noise(seed):
     scene = room(seed)
-    scale = estimate(scene, camera_height=scene.height_m, gravity_tolerance=0.5,
-                     gravity=tuple(scene.down_camera))
+    scale = estimate(scene, known=upright(scene, 0.5), camera_height=scene.height_m)
     assert scale.method == 'camera_height' and scale.is_metric
     assert worst_angle_error_deg(scene, scale) < 0.1
     assert median_depth_error(scene, scale) < 2e-3
@@ -174,23 +164,20 @@ def test_camera_height_is_exact_without_noise(seed):
 
 def test_camera_height_needs_a_floor():
     wall = scenes.single_wall(SMALL)
-    scale = estimate(wall, method='camera_height', camera_height=1.5, gravity=(0.0, 1.0, 0.0))
+    scale = estimate(wall, known=upright(wall), method='camera_height', camera_height=1.5)
     assert not scale.is_metric and 'floor' in scale.note
 
 
 def test_camera_height_needs_a_direction_known_well():
     scene = room()
-    scale = estimate(scene, method='camera_height', camera_height=1.5,
-                     gravity=tuple(scene.down_camera), gravity_tolerance=20.0)
+    scale = estimate(scene, known=upright(scene, 20.0), method='camera_height', camera_height=1.5)
     assert not scale.is_metric and 'coarse' in scale.note
 
 
-def test_gravity_given_for_the_picture_wins_over_the_setting():
+def test_gravity_may_have_any_length():
     scene = room()
-    config = ScaleConfig(camera_height=scene.height_m, gravity=(1.0, 0.0, 0.0))
-    disparity = relative_disparity(scene.depth_m)
-    scale = estimate_scale(disparity, scene.labels, SMALL, config,
-                           gravity_camera=9.81 * scene.down_camera)
+    known = {**upright(scene), 'down_camera': 9.81 * scene.down_camera}
+    scale = estimate(scene, known=known, camera_height=scene.height_m)
     assert scale.method == 'camera_height'
     assert median_depth_error(scene, scale) < 2e-3
 
@@ -206,8 +193,8 @@ def test_right_angles_fix_the_angles_but_claim_no_metres():
 def test_right_angles_coarse_gravity_and_height_give_metres():
     scene = room()
     coarse = scene.down_camera + [0.15, 0.0, 0.1]
-    scale = estimate(scene, camera_height=scene.height_m, gravity=tuple(coarse),
-                     gravity_tolerance=20.0)
+    known = {'down_camera': coarse, 'down_tolerance_deg': 20.0}
+    scale = estimate(scene, known=known, camera_height=scene.height_m)
     assert scale.method == 'manhattan' and scale.is_metric
     assert median_depth_error(scene, scale) < 0.01
 
@@ -218,7 +205,7 @@ def test_targets_hold_under_noise():
     for seed in range(2000, 2012):
         scene = room(seed)
         for method, found_deg in angles_deg.items():
-            scale = estimate(scene, 0.004, method=method, gravity=tuple(scene.down_camera),
+            scale = estimate(scene, 0.004, upright(scene, 2.0), method=method,
                              camera_height=scene.height_m if method == 'camera_height' else 0.0)
             if scale.has_true_angles:
                 found_deg.append(worst_angle_error_deg(scene, scale))
@@ -258,9 +245,9 @@ def test_two_planes_alone_are_not_called_perpendicular():
 def test_the_networks_own_unit_does_not_matter(gain, offset):
     scene = room()
     disparity = relative_disparity(scene.depth_m).astype(np.float64)
-    config = ScaleConfig(camera_height=scene.height_m, gravity=tuple(scene.down_camera))
+    config = ScaleConfig(camera_height=scene.height_m)
     other = gain * disparity + offset
-    depths = [apply_scale(d, estimate_scale(d, scene.labels, SMALL, config))
+    depths = [apply_scale(d, estimate_scale(evidence(scene, d, **upright(scene)), config))
               for d in (disparity, other)]
     np.testing.assert_allclose(depths[1], depths[0], rtol=1e-3)
 
@@ -270,21 +257,23 @@ def test_auto_takes_the_first_that_gives_metres():
     known = {'disparity_scale': SCALE, 'disparity_shift': SHIFT}
     assert estimate(scene).method == 'manhattan'
     assert estimate(scene, **known).method == 'fixed'
-    known |= {'camera_height': scene.height_m, 'gravity': tuple(scene.down_camera)}
-    assert estimate(scene, **known).method == 'camera_height'
-    sensor_depth_m = sparse(scene.depth_m, 100)
-    assert estimate(scene, sensor_depth_m=sensor_depth_m, **known).method == 'depth_topic'
-    assert estimate(scene, sensor_depth_m=sensor_depth_m, output='disparity',
-                    **known).method == 'metric'
+    known['camera_height'] = scene.height_m
+    seen = upright(scene)
+    assert estimate(scene, known=seen, **known).method == 'camera_height'
+    seen['sensor_depth_m'] = sparse(scene.depth_m, 100)
+    assert estimate(scene, known=seen, **known).method == 'depth_topic'
+    seen['output'] = 'disparity'
+    assert estimate(scene, known=seen, **known).method == 'metric'
 
 
 @pytest.mark.parametrize('disparity', [np.full((240, 320), np.nan, np.float32),
                                        np.zeros((240, 320), np.float32),
                                        np.ones((240, 320), np.float32)])
-def test_pictures_without_information_give_relative(disparity):
-    labels = np.where(np.isfinite(disparity), 0, -1).astype(np.int32)
-    config = ScaleConfig(camera_height=1.0, gravity=(0.0, 1.0, 0.0))
-    scale = estimate_scale(disparity, labels, SMALL, config, sensor_depth_m=disparity)
+def test_images_without_information_give_relative(disparity):
+    planes = ray_planes(labelled_regions(disparity, np.zeros(disparity.shape, int)), SMALL)
+    scale = estimate_scale(
+        ScaleEvidence(disparity, planes, down_camera=np.array([0.0, 1.0, 0.0]),
+                      sensor_depth_m=disparity), ScaleConfig(camera_height=1.0))
     assert scale.method == 'relative'
     assert apply_scale(disparity, scale).shape == disparity.shape
 
@@ -292,8 +281,8 @@ def test_pictures_without_information_give_relative(disparity):
 def test_inputs_stay_as_they_are():
     scene = room()
     disparity = relative_disparity(scene.depth_m)
-    before, labels = disparity.copy(), scene.labels.copy()
-    estimate_scale(disparity, scene.labels, SMALL,
-                   ScaleConfig(camera_height=1.0, gravity=tuple(scene.down_camera)))
-    np.testing.assert_array_equal(disparity, before)
-    np.testing.assert_array_equal(scene.labels, labels)
+    seen = evidence(scene, disparity, **upright(scene))
+    before = disparity.copy(), seen.planes.coefficients.copy()
+    estimate_scale(seen, ScaleConfig(camera_height=1.0))
+    np.testing.assert_array_equal(disparity, before[0])
+    np.testing.assert_array_equal(seen.planes.coefficients, before[1])

@@ -23,13 +23,15 @@ from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import frames
+from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms as scenes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.pipeline import segment_planes
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
-from plane_detector.scale.disparity_planes import fit_disparity_planes
+from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import ScaleEstimate
-from plane_detector.scale.methods import estimate_scale
+from plane_detector.scale.methods import ScaleEvidence, estimate_scale
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 from plane_detector.types import CameraIntrinsics
 
@@ -52,13 +54,18 @@ class View:
     """What the simulated network makes of an image, its planes, and the truth."""
 
     disparity: np.ndarray
-    labels: np.ndarray
+    regions: PixelRegions
     true_depth_m: np.ndarray
     intrinsics: CameraIntrinsics
     down_camera: np.ndarray
     height_m: float
     true_scale: ScaleConfig
     rng: np.random.Generator
+
+    def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
+        """Return the scale by the planes and what else is known, see :class:`ScaleEvidence`."""
+        return estimate_scale(ScaleEvidence(
+            self.disparity, ray_planes(self.regions, self.intrinsics), **known), config)
 
 
 @dataclass(frozen=True)
@@ -90,8 +97,8 @@ def look(depth_m: np.ndarray, intrinsics: CameraIntrinsics, down_camera: np.ndar
     noisy_m = with_disparity_noise(depth_m, NOISE_PER_M, rng)
     disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
     truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
-    labels = segment(disparity, unitless_noise_floor(disparity), Config()).labels
-    return View(disparity, labels, depth_m, intrinsics, down_camera, height_m, truth, rng)
+    regions = segment(disparity, unitless_noise_floor(disparity), Config())
+    return View(disparity, regions, depth_m, intrinsics, down_camera, height_m, truth, rng)
 
 
 def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
@@ -119,11 +126,12 @@ def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
 
 def measure(view: View, estimate: ScaleEstimate) -> Errors:
     """Compare the planes at the estimated scale with those of the true depth."""
-    planes = fit_disparity_planes(view.disparity, view.labels, view.intrinsics)
-    true = fit_disparity_planes(1.0 / view.true_depth_m, view.labels, view.intrinsics)
+    labels = view.regions.labels
+    planes = ray_planes(view.regions, view.intrinsics)
+    true = ray_planes(labelled_regions(1.0 / view.true_depth_m, labels), view.intrinsics)
     _, mine, theirs = np.intersect1d(planes.labels, true.labels, return_indices=True)
     mine, theirs = planes.take(mine), true.take(theirs)
-    large = theirs.pixel_share * np.mean(view.labels >= 0) >= MIN_PLANE_SHARE
+    large = theirs.pixel_share * np.mean(labels >= 0) >= MIN_PLANE_SHARE
     got = mine.scaled(estimate.scale, estimate.shift)[large]
     want = theirs.coefficients[large]
     rays = np.column_stack([theirs.centers[large], np.ones(large.sum())])
@@ -166,11 +174,11 @@ def _tilted(direction: np.ndarray, angle_deg: float, rng: np.random.Generator) -
 
 
 def _none(view: View) -> ScaleEstimate:
-    return estimate_scale(view.disparity, view.labels, view.intrinsics, ScaleConfig(method='none'))
+    return view.estimate(ScaleConfig(method='none'))
 
 
 def _truth(view: View) -> ScaleEstimate:
-    return estimate_scale(view.disparity, view.labels, view.intrinsics, view.true_scale)
+    return view.estimate(view.true_scale)
 
 
 def _sparse_depth(view: View) -> ScaleEstimate:
@@ -180,22 +188,19 @@ def _sparse_depth(view: View) -> ScaleEstimate:
     points_m.flat[index] = view.true_depth_m.flat[index]
     wrong = index[:int(WRONG_POINT_SHARE * SPARSE_POINTS)]
     points_m.flat[wrong] = view.rng.uniform(0.5, 8.0, len(wrong))
-    return estimate_scale(view.disparity, view.labels, view.intrinsics,
-                          ScaleConfig(method='depth_topic'), sensor_depth_m=points_m)
+    return view.estimate(ScaleConfig(method='depth_topic'), sensor_depth_m=points_m)
 
 
 def _manhattan(view: View) -> ScaleEstimate:
-    return estimate_scale(view.disparity, view.labels, view.intrinsics,
-                          ScaleConfig(method='manhattan'))
+    return view.estimate(ScaleConfig(method='manhattan'))
 
 
 def _height(view: View, method: str, gravity_error_deg: float, tolerance_deg: float,
             height_error: float) -> ScaleEstimate:
     sign = view.rng.choice([-1.0, 1.0])
-    config = ScaleConfig(method=method, camera_height=view.height_m * (1 + sign * height_error),
-                         gravity=tuple(_tilted(view.down_camera, gravity_error_deg, view.rng)),
-                         gravity_tolerance=tolerance_deg)
-    return estimate_scale(view.disparity, view.labels, view.intrinsics, config)
+    config = ScaleConfig(method=method, camera_height=view.height_m * (1 + sign * height_error))
+    return view.estimate(config, down_tolerance_deg=tolerance_deg,
+                         down_camera=_tilted(view.down_camera, gravity_error_deg, view.rng))
 
 
 WAYS: dict[str, Callable[[View], ScaleEstimate]] = {

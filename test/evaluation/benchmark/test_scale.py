@@ -8,7 +8,6 @@ import pytest
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.benchmark import scale as benchmark_scale
 from plane_detector.evaluation.benchmark.__main__ import main
-from plane_detector.scale.methods import estimate_scale
 
 
 def test_benchmark_prints_every_way_and_every_room(capsys, tmp_path):
@@ -24,9 +23,8 @@ def test_camera_height_brings_real_images_to_metres(name, data_folder, monkeypat
     monkeypatch.setattr(benchmark_scale, 'DRAWS_PER_IMAGE', 1)
     answered = 0
     for view in benchmark_scale.real_views(data_folder / name, np.random.default_rng(5)):
-        config = ScaleConfig(camera_height=view.height_m, gravity=tuple(view.down_camera),
-                             gravity_tolerance=0.5)
-        scale = estimate_scale(view.disparity, view.labels, view.intrinsics, config)
+        scale = view.estimate(ScaleConfig(camera_height=view.height_m), down_tolerance_deg=0.5,
+                              down_camera=view.down_camera)
         if scale.method != 'camera_height':  # where no floor was segmented it refuses
             assert not scale.is_metric
             continue

@@ -1,0 +1,71 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The planes of the segmentation over the slopes of rays, as the estimate of the scale needs them.
+
+With (x, y) the coordinates of the cells and (X, Y, 1) the ray of a pixel, D = a x + b y + c is
+D = p X + q Y + r where (p, q, r) = J (a, b, c) and (x, y, 1) = J^T (X, Y, 1). Nothing is fitted
+again: coefficients, moments and noise are those of the segmentation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.planes.measurement import normal_matrices, ray_plane_jacobian
+from plane_detector.scale.disparity_planes import DisparityPlanes
+from plane_detector.segmentation.cells.grid import D, N, X, Y
+from plane_detector.segmentation.cells.labels import count_labels
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.plane_fit import squared_errors
+from plane_detector.types import CameraIntrinsics
+
+MIN_PIXELS = 100
+# Least variance of the slopes of a plane's rays, across it: less is a line.
+# derived: two pixels of a camera with a focal length of 600 pixels.
+MIN_RAY_VARIANCE = 1e-6
+# Errors of a depth map are uncorrelated beyond this share of the image width.
+CORRELATION_SHARE = 1.0 / 20.0
+
+
+def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> DisparityPlanes:
+    """
+    Return the planes of regions over the slopes of rays.
+
+    Parameters
+    ----------
+    regions : PixelRegions
+        In any unit.
+    intrinsics : CameraIntrinsics
+
+    Returns
+    -------
+    DisparityPlanes
+        Without regions that have too few pixels, or pixels on one line only.
+
+    """
+    grid = regions.grid
+    counts = count_labels(grid, regions.labels, len(regions.coefficients))
+    moments = (counts / np.maximum(grid.moments[:, N:N + 1], 1)).T @ grid.moments
+    jacobian = ray_plane_jacobian(intrinsics)
+    to_rays = np.linalg.inv(jacobian).T
+    pixels = moments[:, N]
+    products = to_rays @ normal_matrices(moments.T) @ to_rays.T
+    width = np.linalg.eigvalsh(products)[:, 0] / np.maximum(pixels, 1)
+    kept = np.flatnonzero((pixels >= MIN_PIXELS) & (width > MIN_RAY_VARIANCE))
+    correlated_px = max((CORRELATION_SHARE * grid.width_px) ** 2, 1.0)
+    variance = correlated_px * _variances(regions, counts)[kept, None, None]
+    middle = moments[kept][:, [X, Y, N]] / pixels[kept, None] @ to_rays.T
+    return DisparityPlanes(regions.coefficients[kept] @ jacobian.T, products[kept] / variance,
+                           middle[:, :2], pixels[kept] / max(pixels[kept].sum(), 1.0), kept)
+
+
+def _variances(regions: PixelRegions, counts: np.ndarray) -> np.ndarray:
+    """Return the variance (K,) of the pixels about their planes, at least that of the noise."""
+    grid, noise = regions.grid, regions.noise
+    is_whole = (counts > 0) & (counts == grid.moments[:, N:N + 1])
+    moments = is_whole.T.astype(float) @ grid.moments
+    pixels = np.maximum(moments[:, N], 1)
+    least = (noise.pixel_sigma**2 + noise.mean_sigma**2
+             + noise.variance_floor(moments[:, D] / pixels))
+    return np.maximum(squared_errors(regions.coefficients, moments) / pixels, least)
