@@ -64,6 +64,9 @@ class CellGrid:
         Root mean square of d about that plane.
     usable : (R * C,) bool
         The valid pixels are enough, and spread well enough, to determine the cell's own plane.
+    sparsity : (R * C, 2) float64
+        What missing pixels add to the variances of the cell's mean and slope, per variance of a
+        pixel; 0 for full cells.
 
     """
 
@@ -76,17 +79,12 @@ class CellGrid:
     slope: np.ndarray
     inner_rms: np.ndarray
     usable: np.ndarray
+    sparsity: np.ndarray
 
     @cached_property
     def typical_disparity(self) -> float:
         """The median disparity of the usable cells; 0 when there is none."""
         return median(self.mean[self.usable, 2]) if self.usable.any() else 0.0
-
-    @cached_property
-    def mean_moments(self) -> np.ndarray:
-        """The moments (R * C, 10) of the cells' means, each cell counting as one pixel."""
-        x, y, d = self.mean.T
-        return np.array([np.ones_like(x), x, y, x * x, x * y, y * y, d, x * d, y * d, d * d]).T
 
 
 def cell_size(shape: tuple[int, int]) -> int:
@@ -124,17 +122,17 @@ def build_cell_grid(image: DisparityImage, size: int = 0) -> CellGrid:
     return CellGrid(size, width, origin, shape, *sums)
 
 
-@kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1]))'
-        '(float32[:, ::1], boolean[:, ::1], int64, float64[::1])')
+@kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '
+        'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, float64[::1])')
 def _sum_up(disparity, valid, size, frame):
-    """Return moments, means, slopes, rms about the own plane and usability of all cells."""
+    """Return all fields of the cells from ``moments`` on."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
     width, middle = frame[0], (size - 1) / 2
     moments, mean = np.zeros((rows * columns, 10)), np.zeros((rows * columns, 3))
     slope, rms = np.zeros((rows * columns, 2)), np.zeros(rows * columns)
-    usable = np.zeros(rows * columns, np.bool_)
+    usable, sparsity = np.zeros(rows * columns, np.bool_), np.zeros((rows * columns, 2))
     across = (np.arange(size) - middle) / width
-    whole = ((size**2 - 1) / 12 / width**2) ** 2
+    whole = (size**2 - 1) / 12 / width**2
     m = np.empty(10)
     for i in range(rows * columns):
         top, left = i // columns * size, i % columns * size
@@ -146,16 +144,20 @@ def _sum_up(disparity, valid, size, frame):
         xx, xy, yy = m[3] / n - mx * mx, m[4] / n - mx * my, m[5] / n - my * my
         xd, yd, dd = m[7] / n - mx * md, m[8] / n - my * md, m[9] / n - md * md
         determinant = xx * yy - xy * xy
-        if n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_SPREAD * whole:
+        if n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_SPREAD * whole**2:
             usable[i] = True
             slope[i, 0] = (yy * xd - xy * yd) / determinant
             slope[i, 1] = (xx * yd - xy * xd) / determinant
+            if n < size**2:
+                sparsity[i, 0] = 1 / n - 1 / size**2
+                excess = (xx + yy) / (2 * n * determinant) - 1 / (size**2 * whole)
+                sparsity[i, 1] = max(excess, 0.0)
         rms[i] = np.sqrt(max(dd - slope[i, 0] * xd - slope[i, 1] * yd, 0.0))
         _shift(m, frame[1] + (left + middle) / width, frame[2] + (top + middle) / width, reference,
                moments[i])
         for k, column in enumerate((1, 2, 6)):
             mean[i, k] = moments[i, column] / n
-    return moments, mean, slope, rms, usable
+    return moments, mean, slope, rms, usable, sparsity
 
 
 @kernel('float64(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 2), float64[::1], '

@@ -10,7 +10,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, N
-from plane_detector.segmentation.cells.noise import CellVariances, Noise, cell_variances
+from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
@@ -18,6 +18,9 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 MAX_INNER_VARIANCES = 4.0
 # Cells without depth have no variance at all.
 MIN_VARIANCE = 1e-30
+# Rounding error of float32 sums, as a share of the variance that the slope causes in a cell.
+# derived: from the precision of float32, 1e-7, and some ten additions.
+ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -28,17 +31,16 @@ class WeightedCells:
     Attributes
     ----------
     grid : CellGrid
-    variances : CellVariances
     is_planar : (R * C,) bool
         The cell lies on one plane.
-    table : (R * C, 7) float64
+    table : (R * C, 8) float64
         Mean x, y and d, slope along x and y, inverse variances of mean and slope: what
-        :func:`chi_squared` needs.
+        :func:`chi_squared` needs. Last the expected squared error of the cell's pixels about the
+        plane of a larger region.
 
     """
 
     grid: CellGrid
-    variances: CellVariances
     is_planar: np.ndarray
     table: np.ndarray
 
@@ -62,12 +64,45 @@ class PlaneRegions:
 
 
 def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
-    """Weigh each cell by the noise that it is tested with."""
-    variances = cell_variances(grid, noise)
-    is_planar = grid.usable & (grid.inner_rms**2 < MAX_INNER_VARIANCES * variances.pixel)
-    weights = [1 / np.maximum(v, MIN_VARIANCE) for v in (variances.mean, variances.slope)]
-    table = np.column_stack([grid.mean, grid.slope, *weights])
-    return WeightedCells(grid, variances, is_planar, table)
+    """
+    Weigh each cell by the noise that it is tested with.
+
+    The floor of the depth is a floor of the disparity that falls with 1/z**2. In a cell of
+    n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel. Neighbouring
+    pixels share their quantisation error: it tilts a cell as a whole.
+    """
+    size = grid.size_px / grid.width_px
+    squares = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
+                        noise.depth_floor_m, noise.disparity_floor,
+                        noise.disparity_floor / size]) ** 2
+    table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
+                              grid.inner_rms, grid.usable, squares,
+                              (size**2 / 12, 12 / (grid.size_px * size) ** 2))
+    return WeightedCells(grid, is_planar, table)
+
+
+@kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), float64[::1], '
+        'boolean[::1], float64[::1], UniTuple(float64, 2))')
+def _weigh(cells, inner_rms, usable, squares, per_slope):
+    """Return the table of the cells and which of them are planar."""
+    moments, mean, slope, sparsity = cells
+    table, is_planar = np.empty((len(usable), 8)), np.zeros(len(usable), np.bool_)
+    for i in range(len(usable)):
+        for k in range(3):
+            table[i, k] = mean[i, k]
+        slope2 = 0.0
+        for k in range(2):
+            table[i, 3 + k] = slope[i, k]
+            slope2 += slope[i, k] ** 2
+        floor = squares[3] * mean[i, 2] ** 4 + squares[4]
+        of_mean = squares[0] + floor + squares[2] * sparsity[i, 0]
+        of_slope = (squares[1] + floor * per_slope[1] + squares[5]
+                    + squares[2] * sparsity[i, 1])
+        of_pixel = squares[2] + floor + ROUNDING * per_slope[0] * slope2
+        table[i, 5], table[i, 6] = 1 / max(of_mean, MIN_VARIANCE), 1 / max(of_slope, MIN_VARIANCE)
+        table[i, 7] = (of_mean + of_pixel) * moments[i, 0]
+        is_planar[i] = usable[i] and inner_rms[i] ** 2 < MAX_INNER_VARIANCES * of_pixel
+    return table, is_planar
 
 
 @kernel('float64(float64[:, ::1], int64, float64, float64, float64)')

@@ -17,6 +17,8 @@ from enum import Enum
 
 import numpy as np
 
+from plane_detector.compilation import kernel
+from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
 # Distance of the cells of a second difference: smooth noise is correlated in nearer cells.
@@ -26,10 +28,6 @@ LAG_CELLS = 4
 QUANTILE = 0.25
 # derived: that quantile of the modulus of a normal deviate, and of chi-squared with 2 degrees.
 NORMAL_QUANTILE, CHI_SQUARED_QUANTILE = 0.3186, 0.5754
-# If cells differ from their neighbours by less than this share of the estimate, the noise is
-# smoother than this estimator can see: it is estimated from the planes instead.
-# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
-MIN_STEP_SHARE = 0.2
 # Disparity counts as quantised if it takes few, evenly spaced values that neighbours share.
 # tuned: on rooms rounded to 0.003 1/m; the ranges were not swept there.
 ROUNDING_LINES = 4
@@ -40,9 +38,6 @@ SLOPE_PER_NOISE = 8.0
 # ... and bends the surface inside a cell by this share of it.
 # tuned: on networks; the range was not swept there.
 GRAIN_PER_NOISE = 0.25
-# Rounding error of float32 sums, as a share of the variance that the slope causes in a cell.
-# derived: from the precision of float32, 1e-7, and some ten additions.
-ROUNDING = 1e-6
 
 
 class DepthKind(Enum):
@@ -74,9 +69,9 @@ class Noise:
         Noise level specified for the depth source, 1/m; 0 if none. ``mean_sigma`` is at least
         this, since the errors of a network are too smooth to be seen in any window.
     mean_sigma : float
-        Of a cell's mean about its plane, 1/m.
+        Of the mean of a full cell about its plane, 1/m.
     slope_sigma : float
-        Of each component of a cell's slope, 1/m per image width.
+        Of each component of a full cell's slope, 1/m per image width.
     pixel_sigma : float
         Of a pixel about its cell's own plane, 1/m.
 
@@ -108,6 +103,25 @@ class Noise:
         return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
                        slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
 
+    def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
+        """
+        Return the noise that cells show.
+
+        Parameters
+        ----------
+        deviations : (float, float, float)
+            Standard deviations of their means, slopes and pixels.
+        sparsity : (n, 2) float64
+            Of these cells: the noise of their missing pixels is not part of ``mean_sigma`` and
+            ``slope_sigma``.
+
+        """
+        mean_sigma, slope_sigma, pixel_sigma = deviations
+        pixel_sigma = max(pixel_sigma, GRAIN_PER_NOISE * self.source_sigma)
+        added = np.array([median(sparsity[:, 0]), median(sparsity[:, 1])]) * pixel_sigma**2
+        smooth = np.sqrt(np.maximum(np.array([mean_sigma, slope_sigma]) ** 2 - added, 0.0))
+        return replace(self, pixel_sigma=pixel_sigma).with_smooth_part(*smooth)
+
     def rescaled(self, scale: float) -> Noise:
         """
         Return the noise of scale * disparity + shift, for any shift.
@@ -131,15 +145,6 @@ class Noise:
         return self.with_smooth_part(mean_sigma, self.slope_sigma * (size_px / smaller_px) ** 2)
 
 
-@dataclass(frozen=True)
-class CellVariances:
-    """Variances (R * C,) of each cell's mean, slope and pixels, the noise floor included."""
-
-    mean: np.ndarray
-    slope: np.ndarray
-    pixel: np.ndarray
-
-
 def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     """
     Estimate the noise of an image before any plane is known.
@@ -155,19 +160,20 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     Noise
 
     """
-    inner = grid.inner_rms[grid.usable]
-    step, bend = _neighbour_differences(grid)
-    curvature = _second_differences(grid)
+    curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], LAG_CELLS)
     if not len(curvature) or not len(bend):
         return noise_floor.with_smooth_part(noise_floor.mean_sigma, noise_floor.slope_sigma)
     # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times.
-    mean_sigma, change = (np.quantile(values, QUANTILE) / NORMAL_QUANTILE / factor**0.5
-                          for values, factor in ((curvature, 6), (step, 2)))
-    slope_sigma = np.sqrt(np.quantile(bend, QUANTILE) / CHI_SQUARED_QUANTILE / 2)
-    pixel_sigma = np.quantile(inner, QUANTILE) / _inner_rms_quantile(grid.size_px**2 - 3)
-    pixel_sigma = max(float(pixel_sigma), GRAIN_PER_NOISE * noise_floor.source_sigma)
-    return replace(noise_floor, pixel_sigma=pixel_sigma).with_smooth_part(
-        min(mean_sigma, change / MIN_STEP_SHARE), slope_sigma)
+    mean_sigma = _quantile(curvature) / NORMAL_QUANTILE / 6**0.5
+    slope_sigma = (_quantile(bend) / CHI_SQUARED_QUANTILE / 2) ** 0.5
+    pixel_sigma = _quantile(grid.inner_rms[grid.usable]) / _inner_rms_quantile(grid.size_px**2 - 3)
+    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma),
+                                  grid.sparsity[grid.usable])
+
+
+def _quantile(values: np.ndarray) -> float:
+    rank = int(QUANTILE * (len(values) - 1))
+    return float(np.partition(values, rank)[rank])
 
 
 def _inner_rms_quantile(freedom: int) -> float:
@@ -177,31 +183,23 @@ def _inner_rms_quantile(freedom: int) -> float:
     return ((1 - spread - 0.6745 * spread**0.5) ** 3 * freedom / (freedom + 3)) ** 0.5
 
 
-def _second_differences(grid: CellGrid) -> np.ndarray:
-    """Return the moduli (n,) of second differences of means along rows and columns."""
-    disparity, usable = (values.reshape(grid.shape)
-                         for values in (grid.mean[:, 2], grid.usable))
-    found = []
-    for d, u in ((disparity, usable), (disparity.T, usable.T)):
-        lag = min(LAG_CELLS, (d.shape[1] - 1) // 2)
-        if lag < 1:
-            continue
-        near, middle, far = np.s_[:, :-2 * lag], np.s_[:, lag:-lag], np.s_[:, 2 * lag:]
-        found.append(np.abs(d[near] - 2 * d[middle] + d[far])[u[near] & u[middle] & u[far]])
-    return np.concatenate(found) if found else np.zeros(0)
-
-
-def _neighbour_differences(grid: CellGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps and squared bends, (n,) each, from cells to their neighbours."""
-    mean, slope = grid.mean.reshape(*grid.shape, 3), grid.slope.reshape(*grid.shape, 2)
-    usable = grid.usable.reshape(grid.shape)
-    steps, bends = [], []
-    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
-        both = usable[near] & usable[far]
-        gap, middle = (mean[far] - mean[near])[both], (slope[near] + slope[far])[both] / 2
-        steps.append(np.abs(gap[:, 2] - (gap[:, :2] * middle).sum(axis=1)))
-        bends.append(((slope[far] - slope[near])[both] ** 2).sum(axis=1))
-    return np.concatenate(steps), np.concatenate(bends)
+@kernel('UniTuple(float64[::1], 2)(float64[:, ::1], float64[:, ::1], boolean[::1], int64, int64)')
+def _differences(mean, slope, usable, columns, lag):
+    """Return moduli of second differences of means, and squared differences of slopes."""
+    rows = len(usable) // columns
+    curvatures, bends = np.empty(2 * len(usable)), np.empty(2 * len(usable))
+    curved, bent = 0, 0
+    for i in range(len(usable)):
+        for stride, left in ((1, columns - 1 - i % columns), (columns, rows - 1 - i // columns)):
+            j, k = i + lag * stride, i + 2 * lag * stride
+            if lag > left or not usable[i] or not usable[j]:
+                continue
+            bends[bent] = (slope[j, 0] - slope[i, 0])**2 + (slope[j, 1] - slope[i, 1])**2
+            bent += 1
+            if 2 * lag <= left and usable[k]:
+                curvatures[curved] = abs(mean[i, 2] - 2 * mean[j, 2] + mean[k, 2])
+                curved += 1
+    return curvatures[:curved].copy(), bends[:bent].copy()
 
 
 def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
@@ -241,20 +239,3 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
                    disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
-
-
-def cell_variances(grid: CellGrid, noise: Noise) -> CellVariances:
-    """
-    Return the variance of each cell's mean, slope and pixels.
-
-    The floor of the depth is a floor of the disparity that falls with 1/z**2. In a cell of
-    n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel.
-    """
-    floor, (slope_x, slope_y) = noise.variance_floor(grid.mean[:, 2]), grid.slope.T
-    span = (grid.size_px / grid.width_px) ** 2 / 12 * (slope_x**2 + slope_y**2)
-    tilt = 12 * (grid.width_px / grid.size_px**2) ** 2
-    # Neighbouring pixels share their quantisation error: it tilts a cell as a whole.
-    rounding = (noise.disparity_floor * grid.width_px / grid.size_px) ** 2
-    return CellVariances(noise.mean_sigma**2 + floor,
-                         noise.slope_sigma**2 + floor * tilt + rounding,
-                         noise.pixel_sigma**2 + floor + ROUNDING * span)

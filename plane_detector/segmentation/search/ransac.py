@@ -93,9 +93,8 @@ class SequentialRansac:
         wanted = np.log1p(-config.confidence) / np.log1p(-min(share, 0.99))
         wanted = int(np.clip(np.ceil(wanted), 1, config.max_iterations))
         chance = self._rng.random((len(WINDOWS_CELLS), wanted))
-        variance = (cells.variances.mean + cells.variances.pixel) * cells.grid.moments[:, 0]
         planes, seeds = _window_planes(self._free.reshape(cells.grid.shape), cells.grid.moments,
-                                       variance, WINDOWS_CELLS, chance)
+                                       cells.table, WINDOWS_CELLS, chance)
         self._drawn += max(len(planes), 1)
         gain = np.zeros(len(planes), np.float32)
         add_support(gain, planes, cells.table, cells.grid.moments,
@@ -114,8 +113,8 @@ class SequentialRansac:
 
 
 @kernel('Tuple((float64[:, ::1], int64[::1]))'
-        '(boolean[:, ::1], float64[:, ::1], float64[::1], int64[:, ::1], float64[:, ::1])')
-def _window_planes(free, moments, variance, windows, chance):
+        '(boolean[:, ::1], float64[:, ::1], float64[:, ::1], int64[:, ::1], float64[:, ::1])')
+def _window_planes(free, moments, table, windows, chance):
     """Return the planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
     rows, columns = free.shape
     integral = np.zeros((rows + 1, columns + 1), np.int64)
@@ -143,7 +142,7 @@ def _window_planes(free, moments, variance, windows, chance):
                     cell = start + i * columns + j
                     if free[cell // columns, cell % columns]:
                         total += moments[cell]
-                        expected += variance[cell]
+                        expected += table[cell, 7]
             a, b, c = fit_plane(total)
             if squared_error(a, b, c, total) < WINDOW_MAX_VARIANCES * expected:
                 planes[count, 0], planes[count, 1], planes[count, 2] = a, b, c

@@ -12,7 +12,9 @@ from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_quantisation
+from plane_detector.segmentation.cells.plane_fit import fit_planes
 
 FLOOR = Noise(0.0005)
 
@@ -83,3 +85,27 @@ def test_noise_is_estimated_between_columns_without_depth():
     holed = estimate_noise(build_cell_grid(disparity_image(depth_m)), FLOOR)
     assert holed.mean_sigma == pytest.approx(whole.mean_sigma, rel=0.4)
     assert len(segment_planes(depth_m, VGA).planes) >= 1
+
+
+def test_cells_of_few_pixels_are_known_to_be_noisier():
+    rng = np.random.default_rng(0)
+    depth_m = with_disparity_noise(single_wall(yaw_deg=20).depth_m, 0.004, rng, smooth_share=0.0)
+    full = build_cell_grid(disparity_image(depth_m))
+    depth_m[rng.random(depth_m.shape) > 0.25] = np.nan
+    grid = build_cell_grid(disparity_image(depth_m))
+    noise = estimate_noise(grid, FLOOR)
+    assert noise.mean_sigma < 0.7 * 0.004 / 4  # sixteen of 64 pixels
+    plane = fit_planes(full.moments.sum(axis=0)[None])[0]
+    residual = grid.mean[:, 2] - grid.mean[:, :2] @ plane[:2] - plane[2]
+    table = weigh_cells(grid, noise).table
+    assert np.mean(residual**2 * table[:, 5]) == pytest.approx(1, abs=0.3)
+    tilt = ((grid.slope - plane[:2])**2).sum(axis=1) / 2
+    assert np.mean(tilt * table[:, 6]) == pytest.approx(1, abs=0.3)
+
+
+def test_noise_smoother_than_many_cells_is_seen():
+    scene = single_wall(yaw_deg=0)
+    smooth = with_disparity_noise(scene.depth_m, 0.004, np.random.default_rng(0), 1.0, 24.0)
+    noise = estimate_noise(build_cell_grid(disparity_image(smooth)), FLOOR)
+    assert noise.mean_sigma > 0.0012
+    assert (segment_planes(smooth, VGA).labels >= 0).mean() > 0.9

@@ -57,7 +57,7 @@ def test_pieces_far_apart_become_planes_of_their_own():
     labels[20:40] = -1
     mask = model.is_planar.reshape(labels.shape).copy()
     mask[20:40] = False
-    model = type(model)(model.grid, model.variances, mask.ravel(), model.table)
+    model = type(model)(model.grid, mask.ravel(), model.table)
     labels[22:38] = -1
     found = relabelled(model, labels, planes[:1])
     assert len(found.coefficients) == 2

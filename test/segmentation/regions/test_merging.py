@@ -146,7 +146,7 @@ def test_joint_misfit_by_hand():
     design = np.stack([x, y, np.ones_like(x)], axis=1)
     error = d - design @ np.linalg.lstsq(design, d, rcond=None)[0]
     label = regions.labels.ravel()[model.is_planar]
-    variance = model.variances.mean[model.is_planar]
+    variance = 1 / model.table[model.is_planar, 5]
     worse = max(np.mean(error[label == k]**2) / variance[label == k].mean() for k in (0, 1))
     misfit, _ = joint_misfit(model, regions, np.array([0]), np.array([1]))
     assert misfit == pytest.approx([worse / MAX_JOINT_VARIANCES], rel=1e-3)
