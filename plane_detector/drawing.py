@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from plane_detector.geometry.disparity import valid_depth
+from plane_detector.geometry.label_places import label_edges, label_places
 from plane_detector.types import CameraIntrinsics
 
 # Neighbours in the list, the largest planes of an image, are far apart in hue and lightness.
@@ -236,32 +237,18 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
 
 
 def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:
-    edge = _edges(labels).astype(np.uint8)
+    edge = label_edges(labels).astype(np.uint8)
     thickness_px = max(1, round(labels.shape[0] / 480))
     if thickness_px > 1:
         edge = cv2.dilate(edge, np.ones((thickness_px, thickness_px), np.uint8))
     rgb[edge > 0] = _WHITE
 
 
-def _edges(labels: np.ndarray) -> np.ndarray:
-    """Return where a pixel's right or lower neighbour has another label, (H, W) bool."""
-    edge = np.zeros(labels.shape, bool)
-    edge[:, :-1] = labels[:, :-1] != labels[:, 1:]
-    edge[:-1] |= labels[:-1] != labels[1:]
-    return edge
-
-
 def _draw_numbers(rgb: np.ndarray, labels: np.ndarray) -> None:
     """Write each label where its plane is widest, unless the plane is too thin for a number."""
-    step = 4 if min(labels.shape) >= 64 else 1  # a sixteenth of the pixels show where that is
-    small = np.ascontiguousarray(labels[::step, ::step])
-    inside = np.pad((~_edges(small)).astype(np.uint8), 1)
-    half_width = cv2.distanceTransform(inside, cv2.DIST_L2, 3)[1:-1, 1:-1]
-    for label in np.unique(small[small > 0]):
-        widest = np.argmax(np.where(small == label, half_width, -1))
-        row, column = np.unravel_index(widest, small.shape)
-        if step * half_width[row, column] > _TEXT_HALF_HEIGHT * rgb.shape[0]:
-            _write_centred(rgb, str(label), (int(column) * step, int(row) * step))
+    for label, place in label_places(labels).items():
+        if place.half_width_px > _TEXT_HALF_HEIGHT * rgb.shape[0]:
+            _write_centred(rgb, str(label), (place.column, place.row))
 
 
 def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> None:

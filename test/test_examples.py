@@ -24,7 +24,7 @@ PUBLIC = {
     'plane_detector.geometry.projection': ('depth_to_points', 'points_to_pixels'),
     'plane_detector.pipeline': ('PlaneDetector', 'segment_planes'),
     'plane_detector.planes.classification': ('classify_planes',),
-    'plane_detector.planes.outline': ('plane_outline',),
+    'plane_detector.planes.outline': ('plane_polygons',),
     'plane_detector.scale.methods': ('estimate_scale',),
     'plane_detector.types': ('CameraIntrinsics',),
 }

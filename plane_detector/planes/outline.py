@@ -52,14 +52,14 @@ class Rectangle:
     height_m: float
 
 
-def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                  plane: Plane) -> np.ndarray:
+def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                   plane: Plane) -> tuple[Polygon, ...]:
     """
-    Return the outline of the largest connected patch, its holes filled.
+    Return the outlines of all patches of a plane, and of the holes in them.
 
-    The border is followed in the image and simplified there to 2 pixels (Douglas and Peucker);
-    then the points of its corners are brought onto the plane along the normal. Unlike a convex
-    hull it keeps an L-shaped floor L-shaped.
+    A border is followed in the image and simplified there to 2 pixels (Douglas and Peucker); then
+    the points of its corners are brought onto the plane along the normal. Unlike a convex hull it
+    keeps an L-shaped floor L-shaped.
 
     Parameters
     ----------
@@ -70,38 +70,7 @@ def plane_outline(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntri
     intrinsics : CameraIntrinsics
         Of the image.
     plane : Plane
-        Where the outline is laid.
-
-    Returns
-    -------
-    (N, 3) float64
-        Corners in order, metres, on the plane; the first one is not repeated.
-
-    Examples
-    --------
-    >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
-    >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
-    >>> plane_outline(np.ones((51, 101), bool), np.full((51, 101), 2.0), camera, wall) + 0.0
-    array([[0., 0., 2.],
-           [0., 1., 2.],
-           [2., 1., 2.],
-           [2., 0., 2.]])
-
-    """
-    outlines, _ = _contours(mask, cv2.RETR_EXTERNAL)
-    largest = max(outlines, key=lambda outline: (cv2.contourArea(outline), len(outline)))
-    return _corners_on_plane(largest, depth_m, intrinsics, plane)
-
-
-def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                   plane: Plane) -> tuple[Polygon, ...]:
-    """
-    Return the outlines of all patches of a plane, and of the holes in them.
-
-    Parameters
-    ----------
-    mask, depth_m, intrinsics, plane
-        As for :func:`plane_outline`.
+        Where the outlines are laid.
 
     Returns
     -------
@@ -109,8 +78,20 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
         The largest patch first, each followed by its holes. What has fewer than three corners,
         once it is simplified, is left out.
 
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
+    >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
+    >>> depth_m = np.full((51, 101), 2.0)
+    >>> (polygon,) = plane_polygons(np.ones((51, 101), bool), depth_m, camera, wall)
+    >>> polygon.corners_m + 0.0
+    array([[0., 0., 2.],
+           [0., 1., 2.],
+           [2., 1., 2.],
+           [2., 0., 2.]])
+
     """
-    outlines, hierarchy = _contours(mask, cv2.RETR_CCOMP)
+    outlines, hierarchy = _contours(mask)
     parents = hierarchy[0, :, 3].tolist()
     patches = [index for index, parent in enumerate(parents) if parent < 0]
     patches.sort(key=lambda index: -cv2.contourArea(outlines[index]))
@@ -149,12 +130,12 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
                      max(width_m, height_m), min(width_m, height_m))
 
 
-def _contours(mask: np.ndarray, mode: int) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+def _contours(mask: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """Return contours and hierarchy; they are followed in the part of the image with pixels."""
     pixels = np.ascontiguousarray(mask).view(np.uint8)
     left, top, width, height = cv2.boundingRect(pixels)
-    return cv2.findContours(pixels[top:top + height, left:left + width], mode,
-                            cv2.CHAIN_APPROX_SIMPLE, offset=(left, top))
+    return cv2.findContours(pixels[top:top + height, left:left + width],
+                            cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE, offset=(left, top))
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:

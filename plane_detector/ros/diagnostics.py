@@ -16,6 +16,8 @@ from rclpy.node import Node
 
 from plane_detector.ros.qos import overriding_options
 
+HARDWARE_ID = 'plane_detector'
+"""Of all statuses of this package: viewers list them by it, whatever the node is called."""
 _PERIOD_S = 1.0
 
 
@@ -196,5 +198,5 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
     values['frames_dropped'] = str(report.dropped)
     values['frames_skipped'] = str(report.skipped)
     values['last_error'] = report.last_error
-    return DiagnosticStatus(name=name, level=level, message=message, hardware_id='',
+    return DiagnosticStatus(name=name, level=level, message=message, hardware_id=HARDWARE_ID,
                             values=[KeyValue(key=k, value=v) for k, v in values.items()])

@@ -1,17 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The outline of a plane's pixels, and the markers that show it."""
-
-from dataclasses import replace
+"""The outlines of a plane's pixels, and the rectangle around them."""
 
 import numpy as np
 import pytest
-from ros_helpers import header
 
-from plane_detector.planes.classification import PlaneClass
-from plane_detector.planes.outline import enclosing_rectangle, plane_outline, plane_polygons
-from plane_detector.ros.outputs.markers import markers_to_msg
-from plane_detector.types import CameraIntrinsics, Detection, Plane
+from plane_detector.planes.outline import enclosing_rectangle, plane_polygons
+from plane_detector.types import CameraIntrinsics, Plane
 
 CAMERA = CameraIntrinsics(100.0, 100.0, 49.5, 39.5, 100, 80)
 WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 2500, 0.0, 1.0,
@@ -20,7 +15,7 @@ WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 2500, 0
 
 def outline_px(mask, depth_m=None):
     depth_m = np.full(mask.shape, 2.0, np.float32) if depth_m is None else depth_m
-    corners_m = plane_outline(mask, depth_m, CAMERA, WALL)
+    corners_m = plane_polygons(mask, depth_m, CAMERA, WALL)[0].corners_m
     assert np.abs(corners_m @ WALL.normal + WALL.offset_m).max() < 1e-9
     u_px = corners_m[:, 0] / corners_m[:, 2] * CAMERA.fx + CAMERA.cx
     v_px = corners_m[:, 1] / corners_m[:, 2] * CAMERA.fy + CAMERA.cy
@@ -37,7 +32,7 @@ def test_an_l_stays_an_l():
     assert len(corners) <= 8
 
 
-def test_holes_are_filled_and_small_patches_left_out():
+def test_the_outline_of_the_largest_patch_comes_first():
     mask = np.zeros((80, 100), bool)
     mask[10:60, 10:60] = True
     mask[20:50, 20:50] = False
@@ -50,12 +45,6 @@ def test_corners_of_noisy_depth_are_laid_onto_the_plane():
     mask[10:60, 10:60] = True
     noisy_m = 2 + 0.1 * np.random.default_rng(0).normal(size=mask.shape).astype(np.float32)
     outline_px(mask, noisy_m)
-
-
-def test_a_single_pixel_has_an_outline():
-    mask = np.zeros((80, 100), bool)
-    mask[5, 7] = True
-    assert outline_px(mask) == {(7, 5)}
 
 
 def test_polygons_have_holes_and_all_patches():
@@ -99,49 +88,3 @@ def test_the_rectangle_around_a_turned_table(turn_deg, normal):
     assert abs(found.rotation[:, 0] @ width_axis) > 1 - 1e-6
     np.testing.assert_allclose(found.rotation[:, 2], normal)
     assert np.linalg.det(found.rotation) == pytest.approx(1.0)
-
-
-def detection(**changes):
-    labels = np.full((80, 100), -1, np.int32)
-    labels[10:60, 10:60] = 0
-    return replace(Detection((WALL,), labels, 0.0, np.full((80, 100), 2.0, np.float32), 'metric'),
-                   **changes)
-
-
-def markers(shown=(), lifetime_s=0.0, **changes):
-    return markers_to_msg(header(1.0), detection(**changes), CAMERA, shown, lifetime_s).markers
-
-
-def test_markers_of_a_plane():
-    outline, normal, caption = markers(lifetime_s=1.5, track_labels=(7,))
-    assert [m.ns for m in (outline, normal, caption)] == ['outline', 'normal', 'caption']
-    assert {m.id for m in (outline, normal, caption)} == {7}
-    assert {m.header.frame_id for m in (outline, normal, caption)} == {header().frame_id}
-    assert (outline.lifetime.sec, outline.lifetime.nanosec) == (1, 500_000_000)
-    assert outline.type == outline.LINE_STRIP
-    assert outline.points[0] == outline.points[-1]
-    assert len(outline.points) == 5
-    tail, tip = normal.points
-    assert (tail.x, tail.z) == (0.1, 2.0)
-    assert tip.z < tail.z, 'it looks at the camera'
-    assert all(m.color.a == 1.0 and m.pose.orientation.w == 1.0 for m in (outline, normal))
-
-
-def test_captions():
-    assert markers()[2].text == '1: 2.00 m'
-    assert markers(classes=(PlaneClass.WALL,))[2].text == '1: wall 2.00 m'
-    assert markers(classes=(PlaneClass.OTHER_HORIZONTAL,))[2].text == '1: other horizontal 2.00 m'
-    assert markers(scale_method='relative')[2].text == '1: 2.00'
-
-
-def test_a_small_plane_has_no_caption_and_no_text_is_larger_than_its_plane():
-    small = markers(planes=(replace(WALL, inlier_count=79),))
-    assert [m.action for m in small] == [small[0].ADD, small[0].ADD, small[0].DELETE]
-    shelf = markers(planes=(replace(WALL, area_m2=0.01),))
-    assert shelf[2].scale.z == pytest.approx(0.2 * 0.1)
-    assert markers()[2].scale.z < 0.07, 'not as tall as a chair'
-
-
-def test_only_markers_of_planes_gone_are_deleted():
-    deleted = [(m.ns, m.id) for m in markers(shown={1, 4}) if m.action == m.DELETE]
-    assert deleted == [('outline', 4), ('normal', 4), ('caption', 4)]

@@ -5,6 +5,7 @@
 import json
 from pathlib import Path
 
+from plane_detector.ros.diagnostics import HARDWARE_ID
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -40,3 +41,10 @@ def test_the_cloud_has_its_own_colours():
     layout = json.loads((REPOSITORY / 'config' / 'foxglove_layout.json').read_text('utf-8'))
     points = layout['configById']['3D!planes']['topics']['/plane_detector/points']
     assert (points['colorMode'], points['colorField']) == ('rgb', 'rgb')
+
+
+def test_the_panel_of_the_state_finds_node_and_replay_by_their_hardware_id():
+    layout = json.loads((REPOSITORY / 'config' / 'foxglove_layout.json').read_text('utf-8'))
+    panel = layout['configById']['DiagnosticStatusPanel!state']
+    assert panel['selectedHardwareId'] == HARDWARE_ID
+    assert 'selectedName' not in panel, 'the node may have any name'

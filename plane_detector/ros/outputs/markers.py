@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
 from geometry_msgs.msg import Point, Quaternion
@@ -14,26 +14,21 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from plane_detector.drawing import label_colours
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.planes.classification import PlaneClass
-from plane_detector.planes.outline import plane_outline
+from plane_detector.planes.outline import Polygon
+from plane_detector.ros.outputs.captions import Caption, arrow_length_m
 from plane_detector.ros.outputs.messages import FIRST_SHAPE_LABEL, plane_labels, shape_labels
 from plane_detector.ros.outputs.shapes import NAMESPACE as SHAPE_NAMESPACE
 from plane_detector.ros.outputs.shapes import shape_markers
-from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import CameraIntrinsics, Detection, Plane
+from plane_detector.types import Detection, Plane
 
 _NAMESPACES = ('outline', 'normal', 'caption')
-# Sizes as a share of the distance from the camera: they look alike near and far, and need no
-# unit where the scale is not known.
-_LINE_WIDTH, _ARROW_LENGTH, _TEXT_HEIGHT, _TEXT_LIFT = 0.006, 0.15, 0.03, 0.02
-# derived: and no larger than this share of the plane's own side, so that neighbours stay apart.
-_LARGEST_ARROW, _LARGEST_TEXT = 0.5, 0.2
-# derived: a plane of a smaller share of the pixels has no room for a caption.
-_CAPTION_MIN_SHARE = 0.01
+# As a share of the distance from the camera, as the sizes of captions.
+_LINE_WIDTH = 0.006
 
 
-def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntrinsics,
-                   shown: Collection[int], lifetime_s: float) -> MarkerArray:
+def markers_to_msg(header: Header, detection: Detection, polygons: Sequence[Sequence[Polygon]],
+                   captions: Sequence[Caption], shown: Collection[int],
+                   lifetime_s: float) -> MarkerArray:
     """
     Return the markers of all planes; a marker's id is the label of its plane.
 
@@ -43,30 +38,27 @@ def markers_to_msg(header: Header, detection: Detection, intrinsics: CameraIntri
         Of the image.
     detection : Detection
         The planes.
-    intrinsics : CameraIntrinsics
-        Of the image.
+    polygons : sequence of sequences of Polygon
+        Of each plane; the first one is drawn.
+    captions : sequence of Caption
+        Of each plane.
     shown : collection of int
         Labels of the markers published before; those that are not here again are deleted.
     lifetime_s : float
         Seconds after which a marker vanishes by itself, 0 for never.
 
     """
-    labels = plane_labels(detection)
-    gone = set(shown) - {*labels.tolist(), *shape_labels(detection).tolist()}
+    labels = plane_labels(detection).tolist()
+    gone = set(shown) - {*labels, *shape_labels(detection).tolist()}
     markers = [_delete(header, name, label) for label in sorted(gone)
                for name in _namespaces_of(label)]
     lifetime = Duration(seconds=lifetime_s).to_msg()
-    shares = (label_colours(labels) / 255.0).tolist()
-    for index, (plane, label, share) in enumerate(zip(detection.planes, labels, shares,
-                                                      strict=True)):
-        corners_m = plane_outline(detection.labels == index, detection.depth_m, intrinsics, plane)
-        caption = f'{label}: {_description(detection, index)}'
+    shares = (label_colours(labels) / 255.0).tolist() if labels else []
+    for plane, label, share, outlines, caption in zip(detection.planes, labels, shares, polygons,
+                                                      captions, strict=True):
         colour = ColorRGBA(**dict(zip('rgb', share, strict=True)), a=1.0)
-        outline, normal, text = _plane_markers(header, plane, corners_m, caption)
-        if plane.inlier_count < _CAPTION_MIN_SHARE * detection.labels.size:
-            text = _delete(header, 'caption', label)
-        for marker in (outline, normal, text):
-            marker.id, marker.color, marker.lifetime = int(label), colour, lifetime
+        for marker in _plane_markers(header, plane, outlines, caption):
+            marker.id, marker.color, marker.lifetime = label, colour, lifetime
             markers.append(marker)
     for marker in shape_markers(header, detection):
         marker.lifetime = lifetime
@@ -91,27 +83,23 @@ def moved(markers: MarkerArray, to_target: RigidTransform) -> MarkerArray:
     return markers
 
 
-def _plane_markers(header: Header, plane: Plane, corners_m: np.ndarray,
-                   caption: str) -> Iterable[Marker]:
-    distance, side = float(np.linalg.norm(plane.centroid_m)), float(np.sqrt(plane.area_m2))
-    length = min(_ARROW_LENGTH * distance, _LARGEST_ARROW * side)
-    outline = _marker(header, 'outline', Marker.LINE_STRIP, [*corners_m, corners_m[0]])
-    outline.scale.x = _LINE_WIDTH * distance
-    normal = _marker(header, 'normal', Marker.ARROW,
-                     [plane.centroid_m, plane.centroid_m + length * plane.normal])
-    normal.scale.x, normal.scale.y = _LINE_WIDTH * distance, 3 * _LINE_WIDTH * distance
+def _plane_markers(header: Header, plane: Plane, outlines: Sequence[Polygon],
+                   caption: Caption) -> Iterable[Marker]:
+    line_width_m = _LINE_WIDTH * float(np.linalg.norm(plane.centroid_m))
+    corners_m = outlines[0].corners_m if outlines else np.zeros((0, 3))
+    outline = _marker(header, 'outline', Marker.LINE_STRIP, [*corners_m, *corners_m[:1]])
+    outline.scale.x = line_width_m
+    if not outlines:  # a plane too narrow for three corners
+        outline.action = Marker.DELETE
+    normal = _marker(header, 'normal', Marker.ARROW, [
+        plane.centroid_m, plane.centroid_m + arrow_length_m(plane) * plane.normal])
+    normal.scale.x, normal.scale.y = line_width_m, 3 * line_width_m
     text = _marker(header, 'caption', Marker.TEXT_VIEW_FACING, [])
-    text.text, text.scale.z = caption, min(_TEXT_HEIGHT * distance, _LARGEST_TEXT * side)
-    text.pose.position = _point(plane.centroid_m + _TEXT_LIFT * distance * plane.normal)
+    text.text, text.scale.z = caption.text, caption.height_m
+    text.pose.position = _point(caption.position_m)
+    if not caption.is_shown:  # the text stays in the message, for viewers that list it
+        text.action = Marker.DELETE
     return outline, normal, text
-
-
-def _description(detection: Detection, index: int) -> str:
-    """Class, where it is known, and distance; without a unit where that is not known."""
-    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
-    name = '' if kind == PlaneClass.UNKNOWN else kind.name.lower().replace('_', ' ') + ' '
-    unit = '' if detection.scale_method == RELATIVE else ' m'
-    return f'{name}{detection.planes[index].offset_m:.2f}{unit}'
 
 
 def _marker(header: Header, name: str, kind: int, points_m: Iterable[np.ndarray]) -> Marker:

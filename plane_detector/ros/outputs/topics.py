@@ -31,6 +31,7 @@ from plane_detector.planes.outline import (
     plane_polygons,
 )
 from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.captions import plane_captions
 from plane_detector.ros.outputs.markers import markers_to_msg, moved
 from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
 from plane_detector.ros.outputs.shapes import shapes_to_msg
@@ -94,15 +95,19 @@ class Result:
         return replace(found, planes=tuple(map(turn.plane, found.planes)), shapes=shapes)
 
     @cached_property
+    def camera_polygons(self) -> tuple[tuple[Polygon, ...], ...]:
+        """The outlines of each plane in the frame of the camera."""
+        found = self.detection
+        return tuple(plane_polygons(found.labels == index, found.depth_m, self.intrinsics, plane)
+                     for index, plane in enumerate(found.planes))
+
+    @cached_property
     def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
         """The outlines of each plane in the target frame."""
-        found = self.detection
-        polygons = (plane_polygons(found.labels == index, found.depth_m, self.intrinsics, plane)
-                    for index, plane in enumerate(found.planes))
         if self.to_target is None:
-            return tuple(polygons)
+            return self.camera_polygons
         return tuple(tuple(replace(polygon, corners_m=self.to_target.points(polygon.corners_m))
-                           for polygon in of_plane) for of_plane in polygons)
+                           for polygon in of_plane) for of_plane in self.camera_polygons)
 
     @cached_property
     def rectangles(self) -> tuple[Rectangle, ...]:
@@ -116,7 +121,6 @@ class Result:
     def labels(self) -> np.ndarray:
         """The label of each pixel in the messages, (H, W) uint32, 0 for none."""
         return messages.pixel_labels(self.detection)
-
 
     @cached_property
     def points_m(self) -> np.ndarray:
@@ -179,7 +183,9 @@ def _poses(result: Result) -> PoseArray:
 
 
 def _markers(result: Result) -> MarkerArray:
-    markers = markers_to_msg(result.target_header, result.detection, result.intrinsics,
+    found = result.detection
+    captions = plane_captions(found, messages.plane_labels(found).tolist(), result.intrinsics)
+    markers = markers_to_msg(result.target_header, found, result.camera_polygons, captions,
                              result.shown, result.settings.marker_lifetime)
     return markers if result.to_target is None else moved(markers, result.to_target)
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray
 
+from plane_detector.ros.diagnostics import HARDWARE_ID
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, to_message
 from plane_detector.tools.replay.bag_writer import BagWriter
-from plane_detector.tools.replay.tally import DIAGNOSTICS_TOPIC, FRAME_KEY, HARDWARE_ID, Tally
+from plane_detector.tools.replay.tally import DIAGNOSTICS_TOPIC, FRAME_KEY, REPLAY_NAME, Tally
 
 
 @dataclass(frozen=True)
@@ -86,6 +87,6 @@ def copy_earlier(earlier: Earlier, writer: BagWriter, tally: Tally) -> Counter[s
 def _own_facts(recorded: Recorded) -> dict[str, str]:
     """Return keys and values of a replay's diagnostics; empty for those of another program."""
     (status, *_) = to_message(recorded, DiagnosticArray).status or [None]
-    if status is None or status.hardware_id != HARDWARE_ID:
+    if status is None or (status.hardware_id, status.name) != (HARDWARE_ID, REPLAY_NAME):
         return {}
     return {pair.key: pair.value for pair in status.values}

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
@@ -16,7 +15,7 @@ from plane_detector.ros.diagnostics import Report, status_to_msg
 from plane_detector.types import Detection
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
-HARDWARE_ID = 'replay'
+REPLAY_NAME = 'replay'
 FRAME_KEY = 'frame'
 
 
@@ -130,11 +129,10 @@ def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str
     """
     total_s = sum(stage_seconds.values())
     report = Report(tally.processed, tally.without_partner, tally.skipped,
-                    1 / total_s if total_s else 0.0, stage_seconds, bool(error), error)
+                    1 / total_s if total_s else 0.0, stage_seconds,
+                    skipped_lately=bool(error), last_error=error)
     level, message = ((DiagnosticStatus.WARN, f'frame skipped: {error}') if error
                       else (DiagnosticStatus.OK, 'replayed'))
-    status: Any = status_to_msg('plane_detector', level, message, report,
-                                {FRAME_KEY: str(index), 'planes_in_all': str(tally.planes),
-                                 **facts})
-    status.hardware_id = HARDWARE_ID
-    return DiagnosticArray(header=header, status=[status])
+    facts = {FRAME_KEY: str(index), 'planes_in_all': str(tally.planes), **facts}
+    return DiagnosticArray(header=header, status=[
+        status_to_msg(REPLAY_NAME, level, message, report, facts)])

@@ -56,7 +56,7 @@ def test_pixels_carry_the_labels_of_the_shapes(detection):
 
 def test_markers_show_the_shapes_and_delete_those_gone(detection):
     gone = FIRST_SHAPE_LABEL + 9
-    msg = markers_to_msg(Header(), detection, CAMERA, {gone}, 0.0)
+    msg = markers_to_msg(Header(), detection, [()] * len(detection.planes), [], {gone}, 0.0)
     shown = {m.id: m for m in msg.markers if m.ns == NAMESPACE and m.action == Marker.ADD}
     assert [shown[FIRST_SHAPE_LABEL + k].type for k in (7, 2, 5)] == [
         Marker.SPHERE, Marker.CYLINDER, Marker.TRIANGLE_LIST]

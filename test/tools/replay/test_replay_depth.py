@@ -60,7 +60,8 @@ def test_the_diagnostics_have_the_stamps_of_the_images(bag, replay):
     _, target, _ = replay(bag)
     messages = messages_of(target, '/diagnostics', DiagnosticArray)
     assert stamps_of(messages) == [0.0, 0.1, 0.2, 0.3]
-    assert {msg.status[0].name for msg in messages} == {'plane_detector'}
+    assert {(msg.status[0].hardware_id, msg.status[0].name) for msg in messages} == {
+        ('plane_detector', 'replay')}
     assert messages[-1].status[0].message == 'replayed'
 
 
@@ -121,6 +122,8 @@ def test_a_skipped_frame_has_diagnostics_too(tmp_path, scenes, replay):
     states = [msg.status[0] for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
     assert [status.level for status in states] == [b'\0', b'\1', b'\0', b'\0']
     assert states[1].message.startswith("frame skipped: image encoding 'rainbow'")
+    facts = {pair.key: pair.value for pair in states[1].values}
+    assert facts['last_error'].startswith("image encoding 'rainbow'")
     assert len(planes_of(target)) == 3
 
 

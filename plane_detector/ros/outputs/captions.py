@@ -1,0 +1,132 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Captions of planes: what they say, how tall they are, where they stand, and which are shown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.geometry.label_places import LabelPlace, label_places
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.scale.estimate import RELATIVE
+from plane_detector.types import CameraIntrinsics, Detection, Plane
+
+# Sizes as a share of the distance from the camera: they look alike near and far, and need no
+# unit where the scale is not known.
+_HEIGHT, _ARROW_LENGTH = 0.03, 0.15
+# derived: and no larger than this share of the plane's own side, so that neighbours stay apart.
+_LARGEST_HEIGHT, _LARGEST_ARROW = 0.2, 0.5
+# derived: a plane of a smaller share of the pixels has no room for a caption.
+_MIN_SHARE = 0.01
+# derived: the advance of a monospaced character is .6 of its height, and viewers draw a box around
+# the text.
+_ADVANCE, _BOX = 0.6, 1.5
+# derived: a text stands before all of the plane that it covers, but no nearer than three
+# quarters of the way to it, or else it would be far from its plane for another viewpoint.
+_BEFORE_PLANE, _NEAREST = 0.98, 0.75
+
+
+@dataclass(frozen=True)
+class Caption:
+    """
+    The text at a plane.
+
+    Attributes
+    ----------
+    text : str
+    position_m : (3,) float64
+        Its middle, in the frame of the camera.
+    height_m : float
+        Of its characters.
+    is_shown : bool
+        Neither is the plane too small for it, nor would it cover that of a larger plane.
+
+    """
+
+    text: str
+    position_m: np.ndarray
+    height_m: float
+    is_shown: bool
+
+
+def arrow_length_m(plane: Plane) -> float:
+    """Return the length of the arrow along the normal."""
+    return min(_ARROW_LENGTH * float(np.linalg.norm(plane.centroid_m)),
+               _LARGEST_ARROW * float(np.sqrt(plane.area_m2)))
+
+
+def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: CameraIntrinsics
+                   ) -> tuple[Caption, ...]:
+    """
+    Return the captions of all planes.
+
+    A caption stands where its plane is widest in the image, before the plane, and faces the
+    viewer. Whether two of them overlap is decided as the camera sees them; the one of the larger
+    plane stays.
+
+    Parameters
+    ----------
+    detection : Detection
+        The planes, in the frame of the camera.
+    labels : sequence of int
+        Of the planes, as they are written.
+    intrinsics : CameraIntrinsics
+        Of the image.
+
+    """
+    places = label_places(detection.labels + 1)
+    captions: list[Caption] = []
+    boxes: list[np.ndarray] = []
+    min_pixels = _MIN_SHARE * detection.labels.size
+    order = sorted(range(len(detection.planes)), key=lambda k: -detection.planes[k].inlier_count)
+    for index in order:
+        plane, text = detection.planes[index], f'{labels[index]}: {_description(detection, index)}'
+        height = _height_m(plane) / float(np.linalg.norm(plane.centroid_m))
+        middle = _middle(plane, places.get(index + 1), intrinsics)
+        box = middle + _BOX * height / 2 * np.outer([-1, 1], [_ADVANCE * len(text), 1.0])
+        is_shown = plane.inlier_count >= min_pixels and not any(
+            _overlap(box, other) for other in boxes)
+        if is_shown:
+            boxes.append(box)
+        z_m = _before_m(plane, box)
+        captions.append(Caption(text, z_m * np.append(middle, 1.0), z_m * height, is_shown))
+    return tuple(captions[order.index(index)] for index in range(len(order)))
+
+
+def _height_m(plane: Plane) -> float:
+    return min(_HEIGHT * float(np.linalg.norm(plane.centroid_m)),
+               _LARGEST_HEIGHT * float(np.sqrt(plane.area_m2)))
+
+
+def _middle(plane: Plane, place: LabelPlace | None, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return x / z and y / z of where a text should stand."""
+    if place is None:
+        return plane.centroid_m[:2] / plane.centroid_m[2]
+    return np.array([(place.column - intrinsics.cx) / intrinsics.fx,
+                     (place.row - intrinsics.cy) / intrinsics.fy])
+
+
+def _before_m(plane: Plane, box: np.ndarray) -> float:
+    """Return the z at which a text of this box is before the plane."""
+    corners = np.array([[x, y, 1.0] for x in box[:, 0] for y in box[:, 1]])
+    nearness = -corners @ plane.normal  # 1 / z is this over the offset
+    at_middle, at_nearest = float(nearness.mean()), float(nearness.max())
+    if at_middle <= 0:  # the middle is beyond the plane's horizon
+        return float(plane.centroid_m[2])
+    middle_m = plane.offset_m / at_middle
+    return max(_BEFORE_PLANE * plane.offset_m / at_nearest, _NEAREST * middle_m)
+
+
+def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
+    return bool(np.all(first[0] < second[1]) and np.all(second[0] < first[1]))
+
+
+def _description(detection: Detection, index: int) -> str:
+    """Return class, where it is known, and distance; without a unit where that is not known."""
+    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
+    name = '' if kind == PlaneClass.UNKNOWN else kind.name.lower().replace('_', ' ') + ' '
+    unit = '' if detection.scale_method == RELATIVE else ' m'
+    return f'{name}{detection.planes[index].offset_m:.2f}{unit}'
