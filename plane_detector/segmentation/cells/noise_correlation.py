@@ -10,7 +10,7 @@ the same error many times, and misses how little the error changes from one cell
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -84,7 +84,12 @@ class Correlation:
 
     def table(self, shape: tuple[int, int]) -> np.ndarray:
         """Return the covariance of two cells by their distance in rows and columns, (R, C)."""
-        return self.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
+        return _table(self, shape)
+
+
+@lru_cache(maxsize=4)
+def _table(correlation: Correlation, shape: tuple[int, int]) -> np.ndarray:
+    return correlation.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
 
 
 def _covariances(model: WeightedCells, regions: PlaneRegions, limit: float) -> list[float]:

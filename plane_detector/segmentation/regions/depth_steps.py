@@ -16,14 +16,13 @@ import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated, median
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, region_moments
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
-from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clusters
 
 # Blocks of pixels along the side of a cell.
 # derived: half a cell is two of them.
@@ -34,12 +33,11 @@ LENGTH_CELLS = 3
 # Step in standard deviations of the differences in the image: all along it, and somewhere.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 LOW_THRESHOLD, HIGH_THRESHOLD = 1.7, 4.0
-# A piece differs from its surroundings by this many deviations, at the step and overall.
+# A piece differs from the rest of its region by this many deviations of smooth noise.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
-MIN_OFFSET = 0.5
+MIN_OFFSET_DEVIATIONS = 0.5
 # Residuals are clipped at this many deviations, so that outliers do not hide the steps.
 MAX_RESIDUAL = 6.0
-_CROSS = Neighbourhood(np.array([[0, 0], [0, 1], [1, 0], [0, -1], [-1, 0]]), 1)
 
 
 def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions,
@@ -68,62 +66,93 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
     size = cells.grid.size_px
     if correlation is None or size < BLOCKS or not len(regions.coefficients):
         return regions
-    limit = MAX_RESIDUAL * np.hypot(noise.mean_sigma, noise.pixel_sigma)
-    residual = _residual(image, cells, regions, limit)
-    inside = ~np.isnan(residual)
-    residual = np.where(inside, residual, np.float32(0))
-    labels = regions.labels.repeat(BLOCKS, axis=0).repeat(BLOCKS, axis=1)
-    free = np.where(inside & ~_steps(residual, inside), labels, -1)
-    pieces, count = label_clusters(free, _CROSS)
-    owners = np.where(inside, labels, -1)
-    area = np.bincount(pieces.ravel() + 1, minlength=count + 1)[1:]
-    owner = np.zeros(count + 1, int)
-    owner[pieces] = labels
-    large = np.flatnonzero(area * (size / BLOCKS) ** 2 >= min_pixels)
-    large = large[np.argsort(-area[large], kind='stable')]
-    mean = np.bincount(pieces.ravel() + 1, residual.ravel(), count + 1)[1:] / area
+    residual, owner = _residual(image, cells, regions, noise)
+    pieces, sums = _pieces(np.where(_steps(residual, owner >= 0), np.int32(-1), owner), residual)
+    label, blocks, mean = sums[:, 0].astype(int), sums[:, 1], sums[:, 2] / sums[:, 1]
+    order = np.argsort(-blocks, kind='stable')
+    largest = order[np.unique(label[order], return_index=True)[1]]
+    rest = dict(zip(label[largest], mean[largest], strict=True))
     split = regions
-    for rank, piece in enumerate(large):
-        larger = large[:rank][owner[large[:rank]] == owner[piece]]
-        min_offset = MIN_OFFSET * noise.mean_sigma
-        if not len(larger) or abs(mean[piece] - mean[larger[0]]) < min_offset:
-            continue
-        if _stands_out(pieces == piece, residual, owners, mean[larger[0]], min_offset):
-            split = _cut_off(cells, split, pieces == piece, owner[piece], correlation)
+    for piece in order[blocks[order] * (size / BLOCKS) ** 2 >= min_pixels]:
+        offset = abs(mean[piece] - rest[label[piece]])
+        if piece not in largest and offset >= MIN_OFFSET_DEVIATIONS * noise.mean_sigma:
+            split = _cut_off(cells, split, pieces, piece, label[piece], correlation)
     return split
 
 
 def _residual(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions,
-              limit: float) -> np.ndarray:
-    """Return the residual of each block to its region's plane, NaN where there is none."""
-    grid = cells.grid
+              noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+    """Return the residual of each block to its region's plane, and the region, -1 none."""
+    grid, limit = cells.grid, MAX_RESIDUAL * np.hypot(noise.mean_sigma, noise.pixel_sigma)
     frame = np.array([grid.width_px, *grid.origin, limit])
     return _block_residuals(image.values, image.valid, np.ascontiguousarray(regions.labels),
                             regions.coefficients, grid.size_px, frame)
 
 
-@kernel('float32[:, ::1](float32[:, ::1], boolean[:, ::1], int32[:, ::1], float64[:, ::1], int64, '
-        'float64[::1])')
+@kernel('Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], boolean[:, ::1], '
+        'int32[:, ::1], float64[:, ::1], int64, float64[::1])')
 def _block_residuals(disparity, valid, labels, planes, size, frame):
-    rows, columns = labels.shape
-    residual = np.full((rows * BLOCKS, columns * BLOCKS), np.float32(np.nan))
-    for i in range(rows * BLOCKS):
-        for j in range(columns * BLOCKS):
+    (height, width), side = disparity.shape, size // BLOCKS
+    residual = np.zeros((labels.shape[0] * BLOCKS, labels.shape[1] * BLOCKS), np.float32)
+    owner = np.full(residual.shape, np.int32(-1))
+    column, count = np.zeros(width + size, np.float32), np.zeros(width + size, np.int32)
+    for i in range(residual.shape[0]):
+        top, bottom = i * size // BLOCKS, min(i * size // BLOCKS + side, height)
+        column[:], count[:] = 0, 0
+        for v in range(top, bottom):
+            for u in range(width):
+                column[u] += disparity[v, u]  # 0 where invalid
+                count[u] += valid[v, u]
+        for j in range(residual.shape[1]):
             label = labels[i // BLOCKS, j // BLOCKS]
-            if label < 0:
+            total, pixels, sum_u = 0.0, 0, 0
+            for u in range(j * size // BLOCKS, j * size // BLOCKS + side):
+                total += column[u]
+                pixels += count[u]
+                sum_u += u * count[u]
+            if label >= 0 and 2 * pixels > side**2:
+                a, b, c = planes[label, 0], planes[label, 1], planes[label, 2]
+                x, y = sum_u / pixels / frame[0], (top + bottom - 1) / 2 / frame[0]
+                error = total / pixels - (a * (frame[1] + x) + b * (frame[2] + y) + c)
+                residual[i, j], owner[i, j] = min(max(error, -frame[3]), frame[3]), label
+    return residual, owner
+
+
+@kernel('Tuple((int32[:, ::1], float64[:, ::1]))(int32[:, ::1], float32[:, ::1])')
+def _pieces(owner, residual):
+    """Return the connected pieces of regions, and region, blocks, sum of residuals of each."""
+    rows, columns = owner.shape
+    piece, parent, count = np.full((rows, columns), np.int32(-1)), np.arange(owner.size), 0
+    for i in range(rows):
+        for j in range(columns):
+            if owner[i, j] < 0:
                 continue
-            top, bottom = i * size // BLOCKS, (i + 1) * size // BLOCKS
-            left, right = j * size // BLOCKS, (j + 1) * size // BLOCKS
-            total, count = 0.0, 0
-            for v in range(top, min(bottom, disparity.shape[0])):
-                for u in range(left, min(right, disparity.shape[1])):
-                    if valid[v, u]:
-                        total += (disparity[v, u] - planes[label, 0] * (frame[1] + u / frame[0])
-                                  - planes[label, 1] * (frame[2] + v / frame[0]))
-                        count += 1
-            if 2 * count > (bottom - top) * (right - left):
-                residual[i, j] = min(max(total / count - planes[label, 2], -frame[3]), frame[3])
-    return residual
+            left = piece[i, j - 1] if j > 0 and owner[i, j - 1] == owner[i, j] else -1
+            above = piece[i - 1, j] if i > 0 and owner[i - 1, j] == owner[i, j] else -1
+            if left < 0 and above < 0:
+                left, count = count, count + 1
+            elif left >= 0 and above >= 0 and left != above:
+                while parent[left] != left:
+                    left = parent[left]
+                while parent[above] != above:
+                    above = parent[above]
+                parent[max(left, above)] = min(left, above)
+            piece[i, j] = max(left, above) if min(left, above) < 0 else min(left, above)
+    number = 0
+    for k in range(count):  # parents come before their children
+        if parent[k] == k:
+            parent[k], number = number, number + 1
+        else:
+            parent[k] = parent[parent[k]]
+    sums = np.zeros((number, 3))
+    for i in range(rows):
+        for j in range(columns):
+            if owner[i, j] >= 0:
+                k = parent[piece[i, j]]
+                piece[i, j], sums[k, 0] = k, owner[i, j]
+                sums[k, 1] += 1
+                sums[k, 2] += residual[i, j]
+    return piece, sums
 
 
 def _steps(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -146,31 +175,11 @@ def _steps(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
     return strong[components]
 
 
-def _stands_out(is_piece: np.ndarray, residual: np.ndarray, labels: np.ndarray, rest_mean: float,
-                min_offset: float) -> bool:
-    """Say whether a piece is offset from its region's rest, with the same sign at the step."""
-    rows, columns = (np.flatnonzero(is_piece.any(axis=axis)) for axis in (1, 0))
-    box = tuple(slice(max(side[0] - 2 * BLOCKS, 0), side[-1] + 2 * BLOCKS + 1)
-                for side in (rows, columns))
-    piece, values = is_piece[box], residual[box]
-    region = labels[box] == labels[rows[0]][is_piece[rows[0]]][0]
-    beyond = dilated(piece, BLOCKS)
-    outer = dilated(beyond, BLOCKS) & ~beyond & region
-    inner = piece & dilated(region & ~piece, BLOCKS + BLOCKS // 2)
-    if not outer.any() or not inner.any():
-        return False
-    offsets = np.array([values[inner].mean() - values[outer].mean(),
-                        values[piece].mean() - rest_mean])
-    return bool((offsets >= min_offset).all() or (offsets <= -min_offset).all())
-
-
-def _cut_off(cells: WeightedCells, regions: PlaneRegions, piece: np.ndarray, label: int,
-             correlation: Correlation) -> PlaneRegions:
+def _cut_off(cells: WeightedCells, regions: PlaneRegions, pieces: np.ndarray, piece: int,
+             label: int, correlation: Correlation) -> PlaneRegions:
     """Split off the cells that a piece and half the step around it fill, if they are a plane."""
-    (rows, columns), new = regions.labels.shape, len(regions.coefficients)
-    filled = dilated(piece, BLOCKS // 2).reshape(rows, BLOCKS, columns, BLOCKS).sum(axis=(1, 3))
-    labels = np.where((2 * filled >= BLOCKS**2) & (regions.labels == label), new,
-                      regions.labels).astype(np.int32)
+    new = len(regions.coefficients)
+    labels = _relabelled(np.ascontiguousarray(regions.labels), pieces, (piece, label, new))
     fitted = fit_planes(region_moments(cells, labels, new + 1))[[label, new]]
     if not np.isfinite(fitted).all() or not prefer_two_planes(cells, labels, correlation, label,
                                                               new):
@@ -178,3 +187,32 @@ def _cut_off(cells: WeightedCells, regions: PlaneRegions, piece: np.ndarray, lab
     planes = np.append(regions.coefficients, fitted[1:], axis=0)
     planes[label] = fitted[0]
     return PlaneRegions(labels, planes)
+
+
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], UniTuple(int64, 3))')
+def _relabelled(labels, pieces, names):
+    """Return labels where cells that a piece fills at least half have a new one."""
+    piece, old, new = names
+    found, reach = labels.copy(), BLOCKS // 2
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            top, left, filled = row * BLOCKS, column * BLOCKS, 0
+            if (labels[row, column] != old
+                    or not _has(pieces, piece, (top - reach, left - reach), BLOCKS + 2 * reach)):
+                continue
+            for i in range(top, top + BLOCKS):
+                for j in range(left, left + BLOCKS):
+                    filled += _has(pieces, piece, (i - reach, j - reach), 1 + 2 * reach)
+            if 2 * filled >= BLOCKS**2:
+                found[row, column] = new
+    return found
+
+
+@kernel('boolean(int32[:, ::1], int64, UniTuple(int64, 2), int64)')
+def _has(pieces, piece, corner, side):
+    """Say whether a piece has a block in the square with this upper left corner."""
+    for i in range(max(corner[0], 0), min(corner[0] + side, pieces.shape[0])):
+        for j in range(max(corner[1], 0), min(corner[1] + side, pieces.shape[1])):
+            if pieces[i, j] == piece:
+                return True
+    return False

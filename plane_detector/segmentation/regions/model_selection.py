@@ -69,38 +69,59 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
 @kernel('Tuple((int64[::1], boolean[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])')
 def _cells_about(labels, is_planar, pair):
     """Return the cells (n,) nearest to a border, which of them are the smaller region's or cut."""
-    rows, columns = labels.shape
-    balance = 0
-    for i in range(labels.size):
-        label = labels[i // columns, i % columns]
-        balance += (label == pair[1]) - (label == pair[0])
-    small, large = (pair[0], pair[1]) if balance >= 0 else (pair[1], pair[0])
-    to_small, to_large = _distance(labels, small), _distance(labels, large)
+    columns = labels.shape[1]
+    sizes, boxes = _extents(labels, pair)
+    small, large, box = pair[0], pair[1], boxes[0]
+    if sizes[1] <= sizes[0]:
+        small, large, box = pair[1], pair[0], boxes[1]
+    near = labels[box[0]:box[1], box[2]:box[3]]
+    to_small, to_large = _distance(near, small), _distance(near, large)
     # Counting sort by distance.
-    distance, start = np.zeros(labels.size, np.int64), np.zeros(rows + columns + 2, np.int64)
-    for i in range(labels.size):
-        row, column = i // columns, i % columns
-        if is_planar[i] and labels[row, column] == small:
-            distance[i] = to_large[row, column]
-        elif (is_planar[i] and labels[row, column] == large
-                and to_small[row, column] <= REACH_CELLS):
-            distance[i] = to_small[row, column]
-        if distance[i] > 0:
-            start[distance[i] + 1] += 1
+    distance = np.zeros(near.shape, np.int64)
+    start = np.zeros(near.shape[0] + near.shape[1] + 2, np.int64)
+    for row in range(near.shape[0]):
+        for column in range(near.shape[1]):
+            if not is_planar[(box[0] + row) * columns + box[2] + column]:
+                continue
+            if near[row, column] == small:
+                distance[row, column] = to_large[row, column]
+            elif near[row, column] == large and to_small[row, column] <= REACH_CELLS:
+                distance[row, column] = to_small[row, column]
+            if distance[row, column] > 0:
+                start[distance[row, column] + 1] += 1
     for k in range(1, len(start)):
         start[k] += start[k - 1]
     n = min(start[-1], MAX_CELLS)
     cell, is_small, is_cut = np.empty(n, np.int64), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    for i in range(labels.size):
-        place = start[distance[i]]
-        if distance[i] > 0 and place < n:
-            cell[place], is_cut[place] = i, distance[i] == 1
-            is_small[place] = labels[i // columns, i % columns] == small
-        start[distance[i]] += distance[i] > 0
+    for row in range(near.shape[0]):
+        for column in range(near.shape[1]):
+            apart = distance[row, column]
+            if apart > 0 and start[apart] < n:
+                cell[start[apart]] = (box[0] + row) * columns + box[2] + column
+                is_cut[start[apart]] = apart == 1
+                is_small[start[apart]] = near[row, column] == small
+            start[apart] += apart > 0
     return cell, is_small, is_cut
 
 
-@kernel('int64[:, ::1](int32[:, ::1], int64)')
+@kernel('Tuple((int64[::1], int64[:, ::1]))(int32[:, ::1], int64[::1])')
+def _extents(labels, pair):
+    """Return the sizes of two regions, and the boxes of cells within reach of them."""
+    (rows, columns), sizes = labels.shape, np.zeros(2, np.int64)
+    boxes = np.array([[rows, 0, columns, 0], [rows, 0, columns, 0]])
+    for row in range(rows):
+        for column in range(columns):
+            for k in range(2):
+                if labels[row, column] == pair[k]:
+                    sizes[k] += 1
+                    boxes[k, 0] = min(boxes[k, 0], max(row - REACH_CELLS, 0))
+                    boxes[k, 1] = max(boxes[k, 1], min(row + REACH_CELLS + 1, rows))
+                    boxes[k, 2] = min(boxes[k, 2], max(column - REACH_CELLS, 0))
+                    boxes[k, 3] = max(boxes[k, 3], min(column + REACH_CELLS + 1, columns))
+    return sizes, boxes
+
+
+@kernel('int64[:, ::1](int32[:, :], int64)')
 def _distance(labels, label):
     """Return the chessboard distance (R, C) of each cell to the nearest cell with a label."""
     rows, columns = labels.shape
