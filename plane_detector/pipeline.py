@@ -23,6 +23,7 @@ from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
 from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
@@ -136,7 +137,7 @@ class PlaneDetector:
         with stages('segmentation'):
             # 2. The pixels of each plane, in the unit of the prediction.
             regions = _segment(seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
-                               guide=_guide(seen, config))
+                               **_hints(seen, config))
         with stages('scale'):
             # 3. The scale and shift that make it metres, steadied over time.
             self._scale = _update_scale(self._scale, seen, regions, config, around)
@@ -257,20 +258,20 @@ def _noise_floor(seen: Observation, config: Config) -> Noise:
     return unitless_noise_floor(seen.disparity, seen.disparity_noise)
 
 
-def _guide(seen: Observation, config: Config) -> GuideImage | None:
-    """Return what borders snap to, where a network blurred them."""
-    if not config.segmentation.snap_to_picture or seen.edge_blur_px == 0:
-        return None
-    return GuideImage(seen.rgb, seen.edge_blur_px)
+def _hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
+    """Return what borders snap to, where a network blurred them, and the normals it gives."""
+    snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
+    return {'guide': GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None,
+            'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
 
 
 def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
              noise_floor: Noise, rng: np.random.Generator | None = None,
-             guide: GuideImage | None = None) -> PixelRegions:
+             **hints: GuideImage | NormalMap | None) -> PixelRegions:
     """Segment by the method that the settings name."""
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, noise_floor, config, rng)
-    return segment(disparity, noise_floor, config, rng, guide)
+    return segment(disparity, noise_floor, config, rng, **hints)
 
 
 def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,

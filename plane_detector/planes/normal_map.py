@@ -21,6 +21,7 @@ from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.measurement import ray_plane_jacobian
 from plane_detector.segmentation.cells.labels import count_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.types import CameraIntrinsics, Prediction
 
 STEP_PX = 3
@@ -95,9 +96,8 @@ def _cell_spreads(regions: PixelRegions, jacobian: np.ndarray) -> np.ndarray:
     grid, count = regions.grid, len(regions.coefficients)
     pixels = count_labels(grid, regions.labels, count)
     whole = (pixels == grid.moments[:, :1]) & grid.usable[:, None]
-    x, y, d = grid.mean.T
-    level = d - grid.slope[:, 0] * x - grid.slope[:, 1] * y
-    normals = _unit(-np.column_stack([grid.slope, level]) @ jacobian.T)
+    # The slopes of the grid are not those of the depth alone: the normals are in them.
+    normals = _unit(-fit_planes(grid.moments) @ jacobian.T)
     own = _unit(-regions.coefficients @ jacobian.T)
     return np.array([_spread_rad(normals[whole[:, k]], own[k]) for k in range(count)])
 

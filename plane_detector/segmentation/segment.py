@@ -21,6 +21,7 @@ from plane_detector.segmentation.cells.labels import remove_regions
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
+from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
@@ -74,7 +75,7 @@ def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) ->
 @one_blas_thread
 def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
             rng: np.random.Generator | None = None,
-            guide: GuideImage | None = None) -> PixelRegions:
+            guide: GuideImage | None = None, normals: NormalMap | None = None) -> PixelRegions:
     """
     Find the regions of a disparity image that are planes.
 
@@ -90,6 +91,8 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
         Default: seeded with ``config.ransac.seed``.
     guide : GuideImage, optional
         The colour image, given if the source of the disparity blurs edges.
+    normals : NormalMap, optional
+        Of the same image, by a network; the disparity is 1/z then, without a shift.
 
     Returns
     -------
@@ -100,6 +103,8 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     rng = rng or np.random.default_rng(config.ransac.seed)
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)
+    if normals is not None:
+        grid = with_normals(grid, normals, noise_floor.source_sigma)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     search = Search(grid, min_pixels, config, rng)
     cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))

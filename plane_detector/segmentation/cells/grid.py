@@ -67,6 +67,8 @@ class CellGrid:
     sparsity : (R * C, 2) float64
         What missing pixels add to the variances of the cell's mean and slope, per variance of a
         pixel; 0 for full cells.
+    normal_slope : (R * C, 2) float64
+        dd/dx and dd/dy by the normals of a network; NaN where it gives none.
 
     """
 
@@ -80,6 +82,7 @@ class CellGrid:
     inner_rms: np.ndarray
     usable: np.ndarray
     sparsity: np.ndarray
+    normal_slope: np.ndarray
 
     @cached_property
     def typical_disparity(self) -> float:
@@ -119,13 +122,13 @@ def build_cell_grid(image: DisparityImage, size: int = 0) -> CellGrid:
     origin = float(x[0]), float(y[0])
     shape = tuple(-(-side // size) for side in image.valid.shape)
     sums = _sum_up(image.values, image.valid, size, np.array([width, *origin]))
-    return CellGrid(size, width, origin, shape, *sums)
+    return CellGrid(size, width, origin, shape, *sums, np.full((shape[0] * shape[1], 2), np.nan))
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '
         'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, float64[::1])')
 def _sum_up(disparity, valid, size, frame):
-    """Return all fields of the cells from ``moments`` on."""
+    """Return the fields of the cells from ``moments`` to ``sparsity``."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
     width, middle = frame[0], (size - 1) / 2
     moments, mean = np.zeros((rows * columns, 10)), np.zeros((rows * columns, 3))

@@ -8,6 +8,7 @@ import numpy as np
 
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.regions.adjacency import best_pairs, find_adjacency, merge
+from plane_detector.segmentation.regions.normal_agreement import normals_differ
 from plane_detector.segmentation.regions.quadrics import fit_pairs, folds, sum_up_quadrics
 
 # If the shift of the disparity is unknown, the angle is approximate.
@@ -25,7 +26,8 @@ def merge_bowed_walls(cells: WeightedCells, regions: PlaneRegions) -> PlaneRegio
         adjacency = find_adjacency(cells, regions.labels)
         fold_deg, gap = folds(cells, regions, adjacency)
         misfit = np.full(len(fold_deg), np.inf)
-        slight = np.flatnonzero((gap < MAX_BOW_GAP_DEVIATIONS) & (fold_deg < MAX_BOW_DEG))
+        apart = normals_differ(cells, regions, adjacency.first, adjacency.second)
+        slight = np.flatnonzero((gap < MAX_BOW_GAP_DEVIATIONS) & (fold_deg < MAX_BOW_DEG) & ~apart)
         if len(slight):
             pairs = adjacency.first[slight], adjacency.second[slight]
             quadrics = sum_up_quadrics(cells, regions)

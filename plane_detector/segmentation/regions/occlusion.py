@@ -17,6 +17,7 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells,
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.adjacency import joint_misfit, merge
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
+from plane_detector.segmentation.regions.normal_agreement import normals_differ
 
 # derived: as many as cells along the longer side of a piece, about.
 SIGHT_LINES, SAMPLES_PER_LINE = 24, 24
@@ -49,6 +50,7 @@ def merge_occluded(cells: WeightedCells, regions: PlaneRegions,
         merged = False
         first, second = np.triu_indices(len(regions.coefficients), 1)
         misfit, joint = joint_misfit(cells, regions, first, second)
+        misfit[normals_differ(cells, regions, first, second)] = np.inf
         labels = np.ascontiguousarray(regions.labels)
         for k in np.argsort(misfit):
             if misfit[k] > 1:

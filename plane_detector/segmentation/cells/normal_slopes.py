@@ -1,0 +1,155 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Slopes of the disparity by the normals that a network gives beside its depth.
+
+With the ray (X, Y, 1) of a pixel, the plane n . p + d = 0 is 1/z = -(n_x X + n_y Y + n_z) / d: its
+slopes are 1/z times n_x / (n . r) and n_y / (n . r). A cell has two slopes then, that of its own
+depth and that of its normals. Their noise is measured on the image, by the differences between
+neighbouring cells, and the two are averaged by their variances. Errors that neighbours share do
+not show there: by how much more the two differ, in most of the image, is laid to the normals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.noise import (
+    CHI_SQUARED_QUANTILE,
+    QUANTILE,
+    SLOPE_PER_NOISE,
+)
+from plane_detector.types import CameraIntrinsics, Prediction
+
+# derived: the best published normals are 10 degrees off on the average, of which neighbours share
+# the larger part; no difference between them makes normals surer than this.
+LEAST_ANGLE_RAD = np.radians(2.0)
+# derived: of chi-squared with 2 degrees of freedom.
+CHI_SQUARED_MEDIAN = 1.386
+# Cosine between ray and normal below which a plane is seen edge-on.
+MIN_COSINE = 0.02
+
+
+@dataclass(frozen=True)
+class NormalMap:
+    """
+    Normals of an image.
+
+    Attributes
+    ----------
+    normals_camera : (H, W, 3) float32
+        Unit, in the optical frame, looking at the camera; NaN where invalid.
+    confidence : (H, W) floating or None
+        Weight of each; None: all weigh the same.
+    intrinsics : CameraIntrinsics
+        Of the image.
+
+    """
+
+    normals_camera: np.ndarray
+    confidence: np.ndarray | None
+    intrinsics: CameraIntrinsics
+
+    @classmethod
+    def of(cls, prediction: Prediction, intrinsics: CameraIntrinsics) -> NormalMap | None:
+        """Return the normals of a prediction whose disparity has no unknown shift, if any."""
+        if prediction.normals_camera is None or prediction.output == 'relative_disparity':
+            return None
+        return cls(prediction.normals_camera, prediction.normal_confidence, intrinsics)
+
+
+def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> CellGrid:
+    """
+    Return the grid with slopes that normals make surer.
+
+    Parameters
+    ----------
+    grid : CellGrid
+        Of 1/z in any unit, without a shift.
+    normals : NormalMap
+        Of the same image.
+    source_sigma : float
+        Noise level specified for the source of the depth, in the unit of the disparity.
+
+    Returns
+    -------
+    CellGrid
+        With other ``slope``, and with ``normal_slope``.
+
+    """
+    slope = slopes_of(grid, normals)
+    is_usable = grid.usable & np.isfinite(slope).all(axis=1)
+    of_depth = max(_neighbour_variance(grid, grid.slope, grid.usable),
+                   (SLOPE_PER_NOISE * source_sigma) ** 2)
+    least = LEAST_ANGLE_RAD * grid.mean[:, 2] * grid.width_px / normals.intrinsics.fx
+    of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + least**2,
+                            _disagreement(grid, slope, is_usable) - of_depth)
+    share = np.where(is_usable, of_depth / np.maximum(of_depth + of_normals, 1e-30), 0)[:, None]
+    fused = (1 - share) * grid.slope + share * np.nan_to_num(slope)
+    return replace(grid, slope=fused, normal_slope=slope)
+
+
+def slopes_of(grid: CellGrid, normals: NormalMap) -> np.ndarray:
+    """Return dd/dx and dd/dy (R * C, 2) of each cell by its mean normal, NaN where unknown."""
+    camera, width = normals.intrinsics, grid.width_px
+    normal = _cell_means(normals, grid)
+    height = normals.normals_camera.shape[0]
+    ray_x = (grid.mean[:, 0] * width + (width - 1) / 2 - camera.cx) / camera.fx
+    ray_y = (grid.mean[:, 1] * width + (height - 1) / 2 - camera.cy) / camera.fy
+    cosine = normal[:, 0] * ray_x + normal[:, 1] * ray_y + normal[:, 2]
+    with np.errstate(invalid='ignore', divide='ignore'):
+        slope = (grid.mean[:, 2:] * width / cosine[:, None]
+                 * normal[:, :2] / [camera.fx, camera.fy])
+    slope[~(cosine < -MIN_COSINE)] = np.nan
+    return slope
+
+
+def _cell_means(normals: NormalMap, grid: CellGrid) -> np.ndarray:
+    """Return the weighted mean normal (R * C, 3) of each cell, NaN where none is valid."""
+    weight = normals.confidence
+    if weight is None:
+        weight = np.ones(normals.normals_camera.shape[:2], np.float32)
+    sums = _sum_up(np.ascontiguousarray(normals.normals_camera, np.float32),
+                   np.ascontiguousarray(weight, np.float32), grid.size_px)
+    with np.errstate(invalid='ignore'):
+        return sums / np.linalg.norm(sums, axis=1, keepdims=True)
+
+
+@kernel('float64[:, ::1](float32[:, :, ::1], float32[:, ::1], int64)')
+def _sum_up(normals, weight, size):
+    """Return the weighted sum (R * C, 3) of the valid normals of each cell."""
+    height, width = weight.shape
+    columns = -(-width // size)
+    sums = np.zeros((-(-height // size) * columns, 3))
+    for v in range(height):
+        for u in range(width):
+            x, y, z = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            if np.isfinite(x + y + z) and weight[v, u] > 0:
+                cell = v // size * columns + u // size
+                sums[cell, 0] += weight[v, u] * x
+                sums[cell, 1] += weight[v, u] * y
+                sums[cell, 2] += weight[v, u] * z
+    return sums
+
+
+def _neighbour_variance(grid: CellGrid, slope: np.ndarray, is_usable: np.ndarray) -> float:
+    """Return the variance of each component of slopes by the differences of neighbours."""
+    slope, is_usable = slope.reshape(*grid.shape, 2), is_usable.reshape(grid.shape)
+    squares = [((slope[far] - slope[near])[is_usable[near] & is_usable[far]] ** 2).sum(axis=1)
+               for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:]))]
+    squares = np.concatenate(squares)
+    if not len(squares):
+        return 0.0
+    return float(np.quantile(squares, QUANTILE) / CHI_SQUARED_QUANTILE / 2)
+
+
+def _disagreement(grid: CellGrid, slope: np.ndarray, is_usable: np.ndarray) -> float:
+    """Return the variance of each component of the difference to the slopes of the depth."""
+    if not is_usable.any():
+        return 0.0
+    square = ((slope - grid.slope)[is_usable] ** 2).sum(axis=1)
+    return float(np.median(square) / CHI_SQUARED_MEDIAN)

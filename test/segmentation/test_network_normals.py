@@ -1,0 +1,130 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Normals of a network in the search, in merging and where it bends walls."""
+
+import numpy as np
+import pytest
+from cell_helpers import fold, view, wall
+
+from plane_detector.config import Config
+from plane_detector.geometry.disparity import to_disparity, zero_filled
+from plane_detector.geometry.projection import depth_to_points
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of, with_normals
+from plane_detector.segmentation.segment import segment, unitless_noise_floor
+from plane_detector.types import CameraIntrinsics, Prediction
+
+CAMERA = CameraIntrinsics(262.5, 250.0, 149.5, 125.5, 320, 240)
+SIGMA = 0.004
+
+
+def walls(angle_deg):
+    """Return two upright walls that meet at an angle, 2 m ahead."""
+    return view(fold(angle_deg, 20.0), intrinsics=CAMERA)
+
+
+def normals_of(scene, spread_deg=0.0, confidence=None):
+    """Return the true normals of a scene, each turned by a random angle."""
+    normals = np.full((*scene.labels.shape, 3), np.nan, np.float32)
+    for k, plane in enumerate(scene.planes):
+        normals[scene.labels == k] = plane[:3]
+    spread = np.radians(spread_deg) * np.random.default_rng(0).normal(size=normals.shape)
+    normals += spread.astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    return NormalMap(normals, confidence, scene.intrinsics)
+
+
+def bent(scene, softness=0.02):
+    """Return the disparity that a network makes of walls that meet: the edge becomes a bend."""
+    directions = depth_to_points(np.ones(scene.depth_m.shape), scene.intrinsics)
+    planes = [-(directions @ plane[:3]) / plane[3] for plane in scene.planes]
+    return (-softness * np.log(sum(np.exp(-plane / softness) for plane in planes))).astype(
+        np.float32)
+
+
+def planes_found(disparity, normals):
+    floor = unitless_noise_floor(disparity, SIGMA)
+    labels = segment(disparity, floor, Config(), normals=normals).labels
+    sizes = np.bincount(labels[labels >= 0], minlength=1)
+    return int((sizes > 0.05 * labels.size).sum()), labels
+
+
+def grid_of(disparity):
+    return build_cell_grid(DisparityImage(*zero_filled(disparity)))
+
+
+def test_the_slopes_of_exact_normals_are_those_of_exact_depth():
+    scene = walls(25)
+    grid = grid_of(to_disparity(scene.depth_m))
+    whole = grid.usable & (grid.inner_rms < 1e-6)
+    np.testing.assert_allclose(slopes_of(grid, normals_of(scene))[whole], grid.slope[whole],
+                               atol=1e-4)
+    assert whole.mean() > 0.9
+
+
+def test_cells_without_normals_keep_the_slopes_of_their_depth():
+    scene = view([wall(2.5)], intrinsics=CAMERA, angles_deg=(20, 0, 0))
+    normals = normals_of(scene)
+    normals.normals_camera[:120] = np.nan
+    grid = grid_of(bent(scene))
+    found = with_normals(grid, normals, 0.01)
+    upper = slice(0, 28 * grid.shape[1])
+    np.testing.assert_array_equal(found.slope[upper], grid.slope[upper])
+    assert np.isnan(found.normal_slope[upper]).all()
+    assert np.isfinite(found.normal_slope[31 * grid.shape[1]:]).all()
+
+
+@pytest.mark.parametrize(('angle_deg', 'spread_deg'), [(15, 0), (20, 10), (25, 10)])
+def test_normals_keep_two_walls_apart_that_depth_has_made_one(angle_deg, spread_deg):
+    scene = walls(angle_deg)
+    disparity = bent(scene)
+    assert planes_found(disparity, None)[0] == 1
+    count, labels = planes_found(disparity, normals_of(scene, spread_deg))
+    assert count == 2
+    for k in range(2):
+        assert np.bincount(labels[scene.labels == k] + 1).max() > 0.8 * (scene.labels == k).sum()
+
+
+@pytest.mark.parametrize('spread_deg', [0, 10, 30])
+def test_normals_of_one_wall_leave_it_whole(spread_deg):
+    scene = view([wall(2.5)], intrinsics=CAMERA, angles_deg=(20, 5, 0))
+    count, labels = planes_found(bent(scene), normals_of(scene, spread_deg))
+    assert count == 1
+    assert np.mean(labels == 0) > 0.95
+
+
+def test_noisy_normals_weigh_less():
+    scene = walls(25)
+    grid, true = grid_of(bent(scene)), grid_of(to_disparity(scene.depth_m)).slope
+    off = [np.abs(with_normals(grid, normals_of(scene, spread), 0.002).slope - grid.slope).mean()
+           for spread in (0, 20, 60)]
+    assert off[0] > off[1] > off[2]
+    fused = with_normals(grid, normals_of(scene), 0.002).slope
+    assert np.abs(fused - true).mean() < 0.7 * np.abs(grid.slope - true).mean()
+
+
+def test_normals_without_confidence_do_not_count():
+    scene = walls(25)
+    sure = np.ones(scene.labels.shape, np.float32)
+    wrong = normals_of(scene, confidence=sure)
+    wrong.normals_camera[::2] = [0.0, 1.0, 0.0]
+    sure[::2] = 0
+    grid = grid_of(to_disparity(scene.depth_m))
+    np.testing.assert_allclose(slopes_of(grid, wrong), slopes_of(grid, normals_of(scene)),
+                               atol=0.02)
+
+
+def test_relative_disparity_has_no_slopes_by_normals():
+    normals = np.zeros((4, 4, 3), np.float32)
+    values = np.ones((4, 4), np.float32)
+    assert NormalMap.of(Prediction('relative_disparity', values, normals), CAMERA) is None
+    assert NormalMap.of(Prediction('metric_depth', values), CAMERA) is None
+    assert NormalMap.of(Prediction('metric_depth', values, normals), CAMERA) is not None
+
+
+def test_normals_of_another_room_do_not_take_the_planes_of_the_depth():
+    scene = view([wall(2.5)], intrinsics=CAMERA, angles_deg=(20, 5, 0))
+    other = view([wall(2.5)], intrinsics=CAMERA, angles_deg=(-20, 5, 0))
+    count, labels = planes_found(bent(scene), normals_of(other))
+    assert count == 1
+    assert np.mean(labels == 0) > 0.95
