@@ -13,71 +13,34 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from plane_detector.config import Config, ScaleConfig
-from plane_detector.directions.finder import DirectionFinder, Surroundings
+from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
+from plane_detector.evaluation.benchmark.scale_views import (
+    DRAWS_PER_IMAGE,
+    View,
+    real_views,
+    rendered_views,
+)
 from plane_detector.evaluation.benchmark.tables import emit, table
-from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms as scenes
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rendering import Scene
-from plane_detector.evaluation.scenes.textures import textured
-from plane_detector.pipeline import segment_planes
-from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import ScaleEstimate
-from plane_detector.scale.methods import ScaleEvidence, estimate_scale
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.segment import segment, unitless_noise_floor
-from plane_detector.types import CameraIntrinsics
 
-SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
-NOISE_PER_M = 0.004
 MIN_PLANE_SHARE = 0.02
 CLASS_TOLERANCE_DEG = 8.0
 # Errors of what a user knows.
 GRAVITY_ERROR_DEG, HEIGHT_ERROR_SHARE = 1.0, 0.02
 COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG = 10.0, 20.0
 SPARSE_POINTS, WRONG_POINT_SHARE = 200, 0.1
-# Real images are few: each is seen by this many simulated networks.
-DRAWS_PER_IMAGE = 10
 BENT_DEG = 6.0
 UP_TO_A_FACTOR = ' (up to one factor)'
-
-
-@dataclass(frozen=True)
-class View:
-    """What the simulated network makes of an image, its planes, and the truth."""
-
-    disparity: np.ndarray
-    regions: PixelRegions
-    true_depth_m: np.ndarray
-    intrinsics: CameraIntrinsics
-    down_camera: np.ndarray
-    height_m: float
-    true_scale: ScaleConfig
-    rng: np.random.Generator
-    rgb: np.ndarray
-
-    @cached_property
-    def around(self) -> Surroundings:
-        """What the lines of the image tell: gravity and horizontal axes, or nothing."""
-        return DirectionFinder().look(self.rgb, self.intrinsics, None, None, Config(),
-                                      needs_lines=True)
-
-    def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
-        """Return the scale by the planes and what else is known, see :class:`ScaleEvidence`."""
-        return estimate_scale(ScaleEvidence(
-            self.disparity, ray_planes(self.regions, self.intrinsics), **known), config)
 
 
 @dataclass(frozen=True)
@@ -99,41 +62,6 @@ class Errors:
     angle_deg: np.ndarray
     distance_share: np.ndarray
     bend_deg: float
-
-
-def look(scene: Scene | Frame, down_camera: np.ndarray, height_m: float,
-         rng: np.random.Generator) -> View:
-    """Return what a network of random scale and shift makes of an image, and its planes."""
-    depth_m = scene.depth_m
-    scale = np.exp(rng.uniform(*np.log(SCALE_RANGE)))
-    shift = rng.uniform(*SHIFT_RANGE_PER_M)
-    noisy_m = with_disparity_noise(depth_m, NOISE_PER_M, rng)
-    disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
-    truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
-    regions = segment(disparity, unitless_noise_floor(disparity), Config())
-    return View(disparity, regions, depth_m, scene.intrinsics, down_camera, height_m, truth, rng,
-                scene.rgb)
-
-
-def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
-    """Render scenes."""
-    for seed in seeds:
-        scene = textured(make, seed)
-        yield look(scene, scene.down_camera, scene.height_m, np.random.default_rng([seed, 2]))
-
-
-def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
-    """Read a set of real images; gravity and height are those of the sensor's floor."""
-    for frame in frames(folder.parent, (folder.name,)):
-        planes = segment_planes(frame.depth_m, frame.intrinsics).planes
-        down_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
-        floors = [plane for plane, kind in zip(planes, classify_planes(planes, down_camera),
-                                               strict=True) if kind == PlaneClass.FLOOR]
-        if not floors:
-            print(f'{frame.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
-            continue
-        for _ in range(DRAWS_PER_IMAGE):
-            yield look(frame, -floors[0].normal, floors[0].offset_m, rng)
 
 
 def measure(view: View, estimate: ScaleEstimate) -> Errors:
