@@ -10,7 +10,7 @@ from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.evaluation.scenes.textures import textured
+from plane_detector.evaluation.scenes.textures import ramp_room, textured
 from plane_detector.planes.classification import PlaneClass
 
 CAMERA = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
@@ -77,6 +77,19 @@ def test_floors_and_walls_of_a_network_are_turned_upright():
     assert worst_deg(turned) < 0.5
     raw = detect(Config(scale=GIVEN, directions=DirectionsConfig(orient_planes=False)))
     assert worst_deg(raw) > 1.0
+
+
+def test_exact_planes_of_a_small_image_do_not_move():
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 62.0)
+    for make, seed in ((random_room, 300), (ramp_room, 310)):
+        scene = textured(make, seed, camera)
+        model = DepthFunction(lambda rgb, depth=scene.depth_m: depth.astype(np.float32),
+                              'metric_depth', 0)
+        found, off = (PlaneDetector(Config(directions=directions), model).detect(
+            scene.rgb, camera) for directions in (DirectionsConfig(), OFF))
+        assert found.gravity_source == 'image' and np.array_equal(found.labels, off.labels)
+        for one, other in zip(found.planes, off.planes, strict=True):
+            assert np.degrees(np.arccos(min(one.normal @ other.normal, 1.0))) < 0.05
 
 
 def test_measured_depth_is_left_alone():

@@ -9,19 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.directions.finder import ImageDirections
-from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.line_evidence import collect_evidence
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import orient_planes
+from plane_detector.planes.region_samples import sample_regions
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
-STEP_PX = 3
-"""Medians need not look at every row and column."""
-# Cosine between ray and normal below which a pixel cannot be on the plane, as it is seen edge-on.
-MIN_COSINE = 0.02
-MIN_SAMPLES = 10
-MIN_POSSIBLE_SHARE = 0.5
 # Pieces of one plane touch, and their normals and distances agree: these are off by about as many
 # radians and by this share of it, at most.
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 0.1 to 0.15.
@@ -80,50 +74,30 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
 
     """
     evidence = collect_evidence(lines.segments, lines.axes, regions.labels, len(planes))
-    found = orient_planes(planes, lines.directions, evidence)
+    samples = sample_regions(regions, planes, intrinsics)
+    found = orient_planes(planes, lines.directions, evidence, samples)
     normals = np.stack([plane.normal for plane in planes])
     offsets = np.array([plane.offset_m for plane in planes])
-    refitted = _offsets(regions, found.normals, intrinsics)
+    refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
-    agree = _agreeing(normals, offsets, found.sigma_rad)
+    agree = _agreeing(normals, offsets, found.sigmas_rad)
     group = _groups(agree & _touching(regions.labels, len(planes)))
     labels = np.where(regions.labels >= 0, group[regions.labels], -1).astype(np.int32)
     joined = replace(regions, labels=labels)
-    again = _offsets(joined, normals, intrinsics)
+    again = samples.joined(group).offsets(normals)
     grown = np.isfinite(again) & (np.bincount(group, minlength=len(group)) > 1)
     offsets[grown] = again[grown]
     coefficients = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T)
     return replace(joined, coefficients=coefficients.T)
 
 
-def _offsets(regions: PixelRegions, normals: np.ndarray,
-             intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return the median distance (K,) that the pixels give planes of known normals, or NaN."""
-    thinned = (slice(None, None, STEP_PX),) * 2
-    labels, disparity = regions.labels[thinned], regions.disparity[thinned]
-    ray_x, ray_y = (ray[::STEP_PX] for ray in pixel_rays(intrinsics))
-    row, column = np.nonzero((labels >= 0) & (disparity > 0))
-    label = labels[row, column]
-    n = normals[label]
-    cosine = -(n[:, 0] * ray_x[column] + n[:, 1] * ray_y[row] + n[:, 2])
-    offset = np.where(cosine > MIN_COSINE, cosine / disparity[row, column], np.nan)
-    order = np.argsort(label, kind='stable')
-    pieces = np.split(offset[order], np.searchsorted(label[order], np.arange(1, len(normals))))
-    return np.array([_median(piece) for piece in pieces])
-
-
-def _median(offsets: np.ndarray) -> float:
-    possible = offsets[np.isfinite(offsets)]
-    if len(possible) < max(MIN_SAMPLES, MIN_POSSIBLE_SHARE * len(offsets)):
-        return np.nan
-    return float(np.median(possible))
-
-
-def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigma_rad: float) -> np.ndarray:
-    """Return which planes (K, K) are one as far as a network of that error can tell."""
-    same_offset = min(MAX_OFFSET_SHARE, OFFSET_PER_RAD * sigma_rad)
-    same = normals @ normals.T > np.cos(np.radians(SAME_NORMAL_DEG))
+def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigmas_rad: np.ndarray) -> np.ndarray:
+    """Return which planes (K, K) are one as far as a network of these errors (K,) can tell."""
+    sigma_rad = np.maximum(sigmas_rad[:, None], sigmas_rad)
+    same_offset = np.minimum(MAX_OFFSET_SHARE, OFFSET_PER_RAD * sigma_rad)
+    same_normal = np.minimum(np.radians(SAME_NORMAL_DEG), sigma_rad)
+    same = normals @ normals.T > np.cos(same_normal)
     return same & (np.abs(np.log(offsets[:, None] / offsets)) < same_offset)
 
 

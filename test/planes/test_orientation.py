@@ -9,6 +9,7 @@ from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import AxisPair, SceneDirections
 from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
 from plane_detector.planes.orientation import orient_planes
+from plane_detector.planes.region_samples import RegionSamples
 from plane_detector.types import CameraIntrinsics, Plane
 
 AXES = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, 0.6], [-0.6, 0.0, 0.8]])
@@ -21,11 +22,11 @@ def directions(pairs=True):
     return SceneDirections(AXES[0], covariance, 0.3, (pair,) if pairs else (), '', '')
 
 
-def plane(normal, sigma_deg=1.0):
+def plane(normal, sigma_deg=1.0, rms_m=0.1):
     normal = np.asarray(normal, float) / np.linalg.norm(normal)
     covariance = np.zeros((4, 4))
     covariance[:3, :3] = np.radians(sigma_deg) ** 2 * (np.eye(3) - np.outer(normal, normal))
-    return Plane(normal, 2.0, -2 * normal, 1000, 0.01, 1.0, covariance, 0.9)
+    return Plane(normal, 2.0, -2 * normal, 1000, rms_m, 1.0, covariance, 0.9)
 
 
 def turned(normal, angle_deg, about):
@@ -41,16 +42,29 @@ def no_lines(count):
     return LineEvidence(AXES, np.zeros((count, 3)))
 
 
+def samples_of(planes, rays):
+    """Return samples of regions of which each has these rays (n, 3), exactly on its plane."""
+    rays = np.asarray(rays, float)
+    cosine = np.concatenate([-rays @ p.normal for p in planes])
+    return RegionSamples(np.tile(rays, (len(planes), 1)), cosine / 2.0,
+                         np.repeat(np.arange(len(planes)), len(rays)), cosine, len(planes))
+
+
+def orient(planes, found, evidence):
+    """Orient planes that are seen in one spot: the depth objects to no turn."""
+    return orient_planes(planes, found, evidence, samples_of(planes, [[0.0, 0.0, 1.0]]))
+
+
 def test_planes_near_an_axis_are_turned_to_it():
     planes = (plane(turned(-AXES[0], 12, AXES[1])), plane(turned(-AXES[2], 12, AXES[0])))
-    found = orient_planes(planes, directions(), no_lines(2))
+    found = orient(planes, directions(), no_lines(2))
     assert found.is_changed.all()
     assert angle_deg(found.normals[0], -AXES[0]) < 0.5
     assert angle_deg(found.normals[1], -AXES[2]) < 0.5
 
 
 def test_the_side_of_the_normal_stays():
-    found = orient_planes((plane(turned(AXES[0], 10, AXES[1])),), directions(), NOTHING)
+    found = orient((plane(turned(AXES[0], 10, AXES[1])),), directions(), NOTHING)
     assert found.normals[0] @ AXES[0] > 0.99
 
 
@@ -58,9 +72,9 @@ def test_a_good_network_keeps_a_roof_and_an_open_door():
     roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
     exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)
                   for normal in (-AXES[0], -AXES[2], AXES[1], -AXES[0], -AXES[2]))
-    found = orient_planes((*exact, plane(roof, 0.3), plane(door, 0.3)), directions(),
+    found = orient((*exact, plane(roof, 0.3), plane(door, 0.3)), directions(),
                           no_lines(7))
-    assert found.sigma_rad <= np.radians(3.0)
+    assert found.sigmas_rad.max() <= np.radians(3.0)
     assert angle_deg(found.normals[5], roof) < 1
     assert angle_deg(found.normals[6], door) < 1
 
@@ -68,12 +82,12 @@ def test_a_good_network_keeps_a_roof_and_an_open_door():
 def test_a_bad_network_is_trusted_less():
     off = tuple(plane(turned(normal, 18, about)) for normal, about in (
         (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
-    assert orient_planes(off, directions(), no_lines(4)).sigma_rad > np.radians(8.0)
+    assert orient(off, directions(), no_lines(4)).sigmas_rad.min() > np.radians(8.0)
 
 
 def test_an_upright_plane_without_axes_stands_upright():
     leaning = turned(-AXES[2], 10, AXES[1])
-    found = orient_planes((plane(leaning),), directions(pairs=False),
+    found = orient((plane(leaning),), directions(pairs=False),
                           LineEvidence(AXES[:1], np.zeros((1, 1))))
     assert abs(found.normals[0] @ AXES[0]) < 0.01
     assert angle_deg(found.normals[0], -AXES[2]) < 0.5
@@ -86,7 +100,7 @@ def test_lines_along_an_axis_are_in_no_plane_across_it(line, expected):
         between = turned(-AXES[2], 45, AXES[0])
     shares = np.zeros((1, 3))
     shares[0, line] = 0.8
-    found = orient_planes((plane(between, 8.0),), directions(), LineEvidence(AXES, shares))
+    found = orient((plane(between, 8.0),), directions(), LineEvidence(AXES, shares))
     assert abs(found.normals[0] @ AXES[expected]) > 0.999
 
 
@@ -94,9 +108,33 @@ def test_covariance_of_the_axes_leaves_room_for_a_sure_network():
     near = plane(turned(-AXES[0], 2, AXES[1]), 0.1)
     loose = directions()
     loose = SceneDirections(loose.down_camera, 25 * loose.covariance, 0.3, loose.pairs, '', '')
-    turn = angle_deg(orient_planes((near,), loose, NOTHING).normals[0], near.normal)
-    assert turn < angle_deg(orient_planes((near,), directions(), NOTHING).normals[0],
+    turn = angle_deg(orient((near,), loose, NOTHING).normals[0], near.normal)
+    assert turn < angle_deg(orient((near,), directions(), NOTHING).normals[0],
                             near.normal) - 0.3
+
+
+def test_a_wall_seen_above_the_horizon_does_not_become_a_floor():
+    leaning = turned(-AXES[0], 28, AXES[1])
+    bad = tuple(plane(turned(normal, 18, about)) for normal, about in (
+        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
+    planes = (*bad, plane(leaning))
+    low = [[x, y, 1.0] for x in (-0.3, 0, 0.3) for y in (0.5, 0.6)]
+    high = [[x, y, 1.0] for x in (-0.3, 0, 0.3) for y in (0.01, 0.3, 0.6)]
+    evidence = no_lines(len(planes))
+    seen_low = orient_planes(planes, directions(), evidence, samples_of(planes, low))
+    assert angle_deg(seen_low.normals[-1], -AXES[0]) < 1
+    seen_high = orient_planes(planes, directions(), evidence, samples_of(planes, high))
+    assert angle_deg(seen_high.normals[-1], -AXES[0]) > 20
+
+
+def test_what_is_flat_in_the_depth_is_not_turned():
+    bad = tuple(plane(turned(normal, 18, about)) for normal, about in (
+        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
+    ramp = turned(-AXES[0], 8, AXES[1])
+    bent, flat = (orient((*bad, plane(ramp, 0.01, rms_m)), directions(), no_lines(5)).normals[-1]
+                  for rms_m in (0.05, 0.0002))
+    assert angle_deg(bent, -AXES[0]) < 1
+    assert angle_deg(flat, ramp) < 0.05
 
 
 def test_lines_belong_to_the_regions_on_their_sides():
