@@ -17,7 +17,6 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-from sklearn.cluster import DBSCAN
 
 from plane_detector.stopping import raise_if_stopped
 
@@ -57,6 +56,7 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
     tree = cKDTree(points_m)
     neighbours = tree.query_ball_point(points_m, eps_m, return_length=True)
     if neighbours.sum() <= MOST_PAIRS:
+        from sklearn.cluster import DBSCAN  # takes half a second, and only this method needs it
         return DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points_m)
     core = np.flatnonzero(neighbours >= min_samples)
     if not len(core):
