@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
@@ -24,7 +23,7 @@ from plane_detector.segmentation.regions.adjacency import find_adjacency
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 SMOOTHED_GRAIN = 2.0
 # derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
-MEDIAN_SIDE_PX, MEDIAN_NOISE_SHARE = 3, 0.41
+MEDIAN_NOISE_SHARE = 0.41
 # Tolerance of pixels over that of the cells.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 PIXEL_TOLERANCE = 1.3
@@ -50,12 +49,16 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
         Index into the planes, -1 for none and where invalid.
 
     """
-    smooth, pixel_sigma = _smoothed(image.values, noise)
-    grid = cells.grid
-    variance = noise.mean_sigma**2 + pixel_sigma**2
-    frame = np.array([grid.width_px, *grid.origin, threshold**2, variance,
-                      noise.depth_floor_m**2, noise.disparity_floor**2])
-    return _label(smooth, image.valid, np.ascontiguousarray(regions.labels), cells.is_planar,
+    grid, values, pixel_sigma = cells.grid, image.values, noise.pixel_sigma
+    if pixel_sigma > SMOOTHED_GRAIN * np.sqrt(noise.variance_floor(grid.typical_disparity)):
+        values, pixel_sigma = image.smoothed, MEDIAN_NOISE_SHARE * pixel_sigma
+    frame = np.array([grid.width_px, *grid.origin, threshold**2,
+                      noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2,
+                      noise.depth_floor_m**2])
+    around, square = regions.labels.astype(np.int16), np.ones((3, 3), np.uint8)
+    is_same = (cv2.dilate(around, square) == cv2.erode(around, square))
+    return _label(values, image.valid, np.ascontiguousarray(regions.labels),
+                  (is_same, is_same & cells.is_planar.reshape(grid.shape)),
                   (np.ascontiguousarray(regions.coefficients),
                    find_intersections(cells, regions)), (grid.size_px, frame))
 
@@ -80,42 +83,58 @@ def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarra
     return signs
 
 
-def _smoothed(disparity: np.ndarray, noise: Noise) -> tuple[np.ndarray, float]:
-    """Return the disparity with its pixel noise reduced, edges kept, and the remaining sigma."""
-    typical = median(disparity[::7, ::7].ravel())
-    if noise.pixel_sigma <= SMOOTHED_GRAIN * np.sqrt(noise.variance_floor(typical)):
-        return disparity, noise.pixel_sigma
-    return cv2.medianBlur(disparity, MEDIAN_SIDE_PX), MEDIAN_NOISE_SHARE * noise.pixel_sigma
-
-
-@kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], int32[:, ::1], boolean[::1], '
-        'Tuple((float64[:, ::1], int8[:, ::1])), Tuple((int64, float64[::1])))')
-def _label(disparity, valid, cell_labels, is_planar, planes, geometry):
+@kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], int32[:, ::1], '
+        'UniTuple(boolean[:, ::1], 2), Tuple((float64[:, ::1], int8[:, ::1])), '
+        'Tuple((int64, float64[::1])))')
+def _label(disparity, valid, cell_labels, inner, planes, geometry):
     """Return the label of every pixel."""
-    (coefficients, signs), (size, frame) = planes, geometry
-    height, width = disparity.shape
+    (is_same, is_inside), (coefficients, signs), (size, frame) = inner, planes, geometry
+    (height, width), (rows, columns) = disparity.shape, cell_labels.shape
     labels = np.full((height, width), np.int32(-1))
-    near, local = np.empty(9, np.int32), np.empty((9, 3), np.float32)
-    for i in range(cell_labels.size):
-        row, column = i // cell_labels.shape[1], i % cell_labels.shape[1]
-        count, agree = _labels_around(cell_labels, row, column, near)
-        if count == 0:
-            continue
-        top, left = row * size, column * size
-        bottom, right = min(top + size, height), min(left + size, width)
-        if count == 1 and agree and is_planar[i]:
-            for v in range(top, bottom):
-                for u in range(left, right):
-                    labels[v, u] = near[0] if valid[v, u] else -1
-            continue
-        _at_corner(coefficients, near[:count], frame, (top, left), local)
-        for v in range(top, bottom):
-            _choose(disparity[v, left:right], valid[v, left:right], np.float32(v - top),
-                    local[:count], near[:count], frame[3:], labels[v, left:right])
-            if count > 1:
-                _choose_sides(disparity[v, left:right], np.float32(v - top), local[:count],
-                              near[:count], signs, frame[3:], labels[v, left:right])
+    near, local, place = np.empty(9, np.int32), np.empty((9, 3), np.float32), np.arange(size**2)
+    u, v = (place % size).astype(np.float32), (place // size).astype(np.float32)
+    values, error, chosen = np.zeros_like(u), np.empty_like(u), np.empty(size**2, np.int32)
+    for row in range(rows):
+        for column in range(columns):
+            label = cell_labels[row, column]
+            if is_same[row, column] and label < 0:
+                continue
+            top, left = row * size, column * size
+            high, wide = min(size, height - top), min(size, width - left)
+            if is_inside[row, column]:
+                chosen[:] = label
+            else:
+                count = _labels_around(cell_labels, row, column, near)
+                for i in range(high):
+                    for j in range(wide):
+                        values[i * size + j] = disparity[top + i, left + j]
+                _at_corner(coefficients, near[:count], frame, (top, left), local)
+                _choose(values, (u, v), (local, near, count), frame, (error, chosen))
+                for k in range(count):
+                    for m in range(count):
+                        if near[k] < near[m] and signs[near[k], near[m]] != 0:
+                            _choose_side(values, (u, v), (local, near, k, m),
+                                         (frame, signs[near[k], near[m]]), chosen)
+            for i in range(high):
+                for j in range(wide):
+                    labels[top + i, left + j] = (chosen[i * size + j] if valid[top + i, left + j]
+                                                 else np.int32(-1))
     return labels
+
+
+@kernel('int64(int32[:, ::1], int64, int64, int32[::1])')
+def _labels_around(labels, row, column, near):
+    """Write the labels of the 3 x 3 cells around one; return their number."""
+    count = 0
+    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
+        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
+            is_new = labels[r, c] >= 0
+            for k in range(count):
+                is_new &= near[k] != labels[r, c]
+            if is_new:
+                near[count] = labels[r, c]
+                count += 1
+    return count
 
 
 @kernel('void(float64[:, ::1], int32[::1], float64[::1], UniTuple(int64, 2), float32[:, ::1])')
@@ -127,60 +146,38 @@ def _at_corner(coefficients, near, frame, corner, local):
         local[k, 0], local[k, 1], local[k, 2] = a / width, b / width, a * x + b * y + c
 
 
-@kernel('Tuple((int64, boolean))(int32[:, ::1], int64, int64, int32[::1])')
-def _labels_around(labels, row, column, near):
-    """Write the labels of the 3 x 3 cells around one; return their number and if all agree."""
-    count, agree = 0, True
-    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
-        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
-            label, is_new = labels[r, c], labels[r, c] >= 0
-            agree &= label >= 0
-            for k in range(count):
-                is_new &= near[k] != label
-            if is_new:
-                near[count] = label
-                count += 1
-    return count, agree
+@kernel('void(float32[::1], UniTuple(float32[::1], 2), '
+        'Tuple((float32[:, ::1], int32[::1], int64)), float64[::1], '
+        'Tuple((float32[::1], int32[::1])))')
+def _choose(values, place, planes, frame, best):
+    """Write the squared residual of the best plane for the pixels of a cell, and its label."""
+    (u, v), (local, near, count), (error, chosen) = place, planes, best
+    tolerance2 = np.float32(frame[3] * PIXEL_TOLERANCE**2)
+    variance, depth_floor2 = np.float32(frame[4]), np.float32(frame[5])
+    for p in range(len(values)):
+        square = values[p] * values[p]
+        error[p] = tolerance2 * (variance + depth_floor2 * square * square)
+        chosen[p] = -1
+    for k in range(count):
+        a, b, c, label = local[k, 0], local[k, 1], local[k, 2], near[k]
+        for p in range(len(values)):
+            residual = values[p] - (a * u[p] + b * v[p] + c)
+            chosen[p] = label if residual * residual <= error[p] else chosen[p]
+            error[p] = min(error[p], residual * residual)
 
 
-@kernel('void(float32[::1], boolean[::1], float32, float32[:, ::1], int32[::1], float64[::1], '
+@kernel('void(float32[::1], UniTuple(float32[::1], 2), '
+        'Tuple((float32[:, ::1], int32[::1], int64, int64)), Tuple((float64[::1], int8)), '
         'int32[::1])')
-def _choose(disparity, valid, v, local, near, limits, chosen):
-    """Write the plane of smallest residual for the pixels of one row of a cell, -1 none."""
-    threshold2, variance, depth_floor2, disparity_floor2 = (
-        np.float32(limits[0] * PIXEL_TOLERANCE**2), np.float32(limits[1]), np.float32(limits[2]),
-        np.float32(limits[3]))
-    for u in range(len(chosen)):
-        d = disparity[u]
-        square = d * d
-        best = threshold2 * (variance + disparity_floor2 + depth_floor2 * square * square)
-        label = np.int32(-1)
-        for k in range(len(near)):
-            error = d - (local[k, 0] * np.float32(u) + local[k, 1] * v + local[k, 2])
-            if error * error <= best:
-                best, label = error * error, near[k]
-        chosen[u] = label if valid[u] else np.int32(-1)
-
-
-@kernel('void(float32[::1], float32, float32[:, ::1], int32[::1], int8[:, ::1], float64[::1], '
-        'int32[::1])')
-def _choose_sides(disparity, v, local, near, signs, limits, chosen):
-    """Relabel the pixels close to intersections, where residuals are ambiguous, by their side."""
-    threshold2, variance, depth_floor2, disparity_floor2 = (
-        np.float32(limits[0]), np.float32(limits[1]), np.float32(limits[2]),
-        np.float32(limits[3]))
-    for i in range(len(near)):
-        for j in range(len(near)):
-            if near[i] >= near[j] or signs[near[i], near[j]] == 0:
-                continue
-            a, b, c = (local[i, 0] - local[j, 0], local[i, 1] - local[j, 1],
-                       local[i, 2] - local[j, 2])
-            for u in range(len(chosen)):
-                if chosen[u] != near[i] and chosen[u] != near[j]:
-                    continue
-                square = disparity[u] * disparity[u]
-                limit = threshold2 * (variance + disparity_floor2 + depth_floor2 * square * square)
-                difference = a * np.float32(u) + b * v + c
-                if difference * difference < limit:
-                    is_first = signs[near[i], near[j]] * difference > 0
-                    chosen[u] = near[i] if is_first else near[j]
+def _choose_side(values, place, planes, limits, chosen):
+    """Relabel the pixels close to an intersection, where residuals are alike, by their side."""
+    (u, v), (local, near, k, m), (frame, sign) = place, planes, limits
+    threshold2, variance, depth_floor2 = (np.float32(frame[3]), np.float32(frame[4]),
+                                          np.float32(frame[5]))
+    a, b, c = local[k, 0] - local[m, 0], local[k, 1] - local[m, 1], local[k, 2] - local[m, 2]
+    for p in range(len(values)):
+        square = values[p] * values[p]
+        limit = threshold2 * (variance + depth_floor2 * square * square)
+        difference = a * u[p] + b * v[p] + c
+        if (chosen[p] == near[k] or chosen[p] == near[m]) and difference * difference < limit:
+            chosen[p] = near[k] if sign * difference > 0 else near[m]
