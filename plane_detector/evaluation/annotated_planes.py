@@ -10,6 +10,8 @@ pieces, like a wall behind furniture, stays one plane; two instances are never j
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from plane_detector.geometry.projection import depth_to_points
@@ -52,17 +54,24 @@ def annotated_planes(segments: np.ndarray, depth_m: np.ndarray, intrinsics: Came
     planes: list[np.ndarray] = []
     for instance in range(1, int(segments.max(initial=0)) + 1):
         rows, columns = np.nonzero(seen & (segments == instance))
-        least = max(MIN_PIXELS, MIN_INSTANCE_SHARE * len(rows))
-        for _ in range(MAX_PLANES):
-            if len(rows) < least:
-                break
-            there_m = points_m[rows, columns].astype(np.float64)
-            plane = best_plane(there_m, rng)
-            near = np.abs(there_m @ plane[:3] + plane[3]) <= np.maximum(
-                TOLERANCE_M, TOLERANCE_SHARE * there_m[:, 2])
-            if np.count_nonzero(near) < least:
-                break
+        for plane, near in _peeled(points_m[rows, columns].astype(np.float64), rng):
             labels[rows[near], columns[near]] = len(planes)
             planes.append(plane)
-            rows, columns = rows[~near], columns[~near]
     return labels, np.array(planes).reshape(-1, 4)
+
+
+def _peeled(points_m: np.ndarray, rng: np.random.Generator,
+            ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield planes (4,) of points (N, 3), largest first, and the numbers of the points on each."""
+    left = np.arange(len(points_m))
+    least = max(MIN_PIXELS, MIN_INSTANCE_SHARE * len(left))
+    for _ in range(MAX_PLANES):
+        if len(left) < least:
+            return
+        plane = best_plane(points_m[left], rng)
+        near = np.abs(points_m[left] @ plane[:3] + plane[3]) <= np.maximum(
+            TOLERANCE_M, TOLERANCE_SHARE * points_m[left, 2])
+        if np.count_nonzero(near) < least:
+            return
+        yield plane, left[near]
+        left = left[~near]

@@ -8,13 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector.shapes.fitting import shape_misfit
 from plane_detector.shapes.refinement import (
     Pixels,
     criterion,
     explained_share,
     plane_residuals,
-    shape_residuals,
 )
+from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.shapes.views import DepthView, FoundShape
 
 # A plane is a facet of a shape that explains this share of its pixels, or it stays a plane.
@@ -45,15 +46,16 @@ def instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
 
 
 def _shape_cost(found: FoundShape, pixels: Pixels) -> float:
-    return criterion(shape_residuals(found.fit.shape, pixels), len(found.fit.model.freedoms),
-                     pixels.independent)
+    misfit = shape_misfit(found.fit.shape, pixels.points_m, pixels.noise_m)
+    return criterion(misfit, len(found.fit.model.freedoms), pixels.independent)
 
 
 def _plane_cost(view: DepthView, pixels: Pixels, labels: np.ndarray) -> float:
     """Return the criterion of the planes on the pixels; without a plane they are outliers."""
-    residual = np.full(len(labels), np.inf)
+    residual = np.full(len(labels), DEVIATIONS)
     present = np.unique(labels[labels >= 0])
     for k in present:
         own = labels == k
         residual[own] = plane_residuals(view.planes[k], pixels)[own]
-    return criterion(residual, 3 * len(present), pixels.independent)
+    misfit = float(np.minimum(residual**2, DEVIATIONS**2).mean())
+    return criterion(misfit, 3 * len(present), pixels.independent)

@@ -30,7 +30,7 @@ def on_image(view: DepthView, found: FoundShape) -> FoundShape:
     cells = dilated_cells(view, found.members)
     window = view.window_of(cells)
     ends = tuple(end for side in window for end in (side.start, side.stop))
-    mask = pixels_on(view.image(found.absorbed), cells, ends, found.fit.shape, view.camera)
+    mask = pixels_on(view.image_with(found.absorbed), cells, ends, found.fit.shape, view.camera)
     count, pieces = cv2.connectedComponents(mask, connectivity=8)
     rows, columns = (np.arange(side.start, side.stop) // view.size_px for side in window)
     core = found.members.reshape(view.shape)[np.ix_(rows, columns)]
@@ -74,7 +74,7 @@ def open_share(view: DepthView, found: FoundShape) -> float:
     gap_m = np.abs(view.depth_m[window][ring] - level_m)
     allowed_m = (_MAX_GAP_PX * level_m / view.intrinsics.fx + DEVIATIONS * depth_sigma_m(
         level_m, view.noise.mean_sigma, view.noise.depth_floor_m))
-    goes_on = view.is_free(window, view.is_open)[ring] & (gap_m < allowed_m)
+    goes_on = view.is_free(window)[ring] & (gap_m < allowed_m)
     return float(goes_on.mean()) if goes_on.size else 0.0
 
 

@@ -3,6 +3,10 @@
 """
 Compiled least squares: shapes and planes fitted to points with noise along their rays.
 
+Rays along the silhouette touch the shape, wherever the noise puts the depth. Their points are
+those where they come nearest to the surface; since the distance is least there, its derivatives
+are those of any other point.
+
 scipy's Levenberg-Marquardt gives the same shapes, which a test verifies, but most of its time goes
 into calls for a few hundred points.
 
@@ -23,6 +27,7 @@ from plane_detector.shapes.surface import (
     distance_deviation,
     frame_of,
     moved,
+    nearest_on_ray,
     turn_of,
 )
 
@@ -92,11 +97,22 @@ def gradient(shape, turn, frame, point, result):
     return away * cosine - along * sine - shape[6]
 
 
+@kernel('float64[:, ::1](float64[::1], float64[:, ::1], float64[:, ::1])')
+def touching(shape, points, rays):
+    """Return points (N, 3), then where rays (M, 4) come nearest to a shape, (N + M, 3)."""
+    turn, result = turn_of(shape), np.empty((len(points) + len(rays), 3))
+    result[:len(points)] = points
+    for i in range(len(rays)):
+        z = nearest_on_ray(shape, turn, rays[i, 0], rays[i, 1])
+        result[len(points) + i] = np.array([rays[i, 0] * z, rays[i, 1] * z, z])
+    return result
+
+
 @kernel('Tuple((float64[:, ::1], float64[::1]))(float64[::1], int64[::1], float64[:, ::1], '
-        'float64[::1], float64[:, ::1])')
-def normal_equations(shape, freedoms, points, weight, frame):
+        'float64[::1])')
+def normal_equations(shape, freedoms, points, weight):
     """Return J'J (F, F) and J'r (F,) of the weighted distances r of points (N, 3)."""
-    turn, count = turn_of(shape), len(freedoms)
+    turn, count, frame = turn_of(shape), len(freedoms), frame_of(shape)
     matrix, vector, slope = np.zeros((count, count)), np.zeros(count), np.empty(7)
     for i in range(len(points)):
         if weight[i] == 0:
@@ -125,12 +141,16 @@ def weighted_square(shape, points, weight):
     return total
 
 
-@kernel('float64[::1](float64[::1], int64[::1], float64[:, ::1], float64[::1])')
-def least_squares(shape, freedoms, points, weight):
-    """Return the shape (8,) of least weighted squares, by Levenberg and Marquardt's method."""
-    damping, before = _FIRST_DAMPING, weighted_square(shape, points, weight)
-    frame = frame_of(shape)
-    matrix, vector = normal_equations(shape, freedoms, points, weight, frame)
+@kernel('float64[::1](float64[::1], int64[::1], float64[:, ::1], float64[:, ::1], float64[::1])')
+def least_squares(shape, freedoms, points, rays, weight):
+    """
+    Return the shape (8,) of least squares, by Levenberg and Marquardt's method.
+
+    The squares are of the weighted distances of points (N, 3) and touching rays (M, 4).
+    """
+    damping, places = _FIRST_DAMPING, touching(shape, points, rays)
+    before = weighted_square(shape, places, weight)
+    matrix, vector = normal_equations(shape, freedoms, places, weight)
     for _ in range(_MOST_STEPS):
         damped, steps = matrix.copy(), np.zeros(7)
         for k in range(len(freedoms)):
@@ -138,42 +158,87 @@ def least_squares(shape, freedoms, points, weight):
         way = solved(damped, vector)
         for k in range(len(freedoms)):
             steps[freedoms[k]] = -way[k]
-        other = moved(shape, steps, frame)
-        after = weighted_square(other, points, weight)
+        other = moved(shape, steps, frame_of(shape))
+        places = touching(other, points, rays)
+        after = weighted_square(other, places, weight)
         if not after < before:  # NaN is no improvement either
             damping *= _DAMPING_STEP
             continue
         shape, damping = other, damping / _DAMPING_STEP
         if before - after < _TOLERANCE * before:
             break
-        before, frame = after, frame_of(shape)
-        matrix, vector = normal_equations(shape, freedoms, points, weight, frame)
+        before = after
+        matrix, vector = normal_equations(shape, freedoms, places, weight)
     return shape
 
 
-@kernel('Tuple((float64[::1], float64[:, ::1]))(float64[::1], int64[::1], float64[:, ::1], '
-        'float64[:, ::1])')
-def fitted(shape, freedoms, points, noise):
+@kernel('float64[::1](float64[::1], float64[:, ::1], float64, float64)')
+def weights_of_rays(shape, rays, pixel, slack_px):
     """
-    Return a shape (8,), fitted to points (N, 3), and its information (F, F); outliers cut off.
+    Return 1 / side of a pixel where rays (M, 4) touch a shape.
 
-    NaN if too few points agree with it.
+    It is 0 if they are off by more than that, or their pixel is not as near as the silhouette.
     """
-    weight = np.empty(0)
+    turn, weight = turn_of(shape), np.zeros(len(rays))
+    for i in range(len(rays)):
+        z = nearest_on_ray(shape, turn, rays[i, 0], rays[i, 1])
+        along, away, _, _, _ = about_axis(shape, rays[i, 0] * z, rays[i, 1] * z, z)
+        distance = away * turn[0] - along * turn[1] - shape[6]
+        if (z > 0 and along * turn[1] >= 0 and abs(distance) < slack_px * pixel * z
+                and abs(rays[i, 2] - z) < DEVIATIONS * rays[i, 3] + away):
+            weight[i] = 1 / (pixel * z)
+    return weight
+
+
+@kernel('Tuple((float64[::1], float64[:, ::1]))(float64[::1], int64[::1], float64[:, ::1], '
+        'float64[:, ::1], float64[:, ::1], UniTuple(float64, 3))')
+def fitted(shape, freedoms, points, noise, rays, trust):
+    """
+    Return a shape (8,), fitted to points and rays, and its information (F, F).
+
+    Parameters
+    ----------
+    shape : (8,) float64
+    freedoms : (F,) int64
+    points : (N, 3) float64
+        Outliers are cut off. If too few points agree the shape is NaN.
+    noise : (N, 2) float64
+        Deviation of the depth, and side of the pixel there.
+    rays : (M, 4) float64
+        Along the silhouette: x and y at depth 1, depth and deviation of the pixel beside it.
+    trust : (float, float, float)
+        Share of the points that are independent, side of a pixel at depth 1, and how many pixels
+        rays may be off at first.
+
+    """
+    weight, slack_px = np.empty(0), trust[2]
     for _ in range(_ROUNDS):
         distance, deviation = distances_deviations(shape, points, noise)
-        weight = np.where(np.abs(distance) < 2 * DEVIATIONS * deviation, 1 / deviation, 0.0)
-        if (weight > 0).sum() < 4 * len(freedoms):
+        agree = np.abs(distance) < 2 * DEVIATIONS * deviation
+        if agree.sum() < 4 * len(freedoms):
             return np.full(8, np.nan), np.zeros((1, 1))
-        shape = least_squares(shape, freedoms, points, weight)
-    return shape, normal_equations(shape, freedoms, points, weight, frame_of(shape))[0]
+        weight = np.concatenate((np.where(agree, np.sqrt(trust[0]) / deviation, 0.0),
+                                 weights_of_rays(shape, rays, trust[1], slack_px)))
+        shape = least_squares(shape, freedoms, points, rays, weight)
+        slack_px = DEVIATIONS
+    return shape, normal_equations(shape, freedoms, touching(shape, points, rays), weight)[0]
 
 
-@kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
-def off_best_plane(points, noise):
-    """Return how many deviations (N,) points lie off their plane, fitted in 1/z, where affine."""
-    matrix, vector, ray = np.zeros((3, 3)), np.zeros(3), np.ones(3)
-    result = np.empty(len(points))
+@kernel('float64(float64[::1], float64[:, ::1], float64[:, ::1])')
+def shape_misfit(shape, points, noise):
+    """Return the mean squared distance of points in deviations; none counts for more than 9."""
+    turn, total = turn_of(shape), 0.0
+    for i in range(len(points)):
+        distance, deviation = distance_deviation(
+            shape, turn, (points[i, 0], points[i, 1], points[i, 2]), (noise[i, 0], noise[i, 1]))
+        total += min((distance / deviation) ** 2, DEVIATIONS**2)
+    return total / max(len(points), 1)
+
+
+@kernel('float64(float64[:, ::1], float64[:, ::1])')
+def plane_misfit(points, noise):
+    """Return the same for the best plane of points (N, 3), fitted in 1/z, where it is affine."""
+    matrix, vector, ray, total = np.zeros((3, 3)), np.zeros(3), np.ones(3), 0.0
     for i in range(len(points)):
         ray[0], ray[1] = points[i, 0] / points[i, 2], points[i, 1] / points[i, 2]
         weight = (points[i, 2] ** 2 / noise[i, 0]) ** 2
@@ -184,5 +249,6 @@ def off_best_plane(points, noise):
     plane = solved(matrix, vector)
     for i in range(len(points)):
         value = (points[i, 0] * plane[0] + points[i, 1] * plane[1]) / points[i, 2] + plane[2]
-        result[i] = (value - 1 / points[i, 2]) * points[i, 2] ** 2 / noise[i, 0]
-    return result
+        off = (value - 1 / points[i, 2]) * points[i, 2] ** 2 / noise[i, 0]
+        total += min(off * off, DEVIATIONS**2)
+    return total / max(len(points), 1)

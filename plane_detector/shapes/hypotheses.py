@@ -7,13 +7,18 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.shapes.surface import DEVIATIONS, TINY, distance_normal, turn_of
-from plane_detector.types import ShapeType
+from plane_detector.shapes.patches import CONES_PER_PATCH, shape_of_patch
+from plane_detector.shapes.surface import (
+    CONE,
+    DEVIATIONS,
+    SPHERE,
+    TINY,
+    distance_normal,
+    turn_of,
+)
 
 # Below this the determinant of three unit normals says that they lie in a plane.
 _MIN_DETERMINANT = 1e-6
-# The kinds as ShapeType numbers them, which compiled code cannot look up.
-_SPHERE, _CYLINDER, _CONE = (int(kind) for kind in ShapeType)
 # Partners that are tried for each cell of a sample, since windows reach beyond the component.
 TRIES = 4
 
@@ -129,9 +134,9 @@ def cone_through(points, normals):
 @kernel('float64[::1](int64, float64[:, ::1], float64[:, ::1])')
 def shape_through(kind, points, normals):
     """Return the shape (8,) of a :class:`ShapeType` through oriented points (2 or 3, 3)."""
-    if kind == _SPHERE:
+    if kind == SPHERE:
         return sphere_through(points, normals)
-    return cone_through(points, normals) if kind == _CONE else cylinder_through(points, normals)
+    return cone_through(points, normals) if kind == CONE else cylinder_through(points, normals)
 
 
 @kernel('boolean(float64[::1], UniTuple(float64, 2), float64[::1])')
@@ -152,6 +157,25 @@ def agreeing_cells(shape, table, among):
     for i in range(len(among)):
         result[i] = agrees(shape, turn, table[among[i]])
     return result
+
+
+@kernel('boolean[::1](float64[::1], float64[:, ::1], boolean[:, ::1], int64)')
+def members_of(shape, table, inside, seed):
+    """Return the cells (R * C,) that agree with a shape and are connected with one that does."""
+    rows, columns = inside.shape
+    turn, found = turn_of(shape), np.zeros(rows * columns, np.bool_)
+    stack, top = np.empty(rows * columns, np.int64), 1
+    stack[0], found[seed] = seed, True
+    while top:
+        top -= 1
+        row, column = stack[top] // columns, stack[top] % columns
+        for v in range(max(row - 1, 0), min(row + 2, rows)):
+            for u in range(max(column - 1, 0), min(column + 2, columns)):
+                cell = v * columns + u
+                if inside[v, u] and not found[cell] and agrees(shape, turn, table[cell]):
+                    found[cell], stack[top] = True, cell
+                    top += 1
+    return found
 
 
 @kernel('boolean(float64[::1], float64[::1], float64[::1])')
@@ -181,18 +205,33 @@ def score_of(shape, table, among, most, total):
     return score
 
 
-@kernel('Tuple((float64[::1], int64))(int64, int64[:, ::1], float64[::1], float64[:, ::1], '
-        'int64[::1])')
-def best_hypothesis(kind, samples, bounds, table, among):
+@kernel('float64[:, ::1](int64, int64[:, ::1], float64[:, ::1], float64[:, ::1])')
+def shapes_of_kind(kind, samples, patches, table):
+    """Return the shapes (., 9) of samples (H, 3), then of patches, with the cell of each."""
+    points, normals = np.empty((3, 3)), np.empty((3, 3))
+    needed, each = (3, CONES_PER_PATCH) if kind == CONE else (2, 1)
+    shapes = np.full((len(samples) + each * len(patches), 9), np.nan)
+    for h in range(len(samples)):
+        if samples[h, needed - 1] >= 0:
+            for i in range(needed):
+                points[i], normals[i] = table[samples[h, i], 0:3], table[samples[h, i], 3:6]
+            shapes[h, :8], shapes[h, 8] = shape_through(kind, points, normals), samples[h, 0]
+    for k in range(each * len(patches)):
+        patch = patches[k // each]
+        shapes[len(samples) + k, :8] = shape_of_patch(kind, patch, k % each)
+        shapes[len(samples) + k, 8] = patch[11]
+    return shapes
+
+
+@kernel('float64[::1](float64[:, ::1], float64[::1], float64[:, ::1], int64[::1])')
+def best_hypothesis(shapes, bounds, table, among):
     """
-    Return the shape (8,) of a sane size with which most pixels agree, and its sample, or -1.
+    Return the shape of a sane size with which most pixels agree, with its cell (9,), or NaN.
 
     Parameters
     ----------
-    kind : int
-        A :class:`ShapeType`.
-    samples : (H, 3) int64
-        Cells, -1 where there are fewer.
+    shapes : (H, 9) float64
+        Each with the number of a cell on it; may be NaN.
     bounds : (4,) float64
         Least and largest radius, least and largest half angle.
     table : (R * C, 13) float64
@@ -201,19 +240,12 @@ def best_hypothesis(kind, samples, bounds, table, among):
         The cells that are looked at.
 
     """
-    points, normals = np.empty((3, 3)), np.empty((3, 3))
-    needed, best, found, most = 3 if kind == _CONE else 2, np.zeros(8), -1, 0.0
-    total = 0.0
+    best, most, total = np.full(9, np.nan), 0.0, 0.0
     for i in among:
         total += table[i, 12]
-    for h in range(len(samples)):
-        if samples[h, needed - 1] < 0:
-            continue
-        for i in range(needed):
-            points[i], normals[i] = table[samples[h, i], 0:3], table[samples[h, i], 3:6]
-        shape = shape_through(kind, points, normals)
-        if is_sane(shape, points[0], bounds):
-            score = score_of(shape, table, among, most, total)
+    for h in range(len(shapes)):
+        if np.isfinite(shapes[h, 8]) and is_sane(shapes[h, :8], table[int(shapes[h, 8])], bounds):
+            score = score_of(shapes[h, :8], table, among, most, total)
             if score > most:
-                best, found, most = shape, h, score
-    return best, found
+                best, most = shapes[h], score
+    return best.copy()

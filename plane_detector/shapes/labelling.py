@@ -10,9 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.config import ShapesConfig
-from plane_detector.shapes.extent import on_image
+from plane_detector.shapes.extent import dilated_cells, on_image
 from plane_detector.shapes.models import AXIS, HALF_ANGLE, POSITION, RADIUS, surface_of
-from plane_detector.shapes.refinement import explained_share, fit_shape
+from plane_detector.shapes.refinement import (
+    explained_share,
+    fit_shape,
+    fit_silhouette,
+    shape_residuals,
+)
+from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
 
@@ -21,6 +27,8 @@ _LENGTH_QUANTILES = (0.01, 0.99)
 # Of the pixels of both pieces, what one shape must explain for them to be one.
 # tuned: benchmark shapes --first-seed 100 --scenes 10; flat from 0.7 to 1.4 times.
 _MIN_JOINT_SHARE = 0.9
+# derived: a fit costs a third of a millisecond; further off, no other fit would explain both.
+_FAR_DEVIATIONS = 10 * DEVIATIONS
 
 
 def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
@@ -47,7 +55,6 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
             gone |= one.absorbed
             kept.append(replace(one, mask=mask))
     labels, left = remove_planes(planes.labels, planes.planes, gone)
-    labels = labels.copy()
     for k, one in enumerate(kept):
         labels[one.window][one.mask] = len(left) + k
     return (replace(planes, planes=left, labels=labels),
@@ -56,9 +63,9 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
 
 def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
                   gone: np.ndarray) -> tuple[np.ndarray, tuple[Plane, ...]]:
-    """Return labels (H, W) and planes without those that are gone (K,) bool."""
+    """Return new labels (H, W) and the planes without those that are gone (K,) bool."""
     if not gone.any():
-        return labels, planes
+        return labels.copy(), planes
     number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1).astype(labels.dtype)
     return number[labels], tuple(p for p, g in zip(planes, gone, strict=True) if not g)
 
@@ -76,13 +83,17 @@ def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
 def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape | None:
     """Return the shape that explains both, if there is one."""
     large, small = sorted((one, other), key=lambda piece: -piece.members.sum())
-    if explained_share(large.fit, view.free_pixels(small.members)[0]) < _MIN_JOINT_SHARE / 2:
+    off = np.abs(shape_residuals(large.fit.shape, view.free_pixels(small.members)[0]))
+    if np.median(off) > _FAR_DEVIATIONS:
         return None
     members = one.members | other.members
     pixels, _ = view.free_pixels(members)
     fit = fit_shape(large.fit.model, large.fit.shape, pixels)
+    if fit is not None:  # pixels of the smaller piece, which were outliers at first, may fit now
+        fit = fit_shape(fit.model, fit.shape, pixels)
     if fit is None or explained_share(fit, pixels) < _MIN_JOINT_SHARE:
         return None
+    fit = fit_silhouette(fit, pixels, view.silhouette(members, dilated_cells(view, members)))
     return on_image(view, FoundShape(fit, members, max(one.open_share, other.open_share),
                                      one.absorbed | other.absorbed))
 

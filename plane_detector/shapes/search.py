@@ -20,7 +20,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from plane_detector.config import ShapesConfig
@@ -29,8 +28,11 @@ from plane_detector.shapes.hypotheses import (
     agreeing_cells,
     best_hypothesis,
     draw_samples,
+    members_of,
+    shapes_of_kind,
 )
 from plane_detector.shapes.models import ShapeModel
+from plane_detector.shapes.patches import curved_patches
 from plane_detector.shapes.surfels import Surfels
 
 # after: Schnabel 2007 takes samples from the cells of an octree of random level.
@@ -39,8 +41,10 @@ _WINDOWS_CELLS = (2, 4, 8)
 _HALF_ANGLES_RAD = (np.radians(4.0), np.radians(70.0))
 # derived: with 99 % one of so many samples of three is good if a third of the cells are.
 _HYPOTHESES = 120
+# Paraboloids are fitted to windows that reach so far, and to all cells at once.
+_PATCH_REACHES_CELLS = np.repeat([3, 6, 12, 1000], [8, 8, 8, 1])
 # Hypotheses are compared by a sample of the cells.
-_SCORED_CELLS = 120
+_SCORED_CELLS = 80
 # A kind of shape that explains less than this share of what the best one does is not fitted.
 # tuned: benchmark shapes --first-seed 100 --scenes 10; flat from 0.7 to 1.4 times.
 _MIN_SCORE_SHARE = 0.7
@@ -72,22 +76,27 @@ def best_candidates(surfels: Surfels, among: np.ndarray, models: Sequence[ShapeM
         Draws the samples.
 
     """
-    looked_at = np.ascontiguousarray(among[::-(-len(among) // _SCORED_CELLS)])
-    samples = _draw(surfels.shape, among, _HYPOTHESES, rng)
+    inside = np.zeros(surfels.shape, bool)
+    inside.flat[among] = True
+    samples, patches = _draw(inside, among, rng), _patches(surfels, inside, among, rng)
     bounds = np.array([config.min_radius, config.max_radius, *_HALF_ANGLES_RAD])
-    found = [candidate for model in models if (
-        candidate := _best_candidate(surfels, among, looked_at, model, samples, bounds))]
+    looked_at = np.ascontiguousarray(among[::-(-len(among) // _SCORED_CELLS)])
+    found = []
+    for model in models:
+        shapes = shapes_of_kind(int(model.type), samples, patches, surfels.table)
+        best = best_hypothesis(shapes, bounds, surfels.table, looked_at)
+        if np.isfinite(best[8]):
+            members = members_of(best[:8], surfels.table, inside, int(best[8]))
+            found.append(Candidate(model, best[:8], members,
+                                   float(surfels.count[members].sum())))
     most = max((one.score for one in found), default=0.0)
     return [one for one in found if one.score >= _MIN_SCORE_SHARE * most]
 
 
-def _best_candidate(surfels: Surfels, among: np.ndarray, looked_at: np.ndarray, model: ShapeModel,
-                    samples: np.ndarray, bounds: np.ndarray) -> Candidate | None:
-    shape, best = best_hypothesis(int(model.type), samples, bounds, surfels.table, looked_at)
-    if best < 0:
-        return None
-    members = connected(surfels.shape, agreeing(surfels, shape, among), samples[best, 0])
-    return Candidate(model, shape, members, float(surfels.count[members].sum()))
+def _patches(surfels: Surfels, inside: np.ndarray, among: np.ndarray,
+             rng: np.random.Generator) -> np.ndarray:
+    seeds = among[rng.integers(0, len(among), len(_PATCH_REACHES_CELLS))]
+    return curved_patches(surfels.table, inside, seeds, _PATCH_REACHES_CELLS)
 
 
 def agreeing(surfels: Surfels, shape: np.ndarray, among: np.ndarray) -> np.ndarray:
@@ -95,19 +104,15 @@ def agreeing(surfels: Surfels, shape: np.ndarray, among: np.ndarray) -> np.ndarr
     return among[agreeing_cells(shape, surfels.table, among)]
 
 
-def connected(shape: tuple[int, int], cells: np.ndarray, seed: int) -> np.ndarray:
-    """Return the cells (R * C,) bool that are connected with the seed through others of them."""
-    mask = np.zeros(shape[0] * shape[1], np.uint8)
-    mask[cells] = 1
-    pieces = cv2.connectedComponents(mask.reshape(shape), connectivity=8)[1].ravel()
-    return (pieces == pieces[seed]) & (mask > 0)
+def connected(surfels: Surfels, shape: np.ndarray, agree: np.ndarray, seed: int) -> np.ndarray:
+    """Return the cells (R * C,) bool of some that agree (n,), connected with one of them."""
+    inside = np.zeros(surfels.shape, bool)
+    inside.flat[agree] = True
+    return members_of(shape, surfels.table, inside, int(seed))
 
 
-def _draw(shape: tuple[int, int], among: np.ndarray, count: int,
-          rng: np.random.Generator) -> np.ndarray:
+def _draw(inside: np.ndarray, among: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return triples (H, 3) of different cells: seeds, and others from windows around them."""
-    inside = np.zeros(shape[0] * shape[1], bool)
-    inside[among] = True
-    seeds = among[rng.integers(0, len(among), count)]
-    reach = np.array(_WINDOWS_CELLS)[rng.integers(0, len(_WINDOWS_CELLS), count)]
-    return draw_samples(inside.reshape(shape), seeds, reach, rng.random((count, 2 * TRIES, 2)))
+    seeds = among[rng.integers(0, len(among), _HYPOTHESES)]
+    reach = np.array(_WINDOWS_CELLS)[rng.integers(0, len(_WINDOWS_CELLS), _HYPOTHESES)]
+    return draw_samples(inside, seeds, reach, rng.random((_HYPOTHESES, 2 * TRIES, 2)))

@@ -110,7 +110,7 @@ def surfel_table(cells, usable, camera, sigmas):
 
     """
     table, good = np.full((len(cells), 13), np.nan), np.zeros(len(cells), np.bool_)
-    focal = (camera[0] + camera[1]) / 2
+    slope_sigma = sigmas[1] * (camera[0] + camera[1]) / 2 / camera[4]
     for i in range(len(cells)):
         disparity, row = cells[i, 2], table[i]
         row[12] = cells[i, 6]
@@ -129,8 +129,7 @@ def surfel_table(cells, usable, camera, sigmas):
         width = camera[5] / camera[0] * z
         row[9] = np.hypot(sigmas[0] * z * z, sigmas[3])
         row[10] = _CELL_TOLERANCE * width
-        turn = _NORMAL_TOLERANCE_RAD + DEVIATIONS * sigmas[1] * focal / camera[4] / length
-        row[11] = np.cos(min(turn, 1.0))
+        row[11] = np.cos(min(_NORMAL_TOLERANCE_RAD + DEVIATIONS * slope_sigma / length, 1.0))
         # A step within a cell bends it by more than any curved surface that the cell can show.
         grain = np.hypot(sigmas[2] * z * z, sigmas[3])
         good[i] = cells[i, 5] * z * z < np.hypot(DEVIATIONS * grain, _MAX_GAP_SHARE * width)

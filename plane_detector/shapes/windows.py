@@ -17,6 +17,8 @@ from plane_detector.shapes.surface import DEVIATIONS, depth_on_ray, distance_dev
 
 # Rays are looked at in steps of this many pixels, to save time.
 THROUGH_STEP_PX = 3
+# derived: the surface of a ball of 30 pixels radius ends with a step of as many pixels.
+STEEP = 8.0
 
 
 @kernel('UniTuple(float64, 2)(float64, float64[::1])')
@@ -25,7 +27,7 @@ def noise_at(z, camera):
     return np.sqrt((camera[4] * z * z) ** 2 + camera[5] ** 2), z / camera[0]
 
 
-@kernel('float64[::1](Tuple((float64[:, ::1], int32[:, ::1], boolean[::1])), int64, int64, int64)')
+@kernel('float64[::1](Tuple((float32[:, ::1], int32[:, ::1], boolean[::1])), int64, int64, int64)')
 def free_shares(image, size, rows, columns):
     """Return the share (rows * columns,) of each cell's pixels that are free."""
     depth, labels, may_take = image
@@ -37,7 +39,7 @@ def free_shares(image, size, rows, columns):
     return share
 
 
-@kernel('int64[::1](float64[:, ::1], int32[:, ::1], boolean[:, ::1], int64, int64)')
+@kernel('int64[::1](float32[:, ::1], int32[:, ::1], boolean[:, ::1], int64, int64)')
 def label_counts(depth, labels, cells, size, count):
     """Return how many pixels of cells (R, C) have a depth, by label; the last are without."""
     result = np.zeros(count + 1, np.int64)
@@ -51,7 +53,7 @@ def label_counts(depth, labels, cells, size, count):
     return result
 
 
-@kernel('int64[::1](Tuple((float64[:, ::1], int32[:, ::1], boolean[::1])), int64[::1], int64, '
+@kernel('int64[::1](Tuple((float32[:, ::1], int32[:, ::1], boolean[::1])), int64[::1], int64, '
         'int64, int64)')
 def free_pixels(image, cells, columns, size, step):
     """Return the free ones among every step-th pixel of cells (n,), as v * width + u."""
@@ -70,7 +72,39 @@ def free_pixels(image, cells, columns, size, step):
     return found[:count].copy()
 
 
-@kernel('int64[::1](float64[:, ::1], int32[:, ::1], int64, int64)')
+@kernel('float64[:, ::1](Tuple((float32[:, ::1], int32[:, ::1], boolean[::1])), int64[::1], '
+        'int64, float64[::1])')
+def silhouette_rays(image, cells, columns, camera):
+    """
+    Return rays (M, 4) between free pixels of cells (n,) and what lies far behind them.
+
+    Their x and y at depth 1, the depth of the free pixel, and its deviation.
+    """
+    depth, labels, may_take = image
+    (height, width), size, count = depth.shape, int(camera[6]), 0
+    found = np.empty((4 * len(cells) * size * size, 4))
+    for cell in cells:
+        top, left = cell // columns * size, cell % columns * size
+        for v in range(top, min(top + size, height)):
+            for u in range(left, min(left + size, width)):
+                z = depth[v, u]
+                for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+                    y, x = v + down, u + right
+                    if not (0 <= y < height and 0 <= x < width):
+                        continue
+                    step = depth[y, x] - z
+                    if not (step > STEEP * z / camera[0] and may_take[labels[v, u]]):
+                        continue  # NaN is no step
+                    sigma, behind = noise_at(z, camera)[0], noise_at(depth[y, x], camera)[0]
+                    if step > DEVIATIONS * np.hypot(sigma, behind) + STEEP * z / camera[0]:
+                        found[count, 0] = (u + right / 2 - camera[2]) / camera[0]
+                        found[count, 1] = (v + down / 2 - camera[3]) / camera[1]
+                        found[count, 2], found[count, 3] = z, sigma
+                        count += 1
+    return found[:count].copy()
+
+
+@kernel('int64[::1](float32[:, ::1], int32[:, ::1], int64, int64)')
 def plane_pixels(depth, labels, k, step):
     """Return the pixels of plane k that have a depth, every step-th row and column."""
     height, width = depth.shape
@@ -84,7 +118,7 @@ def plane_pixels(depth, labels, k, step):
     return found[:count].copy()
 
 
-@kernel('UniTuple(float64[:, ::1], 2)(float64[:, ::1], int64[::1], float64[::1])')
+@kernel('UniTuple(float64[:, ::1], 2)(float32[:, ::1], int64[::1], float64[::1])')
 def points_of(depth, where, camera):
     """Return points (N, 3) of pixels v * width + u (N,), and :func:`noise_at` them (N, 2)."""
     count, width = len(where), depth.shape[1]
@@ -99,7 +133,7 @@ def points_of(depth, where, camera):
     return points, noise
 
 
-@kernel('uint8[:, ::1](Tuple((float64[:, ::1], int32[:, ::1], boolean[::1])), boolean[:, ::1], '
+@kernel('uint8[:, ::1](Tuple((float32[:, ::1], int32[:, ::1], boolean[::1])), boolean[:, ::1], '
         'UniTuple(int64, 4), float64[::1], float64[::1])')
 def pixels_on(image, cells, window, shape, camera):
     """Return which free pixels of cells (R, C) lie on a shape, (h, w) of v0, v1, u0, u1."""
@@ -118,7 +152,7 @@ def pixels_on(image, cells, window, shape, camera):
     return result
 
 
-@kernel('int64(float64[:, ::1], boolean[:, ::1], float64[::1], UniTuple(float64, 2), '
+@kernel('int64(float32[:, ::1], boolean[:, ::1], float64[::1], UniTuple(float64, 2), '
         'float64[::1])')
 def rays_through(depth, cells, shape, ends, camera):
     """Return how many rays of cells (R, C) go through a shape between its ends."""

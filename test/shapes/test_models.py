@@ -9,17 +9,26 @@ import pytest
 from scipy import optimize
 
 from plane_detector.shapes.fitting import (
+    distances_deviations,
     fitted,
     gradient,
     least_squares,
-    off_best_plane,
+    plane_misfit,
+    shape_misfit,
     solved,
 )
 from plane_detector.shapes.hypotheses import shape_through
 from plane_detector.shapes.models import CONE, CYLINDER, SPHERE, surface_of
-from plane_detector.shapes.surface import depth_on_ray, frame_of, moved, turn_of
+from plane_detector.shapes.surface import (
+    depth_on_ray,
+    frame_of,
+    moved,
+    nearest_on_ray,
+    turn_of,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
+NO_RAYS, TRUST = np.zeros((0, 4)), (1.0, 0.002, 6.0)
 SHAPES = {
     'sphere': (SPHERE, np.array([0.1, 0.2, 2.0, 0, 0, 0, 0.5, 0])),
     'cylinder': (CYLINDER, np.array([0.1, 0.2, 2.0, 0.6, 0.0, 0.8, 0.3, 0])),
@@ -123,8 +132,8 @@ def test_least_squares_are_those_of_scipy(name):
         return surface_of(moved(shape, steps, frame_of(shape)), points).distance_m * weight
 
     best = optimize.least_squares(residual, np.zeros(len(freedoms)), method='lm')
-    found = least_squares(moved(shape, 0.01 * np.eye(7)[freedoms].sum(axis=0), frame_of(shape)),
-                          freedoms, points, weight)
+    start = moved(shape, 0.01 * np.eye(7)[freedoms].sum(axis=0), frame_of(shape))
+    found = least_squares(start, freedoms, points, NO_RAYS, weight)
     cost = ((surface_of(found, points).distance_m * weight) ** 2).sum() / 2
     assert best.cost <= cost * (1 + 1e-9)
     assert cost < best.cost * (1 + 1e-3)
@@ -137,8 +146,8 @@ def test_outliers_do_not_change_a_fit(name):
     freedoms = np.array(model.freedoms)
     wild = points.copy()
     wild[:20] *= 4
-    alone, _ = fitted(shape, freedoms, points[20:].copy(), noise[20:].copy())
-    found, information = fitted(shape, freedoms, wild, noise)
+    alone, _ = fitted(shape, freedoms, points[20:].copy(), noise[20:].copy(), NO_RAYS, TRUST)
+    found, information = fitted(shape, freedoms, wild, noise, NO_RAYS, TRUST)
     np.testing.assert_allclose(found, alone, atol=1e-9)
     sigma = np.sqrt(np.diag(np.linalg.inv(information)))[-1]
     assert abs(found - shape)[6:].max() < 5 * sigma
@@ -147,7 +156,7 @@ def test_outliers_do_not_change_a_fit(name):
 def test_too_few_agreeing_points_give_no_fit():
     points = np.random.default_rng(4).uniform(1, 2, (40, 3))
     found, _ = fitted(SHAPES['sphere'][1], np.array(SPHERE.freedoms), points,
-                      np.full((40, 2), 1e-5))
+                      np.full((40, 2), 1e-5), NO_RAYS, TRUST)
     assert np.isnan(found).all()
 
 
@@ -157,11 +166,59 @@ def test_systems_are_solved_or_refused():
     assert np.isnan(solved(np.ones((2, 2)), np.ones(2))).all()
 
 
-def test_pixels_of_a_plane_lie_on_their_best_plane():
-    slopes = np.random.default_rng(5).uniform(-0.3, 0.3, (200, 2))
-    rays = np.column_stack([slopes, np.ones(200)])
-    points = rays / (rays @ [0.1, 0.2, 0.5])[:, None]
-    noise = np.full((200, 2), 0.001)
-    np.testing.assert_allclose(off_best_plane(points, noise), 0, atol=1e-8)
-    points[7] *= 1.01
-    assert np.argmax(np.abs(off_best_plane(points, noise))) == 7
+def test_misfit_of_the_best_plane_is_that_of_its_noise_and_of_a_bend():
+    rng = np.random.default_rng(5)
+    slopes = rng.uniform(-0.3, 0.3, (2000, 2))
+    rays = np.column_stack([slopes, np.ones(2000)])
+    depth_m = 1 / (rays @ [0.1, 0.2, 0.5])
+    noise = np.column_stack([0.002 * depth_m**2, np.zeros(2000)])
+    points = rays / (1 / depth_m + rng.normal(0, 0.002, 2000))[:, None]
+    assert plane_misfit(points, noise) == pytest.approx(0.97, abs=0.1)
+    points[:, 2] += 0.2 * slopes[:, 0] ** 2
+    assert plane_misfit(points, noise) > 1.3
+
+
+@pytest.mark.parametrize('name', SHAPES)
+def test_rays_touch_the_surface_where_they_are_nearest(name):
+    _, shape = SHAPES[name]
+    for slope in np.random.default_rng(6).uniform(-0.4, 0.4, (40, 2)):
+        z = nearest_on_ray(shape, turn_of(shape), *slope)
+        depth_m = z + np.linspace(-0.3, 0.3, 301)
+        ray = np.append(slope, 1.0)
+        distance_m = surface_of(shape, depth_m[:, None] * ray).distance_m
+        assert distance_m[150] <= distance_m.min() + 1e-9
+
+
+def test_the_silhouette_gives_the_size_that_noise_hides():
+    """A pipe of 5 cm at 2 m, and noise of 4 cm: its depth says nothing of its radius."""
+    rng, pixel = np.random.default_rng(7), 1 / 525
+    pipe = np.array([0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.05, 0.0])
+    slopes = np.column_stack([rng.uniform(-0.024, 0.024, 400), rng.uniform(-0.3, 0.3, 400)])
+    depth_m = np.array([depth_on_ray(pipe, *slope, -np.inf, np.inf) for slope in slopes])
+    noisy_m = depth_m + rng.normal(0, 0.04, 400)
+    points = np.column_stack([slopes, np.ones(400)]) * noisy_m[:, None]
+    noise = np.full((400, 2), [0.04, 2 * pixel])
+    side = 0.05 / np.sqrt(4 - 0.05**2)
+    rays = np.array([[sign * side + rng.uniform(-0.5, 0.5) * pixel, y, 2.0, 0.04]
+                     for y in np.linspace(-0.3, 0.3, 60) for sign in (-1, 1)])
+    start, freedoms = pipe + [0.01, 0, 0.02, 0, 0, 0, 0.02, 0], np.array(CYLINDER.freedoms)
+    trust = (0.05, pixel, 10.0)
+    _, blind = fitted(start, freedoms, points, noise, NO_RAYS, trust)
+    found, information = fitted(start, freedoms, points, noise, rays, trust)
+    sigma = [np.sqrt(np.linalg.inv(one)[-1, -1]) for one in (blind, information)]
+    assert found[6] == pytest.approx(0.05, abs=0.001)
+    assert sigma[0] > 0.005 > 0.001 > sigma[1]
+
+
+@pytest.mark.parametrize('name', ['sphere', 'cylinder'])
+def test_deviations_hold_where_the_surface_curves_away(name):
+    """Noise along a ray moves a point of the silhouette off the surface by its curvature."""
+    _, shape = SHAPES[name]
+    points, _ = surface_points(SHAPES[name][0], shape, 600, np.random.default_rng(8))
+    points = points[points[:, 2] > 1.0]
+    noise = np.column_stack([np.full(len(points), 0.05), np.zeros(len(points))])
+    moved_points = points * (1 + np.random.default_rng(9).normal(0, 0.05, len(points))
+                             / points[:, 2])[:, None]
+    distance_m, deviation_m = distances_deviations(shape, moved_points, noise)
+    assert (np.abs(distance_m) < 3 * deviation_m).mean() > 0.98
+    assert shape_misfit(shape, moved_points, noise) < 1.2
