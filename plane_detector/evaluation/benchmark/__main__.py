@@ -29,6 +29,7 @@ COMMANDS = {
     'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
     'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
+    'units': ('benchmark.units', 'one scene as metres, disparity and relative disparity'),
     'orientation': ('benchmark.orientation', 'directions from lines, and planes with them'),
     'depth': ('benchmark.depth_network', 'time of the depth network'),
     'flicker': ('benchmark.flicker', 'the temporal filter of the depth'),
