@@ -21,7 +21,7 @@ LAYERS = (('stopping', 'compilation'), ('settings', 'stage_timer'), ('node_confi
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
-SEGMENTATION_LAYERS = (('threads',), ('cells',), ('search',), ('regions',),
+SEGMENTATION_LAYERS = (('threads', 'memory'), ('cells',), ('search',), ('regions',),
                        ('pixels',), ('fine_pass',), ('segment',), ('baselines',))
 PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
 CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in

@@ -16,6 +16,7 @@ from plane_detector.planes.measurement import normal_matrices, ray_plane_jacobia
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.segmentation.cells.grid import D, N, X, Y
 from plane_detector.segmentation.cells.labels import count_labels
+from plane_detector.segmentation.cells.model import add_up
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.types import CameraIntrinsics
@@ -44,28 +45,37 @@ def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> Disparity
         Without regions that have too few pixels, or pixels on one line only.
 
     """
-    grid = regions.grid
-    counts = count_labels(grid, regions.labels, len(regions.coefficients))
-    moments = (counts / np.maximum(grid.moments[:, N:N + 1], 1)).T @ grid.moments
+    pixels, moments = _whole_cells(regions)
     jacobian = ray_plane_jacobian(intrinsics)
     to_rays = np.linalg.inv(jacobian).T
-    pixels = moments[:, N]
     products = to_rays @ normal_matrices(moments.T) @ to_rays.T
-    width = np.linalg.eigvalsh(products)[:, 0] / np.maximum(pixels, 1)
+    count = np.maximum(moments[:, N], 1)
+    width = np.linalg.eigvalsh(products)[:, 0] / count
     kept = np.flatnonzero((pixels >= MIN_PIXELS) & (width > MIN_RAY_VARIANCE))
-    correlated_px = max((CORRELATION_SHARE * grid.width_px) ** 2, 1.0)
-    variance = correlated_px * _variances(regions, counts)[kept, None, None]
-    middle = moments[kept][:, [X, Y, N]] / pixels[kept, None] @ to_rays.T
-    return DisparityPlanes(regions.coefficients[kept] @ jacobian.T, products[kept] / variance,
-                           middle[:, :2], pixels[kept] / max(pixels[kept].sum(), 1.0), kept)
+    correlated_px = max((CORRELATION_SHARE * regions.grid.width_px) ** 2, 1.0)
+    information = products / (correlated_px * _variances(regions, moments)[:, None, None])
+    # The cells that lie on the border of the region tell as much for each pixel.
+    information *= (pixels / count)[:, None, None]
+    middle = moments[:, [X, Y, N]] / count[:, None] @ to_rays.T
+    return DisparityPlanes(regions.coefficients[kept] @ jacobian.T, information[kept],
+                           middle[kept, :2], pixels[kept] / max(pixels[kept].sum(), 1.0), kept)
 
 
-def _variances(regions: PixelRegions, counts: np.ndarray) -> np.ndarray:
+def _whole_cells(regions: PixelRegions) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixels (K,) of each region, and the moments (K, 10) of its whole cells."""
+    grid, count = regions.grid, len(regions.coefficients)
+    if not count:
+        return np.zeros(0), np.zeros((0, 10))
+    counts = count_labels(grid, regions.labels, count)
+    most = counts.argmax(axis=1)
+    is_whole = (counts[np.arange(len(most)), most] == grid.moments[:, N]) & grid.usable
+    moments = add_up(grid.moments, most.astype(np.int32), is_whole, count)
+    return counts.sum(axis=0), moments
+
+
+def _variances(regions: PixelRegions, moments: np.ndarray) -> np.ndarray:
     """Return the variance (K,) of the pixels about their planes, at least that of the noise."""
-    grid, noise = regions.grid, regions.noise
-    is_whole = (counts > 0) & (counts == grid.moments[:, N:N + 1])
-    moments = is_whole.T.astype(float) @ grid.moments
-    pixels = np.maximum(moments[:, N], 1)
+    noise, count = regions.noise, np.maximum(moments[:, N], 1)
     least = (noise.pixel_sigma**2 + noise.mean_sigma**2
-             + noise.variance_floor(moments[:, D] / pixels))
-    return np.maximum(squared_errors(regions.coefficients, moments) / pixels, least)
+             + noise.variance_floor(moments[:, D] / count))
+    return np.maximum(squared_errors(regions.coefficients, moments) / count, least)

@@ -9,14 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage, N, build_cell_grid
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.adjacency import MAX_JOINT_VARIANCES, sum_up_regions
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved
-from plane_detector.segmentation.search.dbscan import Neighbourhood, label_clusters
 from plane_detector.segmentation.search.plane_search import (
     TYPICAL_FOCAL_SHARE,
     Search,
@@ -29,7 +28,6 @@ MIN_CELL_SIZE_PX = 3
 MIN_CELL_SHARE = 0.5
 # Pieces of one plane are at most this many of the smaller cells apart.
 REACH_CELLS = 3
-_CROSS = Neighbourhood(np.array([[0, 0], [0, 1], [1, 0], [0, -1], [-1, 0]]), 1)
 
 
 def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: WeightedCells,
@@ -59,25 +57,29 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
 
     """
     config, size = search.config, coarse.grid.size_px // 2
-    room = config.segmentation.max_planes - len(coefficients)
+    room, count = config.segmentation.max_planes - len(coefficients), len(coefficients)
     min_pixels, threshold = search.min_pixels, config.ransac.inlier_threshold
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(coarse, noise):
         return labels, coefficients
     left = DisparityImage(image.values, image.valid & (labels < 0))
-    grid = build_cell_grid(left, size)
+    wanted = _large_pieces(left.valid, size, min_pixels / MIN_CELL_SHARE)
+    if not wanted.any():
+        return labels, coefficients
+    grid = build_cell_grid(left, size, wanted)
     kind = noise.kind(coarse.grid.typical_disparity)
     noise = noise.at_cell_size(coarse.grid.size_px, size)
-    cells = _in_large_pieces(weigh_cells(grid, noise), min_pixels / MIN_CELL_SHARE)
-    if grid.moments[cells.is_planar, N].sum() < min_pixels:
-        return labels, coefficients
+    cells = weigh_cells(grid, noise)
     regions = find_planes(replace(search, grid=grid), cells, noise, room)
     regions = remove_curved(cells, regions, noise.mean_sigma**2)
-    new = label_pixels(image, cells, regions, noise, threshold)
-    curved = np.append(np.zeros(len(regions.coefficients), bool), False)
-    curved[find_curved(cells, regions, kind)] = True
-    labels = np.where((labels < 0) & (new >= 0) & ~curved[new], new + len(coefficients), labels)
+    if not len(regions.coefficients):
+        return labels, coefficients
+    new = np.where(left.valid, label_pixels(image, cells, regions, noise, threshold), -1)
+    target = np.arange(-1, len(regions.coefficients), dtype=np.int32) + count
+    target[1 + find_curved(cells, regions, kind)] = target[0] = -1
+    labels = _overlaid(labels, new, target)
     coefficients = np.vstack([coefficients, regions.coefficients])
-    return _joined(labels, cells, regions, coefficients), coefficients
+    target = _merged(labels, cells, regions, coefficients)
+    return _overlaid(labels, labels, target), coefficients
 
 
 def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
@@ -86,34 +88,68 @@ def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
     return noise.mean_sigma < width * cells.grid.typical_disparity
 
 
-def _in_large_pieces(cells: WeightedCells, min_pixels: float) -> WeightedCells:
-    """Return the cells; ``is_planar`` is kept only in connected pieces of enough pixels."""
-    count = cells.grid.moments[:, N]
-    filled = np.where(2 * count >= cells.grid.size_px**2, 0, -1).astype(np.int32)
-    pieces, number = label_clusters(filled.reshape(cells.grid.shape), _CROSS)
-    pixels = np.bincount(pieces.ravel() + 1, count, number + 1)
-    pixels[0] = 0
-    return replace(cells, is_planar=cells.is_planar & (pixels[pieces.ravel() + 1] >= min_pixels))
+@kernel('boolean[::1](boolean[:, ::1], int64, float64)')
+def _large_pieces(left, size, min_pixels):
+    """Say which cells lie in connected pieces, of cells half full at least, of enough pixels."""
+    rows, columns = -(-left.shape[0] // size), -(-left.shape[1] // size)
+    pixels = np.zeros(rows * columns, np.int64)
+    for v in range(left.shape[0]):
+        for u in range(left.shape[1]):
+            pixels[v // size * columns + u // size] += left[v, u]
+    is_open, is_wanted = 2 * pixels >= size**2, np.zeros(rows * columns, np.bool_)
+    queue = np.empty(rows * columns, np.int64)
+    for seed in range(rows * columns):
+        if not is_open[seed]:
+            continue
+        queue[0], is_open[seed] = seed, False
+        head, tail, total = 0, 1, 0
+        while head < tail:
+            i = queue[head]
+            head += 1
+            total += pixels[i]
+            for j in (i - columns, i - 1, i + 1, i + columns):
+                if (0 <= j < rows * columns and is_open[j]
+                        and (abs(j - i) > 1 or j // columns == i // columns)):
+                    queue[tail], is_open[j] = j, False
+                    tail += 1
+        is_wanted[queue[:tail]] = total >= min_pixels
+    return is_wanted
 
 
-def _joined(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int32[::1])')
+def _overlaid(labels, new, target):
+    """Return labels in which pixels of new label k >= 0 have label target[1 + k], if >= 0."""
+    result = labels.copy()
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            if new[v, u] >= 0 and target[1 + new[v, u]] >= 0:
+                result[v, u] = target[1 + new[v, u]]
+    return result
+
+
+def _merged(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
             coefficients: np.ndarray) -> np.ndarray:
-    """Merge each new plane with the coplanar planes it touches; the smallest label is kept."""
+    """
+    Merge each new plane with the coplanar planes it touches; the smallest label is kept.
+
+    Returns
+    -------
+    (1 + K + L,) int32
+        New label of the labels from -1 on.
+
+    """
     count, new = len(coefficients), len(regions.coefficients)
-    if not new:
-        return labels
     sums = sum_up_regions(cells, regions)
     fits = np.array([squared_errors(coefficients, np.repeat(moments[None], count, axis=0))
                      for moments in sums.moments])
     fits = fits <= MAX_JOINT_VARIANCES * (sums.variance * sums.count)[:, None]
     touching = _touching(labels, cells.grid.size_px, count)
-    target = np.arange(count + 1)
+    target = np.arange(-1, count, dtype=np.int32)
     for k in range(count - new, count):
         same = np.flatnonzero((fits[k - count + new] & touching[k]) | (np.arange(count) == k))
         if len(same) > 1:
-            target[np.isin(target, target[same])] = target[same].min()
-    target[-1] = -1
-    return target.astype(np.int32)[labels]
+            target[np.isin(target, target[1 + same])] = target[1 + same].min()
+    return target
 
 
 @kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')

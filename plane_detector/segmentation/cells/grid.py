@@ -108,7 +108,8 @@ def image_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
             (np.arange(height) - (height - 1) / 2) / width)
 
 
-def build_cell_grid(image: DisparityImage, size: int = 0) -> CellGrid:
+def build_cell_grid(image: DisparityImage, size: int = 0,
+                    wanted: np.ndarray | None = None) -> CellGrid:
     """
     Build the grid of cells of a disparity image.
 
@@ -117,6 +118,8 @@ def build_cell_grid(image: DisparityImage, size: int = 0) -> CellGrid:
     image : DisparityImage
     size : int
         Side of the cells in pixels; 0: that of :func:`cell_size`.
+    wanted : (R * C,) bool, optional
+        Other cells stay empty. Default: all are wanted.
 
     Returns
     -------
@@ -127,25 +130,32 @@ def build_cell_grid(image: DisparityImage, size: int = 0) -> CellGrid:
     x, y = image_coordinates(image.valid.shape)
     origin = float(x[0]), float(y[0])
     shape = tuple(-(-side // size) for side in image.valid.shape)
-    sums = _sum_up(image.values, image.valid, size, np.array([width, *origin]))
-    return CellGrid(size, width, origin, shape, *sums, np.full((shape[0] * shape[1], 2), np.nan))
+    if wanted is None:
+        wanted = np.ones(shape[0] * shape[1], bool)
+    sums = _sum_up(image.values, image.valid, size, np.array([width, *origin]), wanted)
+    no_slope = np.full((shape[0] * shape[1], 2), np.nan)
+    return CellGrid(size, width, origin, shape, *sums, no_slope)
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '
-        'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, float64[::1])')
-def _sum_up(disparity, valid, size, frame):
+        'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, float64[::1], boolean[::1])')
+def _sum_up(disparity, valid, size, frame, wanted):
     """Return the fields of the cells from ``moments`` to ``sparsity``."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
     width, middle = frame[0], (size - 1) / 2
     moments, mean = np.zeros((rows * columns, 10)), np.zeros((rows * columns, 3))
     slope, rms = np.zeros((rows * columns, 2)), np.zeros(rows * columns)
     usable, sparsity = np.zeros(rows * columns, np.bool_), np.zeros((rows * columns, 2))
-    across = (np.arange(size) - middle) / width
-    whole = (size**2 - 1) / 12 / width**2
-    m = np.empty(10)
+    whole, m = (size**2 - 1) / 12 / width**2, np.empty(10)
+    sums, reference = np.empty((6, columns * size), np.float32), np.empty(columns * size,
+                                                                         np.float32)
     for i in range(rows * columns):
         top, left = i // columns * size, i % columns * size
-        reference = _sum_up_cell(disparity, valid, (top, left), across, m)
+        if left == 0:
+            _sum_up_columns(disparity, valid, (top, size), reference, sums)
+        if not wanted[i]:
+            continue
+        _sum_up_cell(sums[:, left:left + size], width, m)
         n = m[0]
         if n == 0:
             continue
@@ -162,41 +172,63 @@ def _sum_up(disparity, valid, size, frame):
                 excess = (xx + yy) / (2 * n * determinant) - 1 / (size**2 * whole)
                 sparsity[i, 1] = max(excess, 0.0)
         rms[i] = np.sqrt(max(dd - slope[i, 0] * xd - slope[i, 1] * yd, 0.0))
-        _shift(m, frame[1] + (left + middle) / width, frame[2] + (top + middle) / width, reference,
-               moments[i])
+        _shift(m, frame[1] + (left + middle) / width, frame[2] + (top + middle) / width,
+               reference[left], moments[i])
         for k, column in enumerate((1, 2, 6)):
             mean[i, k] = moments[i, column] / n
     return moments, mean, slope, rms, usable, sparsity
 
 
-@kernel('float64(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 2), float64[::1], '
-        'float64[::1])')
-def _sum_up_cell(disparity, valid, corner, across, m):
-    """Write the moments of a cell about its middle and a value near the mean of d; return that."""
-    top, left = corner
-    bottom = min(top + len(across), disparity.shape[0])
-    right = min(left + len(across), disparity.shape[1])
-    reference = 0.0
-    for u in range(left, right):
-        if valid[(top + bottom) // 2, u]:
-            reference = disparity[(top + bottom) // 2, u]
-    m[:] = 0.0
+@kernel('void(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 2), float32[::1], '
+        'float32[:, ::1])')
+def _sum_up_columns(disparity, valid, band, reference, sums):
+    """
+    Sum up the columns of a row of cells.
+
+    Written are the sums of n, y, yy, d, yd and dd of each column, y in pixels from the middle of
+    the cells, d from ``reference``, which is a value of the middle row of each cell.
+    """
+    top, size = band
+    bottom, width = min(top + size, disparity.shape[0]), disparity.shape[1]
+    reference[:], sums[:] = 0, 0
+    for left in range(0, width, size):
+        for u in range(left, min(left + size, width)):
+            if valid[(top + bottom) // 2, u]:
+                reference[left:left + size] = disparity[(top + bottom) // 2, u]
+    there, d = np.empty(width, np.float32), np.empty(width, np.float32)
     for v in range(top, bottom):
-        n = x = xx = d_sum = xd = dd = 0.0
-        for u in range(left, right):
-            if valid[v, u]:
-                dx, d = across[u - left], disparity[v, u] - reference
-                n += 1
-                x += dx
-                xx += dx * dx
-                d_sum += d
-                xd += dx * d
-                dd += d * d
-        dy = across[v - top]
-        for k, value in enumerate((n, x, n * dy, xx, x * dy, n * dy * dy, d_sum, xd, d_sum * dy,
-                                   dd)):
+        row, is_valid = disparity[v], valid[v]
+        for u in range(width):
+            there[u] = np.float32(is_valid[u])
+            d[u] = (row[u] - reference[u]) * there[u]
+        _add_powers(there, d, np.float32(v - top - (size - 1) / 2), sums)
+
+
+@kernel('void(float32[::1], float32[::1], float32, float32[:, ::1])')
+def _add_powers(n, d, y, sums):
+    """Add n, y n, y**2 n, d, y d and d**2 to the sums; so few arrays at once are vectorised."""
+    sum_n, sum_y, sum_yy = sums[0], sums[1], sums[2]
+    sum_d, sum_yd, sum_dd = sums[3], sums[4], sums[5]
+    for u in range(len(n)):
+        sum_n[u] += n[u]
+        sum_y[u] += n[u] * y
+        sum_yy[u] += n[u] * (y * y)
+    for u in range(len(n)):
+        sum_d[u] += d[u]
+        sum_yd[u] += d[u] * y
+        sum_dd[u] += d[u] * d[u]
+
+
+@kernel('void(float32[:, :], float64, float64[::1])')
+def _sum_up_cell(sums, width, m):
+    """Write the moments of a cell about its middle from the sums of its columns."""
+    m[:] = 0.0
+    for u in range(sums.shape[1]):
+        x = (u - (sums.shape[1] - 1) / 2) / width
+        n, d, dd = np.float64(sums[0, u]), np.float64(sums[3, u]), np.float64(sums[5, u])
+        y, yy, yd = sums[1, u] / width, sums[2, u] / width**2, sums[4, u] / width
+        for k, value in enumerate((n, n * x, y, n * x * x, x * y, yy, d, x * d, yd, dd)):
             m[k] += value
-    return reference
 
 
 @kernel('void(float64[::1], float64, float64, float64, float64[::1])')

@@ -73,16 +73,20 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
     """
     noise = _start_noise(search.grid, noise_floor)
     cells = weigh_cells(search.grid, noise)
-    by_components = _components_are_planes(search, cells, noise)
+    start = _components(search, cells, noise)
+    by_components = start is not None
     most = search.config.segmentation.max_planes
     for _ in range(CALIBRATION_ROUNDS):
-        ransac = _begin(search, cells, by_components)
+        ransac = _begin(search, cells, start)
         largest = ransac.find(min(CALIBRATION_PLANES, most))
         shown = noise_from_planes(cells, largest, noise)
         if has_converged(cells, noise, shown):
-            return cells, ransac.find(most), noise
+            break
         noise, cells = shown, weigh_cells(search.grid, shown)
-    return cells, _begin(search, cells, by_components).find(most), noise
+        start = _planar_components(search, cells) if by_components else None
+    else:
+        ransac = _begin(search, cells, start)
+    return cells, ransac.find(most), noise
 
 
 def _start_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
@@ -93,7 +97,7 @@ def _start_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
 
 def find_planes(search: Search, cells: WeightedCells, noise: Noise, most: int) -> PlaneRegions:
     """Find at most ``most`` planes with a given noise."""
-    return _begin(search, cells, _components_are_planes(search, cells, noise)).find(most)
+    return _begin(search, cells, _components(search, cells, noise)).find(most)
 
 
 def sees_creases(search: Search, noise: Noise) -> bool:
@@ -103,20 +107,21 @@ def sees_creases(search: Search, noise: Noise) -> bool:
     return noise.source_sigma == 0 and tolerance < MIN_CREASE_SLOPE * search.grid.typical_disparity
 
 
-def _components_are_planes(search: Search, cells: WeightedCells, noise: Noise) -> bool:
-    """Say whether creases are visible and planar components cover most of the depth."""
+def _components(search: Search, cells: WeightedCells, noise: Noise) -> PlaneRegions | None:
+    """Return the planar components if creases are visible and they cover most of the depth."""
     if not sees_creases(search, noise):
-        return False
-    count, threshold = search.grid.moments[:, N], search.config.ransac.inlier_threshold
-    components = planar_components(cells, search.min_pixels, threshold)
+        return None
+    components = _planar_components(search, cells)
+    count = search.grid.moments[:, N]
     covered = count[components.labels.ravel() >= 0].sum()
-    return covered >= MIN_COMPONENT_SHARE * max(count.sum(), 1)
+    return components if covered >= MIN_COMPONENT_SHARE * max(count.sum(), 1) else None
 
 
-def _begin(search: Search, cells: WeightedCells, by_components: bool) -> SequentialRansac:
-    """Return a search that starts from the components, or from nothing."""
-    config, start = search.config, None
-    if by_components:
-        start = planar_components(cells, search.min_pixels, config.ransac.inlier_threshold)
-    return SequentialRansac(cells, search.min_pixels, config.ransac,
-                            neighbourhood(config.dbscan), search.rng, start)
+def _planar_components(search: Search, cells: WeightedCells) -> PlaneRegions:
+    return planar_components(cells, search.min_pixels, search.config.ransac.inlier_threshold)
+
+
+def _begin(search: Search, cells: WeightedCells, start: PlaneRegions | None) -> SequentialRansac:
+    """Return a search that starts from components, or from nothing."""
+    return SequentialRansac(cells, search.min_pixels, search.config.ransac,
+                            neighbourhood(search.config.dbscan), search.rng, start)
