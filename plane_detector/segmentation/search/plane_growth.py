@@ -20,8 +20,6 @@ REFINEMENTS = 4
 # A plane has settled when its cells change by no more than this share.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 SETTLED_SHARE = 0.03
-# States of a cell.
-UNKNOWN, OUTLIER, INLIER = 0, 1, 2
 
 
 @kernel('Tuple((float64[::1], int64[::1]))'
@@ -78,89 +76,72 @@ def _cluster_of(plane, members, threshold2, table, near):
 
     If no member is in a cluster, the largest cluster is returned.
     """
-    free, offsets, min_samples = near
-    state, is_taken = np.zeros(free.shape, np.uint8), np.zeros(free.shape, np.bool_)
-    cluster = np.empty(free.size, np.int64)
-    if len(offsets) == 0:
-        n = 0
-        for i in range(free.size):
-            if _is_inlier(plane, i, threshold2, table, free, state):
-                cluster[n] = i
-                n += 1
-        return cluster[:n]
-    is_member = np.zeros(free.size, np.bool_)
-    is_member[members] = True
-    best_start, best_end, most, tail = 0, 0, 0, 0
-    for turn in range(2):
-        for k in range(len(members) if turn == 0 else free.size):
-            i = members[k] if turn == 0 else k
-            row, column = i // free.shape[1], i % free.shape[1]
-            if is_taken[row, column] or not _is_core(plane, i, threshold2, table, near, state):
-                continue
-            start = tail
-            tail = _grow(plane, i, threshold2, table, near, (state, is_taken), cluster, start)
-            size = tail - start
-            if turn == 0:
-                size = 0
-                for m in range(start, tail):
-                    size += is_member[cluster[m]]
-            if size > most:
-                best_start, best_end, most = start, tail, size
-            if turn == 0 and 2 * most >= len(members):
-                break
-        if most > 0:
-            break
-    return cluster[best_start:best_end].copy()
-
-
-@kernel('boolean(float64[::1], int64, float64, float64[:, ::1], boolean[:, ::1], uint8[:, ::1])')
-def _is_inlier(plane, i, threshold2, table, free, state):
-    row, column = i // free.shape[1], i % free.shape[1]
-    if state[row, column] == UNKNOWN:
-        fits = free[row, column] and chi_squared(table, i, plane[0], plane[1],
-                                                 plane[2]) < threshold2
-        state[row, column] = INLIER if fits else OUTLIER
-    return state[row, column] == INLIER
-
-
-@kernel('boolean(float64[::1], int64, float64, float64[:, ::1], '
-        'Tuple((boolean[:, ::1], int64[:, ::1], int64)), uint8[:, ::1])')
-def _is_core(plane, i, threshold2, table, near, state):
-    free, offsets, min_samples = near
-    rows, columns = free.shape
-    if not _is_inlier(plane, i, threshold2, table, free, state):
-        return False
-    row, column, found = i // columns, i % columns, 0
+    (free, offsets, min_samples), reach = near, 0
     for k in range(len(offsets)):
-        r, c = row + offsets[k, 0], column + offsets[k, 1]
-        if 0 <= r < rows and 0 <= c < columns:
-            found += _is_inlier(plane, r * columns + c, threshold2, table, free, state)
-            if found >= min_samples:
-                return True
-    return False
+        reach = max(reach, abs(offsets[k, 0]), abs(offsets[k, 1]))
+    columns, stride = free.shape[1], free.shape[1] + 2 * reach
+    # Per cell, with a margin: 0 outlier, 1 inlier, then the cluster.
+    marks = np.zeros((free.shape[0] + 2 * reach) * stride, np.int32)
+    for row in range(free.shape[0]):
+        for column in range(columns):
+            if free[row, column] and chi_squared(table, row * columns + column, plane[0],
+                                                 plane[1], plane[2]) < threshold2:
+                marks[(row + reach) * stride + column + reach] = 1
+    if len(offsets) == 0:
+        return np.flatnonzero(marks)
+    is_member, places = np.zeros(len(marks), np.bool_), np.empty(len(members), np.int64)
+    for k, i in enumerate(members):
+        places[k] = (i // columns + reach) * stride + i % columns + reach
+        is_member[places[k]] = True
+    step = offsets[:, 0] * stride + offsets[:, 1]
+    best = _best_cluster(marks, places, is_member, step, min_samples)
+    if best == 0:
+        is_member[:] = True
+        best = _best_cluster(marks, np.arange(len(marks)), is_member, step, min_samples)
+    found, n = np.empty(free.size, np.int64), 0
+    for row in range(free.shape[0] if best > 0 else 0):
+        for column in range(columns):
+            if marks[(row + reach) * stride + column + reach] == best:
+                found[n] = row * columns + column
+                n += 1
+    return found[:n].copy()
 
 
-@kernel('int64(float64[::1], int64, float64, float64[:, ::1], '
-        'Tuple((boolean[:, ::1], int64[:, ::1], int64)), '
-        'Tuple((uint8[:, ::1], boolean[:, ::1])), int64[::1], int64)')
-def _grow(plane, seed, threshold2, table, near, states, cluster, start):
-    """Write the cluster of a core cell to ``cluster`` from ``start``; return its end."""
-    (free, offsets, _), (state, is_taken) = near, states
-    rows, columns = free.shape
-    cluster[start] = seed
-    is_taken[seed // columns, seed % columns] = True
-    head, tail = start, start + 1
-    while head < tail:
-        i = cluster[head]
-        head += 1
-        if not _is_core(plane, i, threshold2, table, near, state):
+@kernel('int32(int32[::1], int64[::1], boolean[::1], int64[::1], int64)')
+def _best_cluster(marks, starts, is_member, step, min_samples):
+    """Mark the clusters around the starts; return the one with most members, 0 for none."""
+    queue = np.empty(len(marks), np.int64)
+    best, most, cluster = 0, 0, 1
+    for start in starts:
+        if marks[start] != 1 or not _is_core(marks, start, step, min_samples):
             continue
-        row, column = i // columns, i % columns
-        for k in range(len(offsets)):
-            r, c = row + offsets[k, 0], column + offsets[k, 1]
-            if (0 <= r < rows and 0 <= c < columns and not is_taken[r, c]
-                    and _is_inlier(plane, r * columns + c, threshold2, table, free, state)):
-                is_taken[r, c] = True
-                cluster[tail] = r * columns + c
-                tail += 1
-    return tail
+        cluster += 1
+        queue[0], marks[start] = start, cluster
+        head, tail, size = 0, 1, 0
+        while head < tail:
+            i = queue[head]
+            head += 1
+            size += is_member[i]
+            if not _is_core(marks, i, step, min_samples):
+                continue
+            for k in range(len(step)):
+                if marks[i + step[k]] == 1:
+                    marks[i + step[k]] = cluster
+                    queue[tail] = i + step[k]
+                    tail += 1
+        if size > most:
+            best, most = cluster, size
+        if 2 * most >= len(starts):  # no other can have more
+            break
+    return best
+
+
+@kernel('boolean(int32[::1], int64, int64[::1], int64)')
+def _is_core(marks, i, step, min_samples):
+    """Say whether enough inliers are in the neighbourhood of inlier i."""
+    found = 0
+    for k in range(len(step)):
+        found += marks[i + step[k]] > 0
+        if found >= min_samples:
+            return True
+    return False
