@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from plane_detector.node_config import NodeConfig
-from plane_detector.settings import Settings, setting
+from plane_detector.settings import Settings, fixed_setting, setting
 
 __all__ = ['Config', 'DbscanConfig', 'DepthConfig', 'NodeConfig', 'PaperConfig', 'RansacConfig',
            'ScaleConfig', 'SegmentationConfig', 'ShapesConfig', 'TrackingConfig']
@@ -23,59 +23,56 @@ __all__ = ['Config', 'DbscanConfig', 'DepthConfig', 'NodeConfig', 'PaperConfig',
 class DepthConfig(Settings, section='depth'):
     """Where depth comes from and how the network is run."""
 
-    source: str = setting(
+    source: str = fixed_setting(
         'model', 'depth from the network (model) or from the depth topic (topic)',
-        choices=('model', 'topic'), read_only=True)
-    model: str = setting(
+        choices=('model', 'topic'))
+    model: str = fixed_setting(
         'auto', 'name of a network of the zoo, path of an .onnx file, or auto: the best one that '
-        'is cached or can be fetched now', read_only=True)
-    output: str = setting(
+        'is cached or can be fetched now')
+    output: str = fixed_setting(
         'auto', 'what the network gives: metric_depth (metres), disparity (1/metres), '
         'relative_disparity (unknown scale and shift), auto: what the zoo says; must be given '
-        'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'),
-        read_only=True)
-    input_width: int = setting(
+        'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'))
+    input_width: int = fixed_setting(
         0, 'width of the network input, which the image is stretched to; 0: fixed by the '
-        'network or by short_side', 'px', 0, 8192, read_only=True)
-    input_height: int = setting(
+        'network or by short_side', 'px', 0, 8192)
+    input_height: int = fixed_setting(
         0, 'height of the network input, which the image is stretched to; 0: fixed by the '
-        'network or by short_side', 'px', 0, 8192, read_only=True)
-    short_side: int = setting(
+        'network or by short_side', 'px', 0, 8192)
+    short_side: int = fixed_setting(
         0, 'short side of a network input of free size, the other side keeps the aspect of the '
-        'image; 0: the network\'s own', 'px', 0, 8192, read_only=True)
-    target_rate: float = setting(
+        'image; 0: the network\'s own', 'px', 0, 8192)
+    target_rate: float = fixed_setting(
         0.0, 'rate to keep on this machine: at configure the network is timed beside the plane '
         'stage and the largest input of free size that keeps this rate is taken; 0: best quality',
-        'Hz', 0.0, 1000.0, read_only=True)
-    side_multiple: int = setting(
+        'Hz', 0.0, 1000.0)
+    side_multiple: int = fixed_setting(
         14, 'the sides of a network input of free size are multiples of this; ignored for '
-        'networks of the zoo', 'px', 1, 1024, read_only=True)
-    mean: tuple[float, ...] = setting(
+        'networks of the zoo', 'px', 1, 1024)
+    mean: tuple[float, ...] = fixed_setting(
         (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; ignored for networks of the '
-        'zoo', read_only=True)
-    std: tuple[float, ...] = setting(
+        'zoo')
+    std: tuple[float, ...] = fixed_setting(
         (0.229, 0.224, 0.225), 'the scaled RGB minus the mean is divided by this; ignored for '
-        'networks of the zoo', low=1e-6, read_only=True)
-    input_scale: float = setting(
+        'networks of the zoo', low=1e-6)
+    input_scale: float = fixed_setting(
         1.0 / 255.0, 'pixel values are multiplied by this first; ignored for networks of the '
-        'zoo', low=1e-9, read_only=True)
-    noise_share: float = setting(
+        'zoo', low=1e-9)
+    noise_share: float = fixed_setting(
         0.0, 'typical error of disparity as a share of its range in an image; 0: unknown; '
-        'ignored for networks of the zoo', '', 0.0, 1.0, read_only=True)
+        'ignored for networks of the zoo', '', 0.0, 1.0)
     max_depth: float = setting(
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
     damping: float = setting(
         0.8, 'share of the disparity kept from earlier images while nothing moves, to reduce the '
         'flicker of the network; 0: none', '', 0.0, 0.99)
-    providers: tuple[str, ...] = setting(
+    providers: tuple[str, ...] = fixed_setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
-        'runs is used', read_only=True)
-    threads: int = setting(
-        0, 'threads within one operator of the network, 0: ONNX Runtime\'s choice', '', 0, 256,
-        read_only=True)
-    cache_dir: str = setting(
-        '', 'folder of the downloaded networks; empty: $XDG_CACHE_HOME/plane_detector',
-        read_only=True)
+        'runs is used')
+    threads: int = fixed_setting(
+        0, 'threads within one operator of the network, 0: ONNX Runtime\'s choice', '', 0, 256)
+    cache_dir: str = fixed_setting(
+        '', 'folder of the downloaded networks; empty: $XDG_CACHE_HOME/plane_detector')
 
     def __post_init__(self) -> None:
         super().__post_init__()

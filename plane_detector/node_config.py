@@ -6,25 +6,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plane_detector.settings import Settings, setting
+from plane_detector.settings import Settings, fixed_setting, setting
 
 
 @dataclass(frozen=True)
 class NodeConfig(Settings):
     """Settings of the ROS node only."""
 
-    autostart: bool = setting(
-        True, 'configure and activate at start, without a lifecycle manager', read_only=True)
-    exit_on_failure: bool = setting(
+    autostart: bool = fixed_setting(
+        True, 'configure and activate at start, without a lifecycle manager')
+    exit_on_failure: bool = fixed_setting(
         False, 'with autostart: end with exit code 1 when the node cannot be configured or '
-        'activated, for supervisors; false: wait, and try again where that can help',
-        read_only=True)
-    input_reliability: str = setting(
+        'activated, for supervisors; false: wait, and try again where that can help')
+    input_reliability: str = fixed_setting(
         'auto', 'reliability of the inputs; auto: what their publishers offer',
-        choices=('auto', 'reliable', 'best_effort'), read_only=True)
-    image_transport: str = setting(
+        choices=('auto', 'reliable', 'best_effort'))
+    image_transport: str = fixed_setting(
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
-        'image/compressed', choices=('raw', 'compressed'), read_only=True)
+        'image/compressed', choices=('raw', 'compressed'))
     max_image_pixels: int = setting(
         50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
         2**30)
@@ -34,20 +33,20 @@ class NodeConfig(Settings):
     stamp_slop: float = setting(
         0.02, 'largest difference of the stamps of an image and its depth image, if none has '
         'the same stamp', 's', 0.0, 10.0)
-    use_imu: bool = setting(
+    use_imu: bool = fixed_setting(
         False, 'take the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
-        'scale.imu_to_camera', read_only=True)
+        'scale.imu_to_camera')
     max_side: int = setting(
         0, 'images are first reduced to this longer side, which large ones gain time by; all '
         'outputs have the reduced size; 0: off', 'px', 0, 65536)
-    base_frame: str = setting(
+    base_frame: str = fixed_setting(
         '', 'frame of the robot whose origin is on the floor, as base_footprint: direction of '
-        'gravity and height of the camera come from TF; empty: off', read_only=True)
+        'gravity and height of the camera come from TF; empty: off')
     base_up: tuple[float, ...] = setting(
         (0.0, 0.0, 1.0), 'direction up in base_frame', '', -1e6, 1e6)
-    target_frame: str = setting(
+    target_frame: str = fixed_setting(
         '', 'frame of the clouds, planes, poses and markers, as base_link, odom or map, by TF; '
-        'empty: that of the image', read_only=True)
+        'empty: that of the image')
     tf_timeout: float = setting(
         0.2, 'how long a transform is waited for; then the frame is skipped', 's', 0.0, 10.0)
     points_color: str = setting(

@@ -11,7 +11,6 @@ import numpy as np
 from plane_detector.config import Config, TrackingConfig
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
 from plane_detector.directions.finder import DirectionFinder, ImageDirections, Surroundings
-from plane_detector.directions.gravity_choice import UNKNOWN_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import classify_by_gravity
@@ -44,9 +43,8 @@ class PlaneDetector:
     ----------
     config : Config, optional
     depth_model : DepthModel or callable, optional
-        Takes rgb (H, W, 3) uint8 and returns depth or disparity (H, W) float32, NaN invalid. Of
-        a plain function ``config.depth.output`` says what it returns, ``auto``: metres. Default:
-        the network that ``config.depth`` names, or none with ``config.depth.source`` ``topic``.
+        Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) float32, NaN invalid; which,
+        ``config.depth.output`` tells (``auto``: metres). Default: as ``config.depth`` says.
 
     Attributes
     ----------
@@ -92,8 +90,7 @@ class PlaneDetector:
         down_camera : (3,) floating, optional
             Measured direction of gravity; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
-            Where the image shows something; rectification leaves corners black, and a network
-            has a depth for these too.
+            Where the image shows something: rectification leaves corners black.
 
         Returns
         -------
@@ -145,9 +142,7 @@ class PlaneDetector:
         with stages('measurement'):
             # 4. Depth and planes in metres, or in a unit of their own where nothing fixes it.
             depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
-            regions = regions.rescaled(scale.scale, scale.shift)
-            if scale.has_true_angles:
-                regions = turned_by_normals(regions, seen.prediction, seen.intrinsics)
+            regions = _rescaled(regions, scale, seen)
             planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
                               around.lines if turns and scale.has_true_angles else None)
         with stages('shapes'):
@@ -155,8 +150,7 @@ class PlaneDetector:
             planes, shapes, shape_labels = self._shapes.detect(
                 depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
             # 6. Floor, ceiling and walls, where angles are true and gravity is known.
-            classes = classify_by_gravity(
-                planes.planes, around.gravity if scale.has_true_angles else UNKNOWN_GRAVITY)
+            classes = classify_by_gravity(planes.planes, around.gravity, scale.has_true_angles)
         with stages('tracking'):
             # 7. Labels that stay the same from image to image.
             planes, track_labels = self._track(planes, config.tracking)
@@ -208,8 +202,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     config : Config, optional
         Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used.
     disparity_noise : float
-        Noise level specified for the depth source, 1/m; 0 if none. It is the lower bound of the
-        noise estimated from the image.
+        Standard deviation stated for the depth source, 1/m; the noise is not estimated below it.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
 
@@ -246,8 +239,7 @@ def _noise_floor(seen: Observation, config: Config) -> Noise:
     """
     Return the lower bound of the noise of the disparity, in its own unit.
 
-    Where it goes with the disparities of the image, the unit says nothing, so that relative
-    disparity and metres of one scene give the same planes.
+    As a share of the disparities it is the same for relative disparity and for metres.
     """
     if seen.output != 'relative_disparity' and (
             config.segmentation.disparity_noise or not seen.noise_share):
@@ -289,6 +281,14 @@ def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -
     if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
         return seen.prediction.values
     return apply_scale(seen.disparity, scale, max_depth_m)
+
+
+def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
+    """Return the regions in the unit of the scale, turned by the network's normals if any."""
+    regions = regions.rescaled(scale.scale, scale.shift)
+    if not scale.has_true_angles:
+        return regions
+    return turned_by_normals(regions, seen.prediction, seen.intrinsics)
 
 
 @one_blas_thread

@@ -10,16 +10,31 @@ from typing import Any
 
 
 def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
-            high: float | None = None, choices: tuple[str, ...] = (),
-            read_only: bool = False) -> Any:
+            high: float | None = None, choices: tuple[str, ...] = ()) -> Any:
     """
     Declare a field with its description, unit, range and choices.
 
-    A ``read_only`` one is read when the node is configured and fixed while the node is active.
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> @dataclass(frozen=True)
+    ... class Speed(Settings, section='speed'):
+    ...     limit: float = setting(1.5, 'the camera moves no faster', 'm/s', 0.0, 10.0)
+    >>> Speed().limit
+    1.5
+    >>> Speed(limit=-1.0)
+    Traceback (most recent call last):
+    ValueError: speed.limit must be in [0.0, 10.0], not -1.0
+
     """
-    return field(default=default, metadata={
-        'doc': doc, 'unit': unit, 'low': low, 'high': high,
-        'choices': choices, 'read_only': read_only})
+    return field(default=default, metadata={'doc': doc, 'unit': unit, 'low': low, 'high': high,
+                                            'choices': choices, 'read_only': False})
+
+
+def fixed_setting(*args: Any, **kwargs: Any) -> Any:
+    """Declare a setting that is read at configure and fixed while the node is active."""
+    declared = setting(*args, **kwargs)
+    return field(default=declared.default, metadata={**declared.metadata, 'read_only': True})
 
 
 class Settings:

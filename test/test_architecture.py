@@ -7,6 +7,7 @@ from __future__ import annotations
 import ast
 import sys
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,25 @@ SEGMENTATION_LAYERS = (('threads', 'memory'), ('cells',), ('search',), ('regions
 PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
 CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in
         ('ros', 'tools', 'evaluation')]
-MOST_FILE_LINES, MOST_FUNCTION_LINES = 300, 40
+TESTS = sorted((ROOT / 'test').rglob('*.py'))
+MOST_FILE_LINES, MOST_FUNCTION_LINES, MOST_LINES_WITH_EXAMPLE, MOST_ARGUMENTS = 300, 40, 48, 6
+# Older than these limits: these lists only get shorter.
+TOO_LONG = {
+    'plane_detector/depth/model_zoo.py choose',
+    'plane_detector/ros/inputs/image_decoding.py rgb_from_compressed_msg',
+    'plane_detector/segmentation/fine_pass.py add_small_planes',
+    'plane_detector/segmentation/search/plane_growth.py refine',
+    'plane_detector/segmentation/search/point_clusters.py point_clusters',
+    'plane_detector/segmentation/segment.py segment',
+    'plane_detector/shapes/surfels.py surfel_table',
+    'plane_detector/tools/replay/run.py replay',
+}
+TOO_MANY_ARGUMENTS = {
+    'plane_detector/segmentation/pixels/labelling.py _choose',
+    'plane_detector/segmentation/pixels/labelling.py _choose_sides',
+    'plane_detector/segmentation/search/plane_growth.py _grow',
+    'plane_detector/tools/replay/run.py __init__',
+}
 
 # Third-party imports of the package, and the rosdep key that brings each.
 ROSDEP_KEYS = {
@@ -145,21 +164,32 @@ def test_file_has_licence_docstring_and_bounded_length(path):
 
 
 def test_files_of_tests_are_short_too():
-    lengths = {path.name: len(path.read_text(encoding='utf-8').splitlines())
-               for path in (ROOT / 'test').rglob('*.py')}
+    lengths = {path.name: len(path.read_text(encoding='utf-8').splitlines()) for path in TESTS}
     assert {name: count for name, count in lengths.items() if count > MOST_FILE_LINES} == {}
 
 
-def test_functions_are_short():
-    too_long = []
-    for path in SOURCES:
+def functions(paths: Iterable[Path]) -> Iterator[tuple[str, ast.FunctionDef]]:
+    """Yield `folder/file.py name` and the syntax tree of every function."""
+    for path in paths:
         for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                body = node.body[1:] if ast.get_docstring(node) else node.body
-                lines = body[-1].end_lineno - body[0].lineno + 1 if body else 0
-                if lines > MOST_FUNCTION_LINES:
-                    too_long.append(f'{path.relative_to(ROOT)}:{node.lineno} {node.name} {lines}')
-    assert not too_long
+                yield f'{path.relative_to(ROOT)} {node.name}', node
+
+
+def test_functions_are_short():
+    """The docstring counts; one with an example to run may be longer."""
+    too_long = {name for name, node in functions([*SOURCES, *TESTS])
+                if node.end_lineno - node.lineno >= (
+                    MOST_LINES_WITH_EXAMPLE if '>>> ' in (ast.get_docstring(node) or '')
+                    else MOST_FUNCTION_LINES)}
+    assert too_long <= TOO_LONG
+
+
+def test_functions_have_few_arguments():
+    counts = {name: sum(arg.arg not in ('self', 'cls') for arg in [
+        *node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs])
+        for name, node in functions([*SOURCES, *TESTS])}
+    assert {name for name, count in counts.items() if count > MOST_ARGUMENTS} <= TOO_MANY_ARGUMENTS
 
 
 def test_package_xml_names_every_import():

@@ -78,9 +78,14 @@ def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
     return tuple(PlaneClass(value) for value in classes)
 
 
-def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity) -> tuple[PlaneClass, ...]:
-    """Tell planes of true angles apart; a coarse direction is first made exact by them."""
-    down = gravity.down_camera
+def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity,
+                        has_true_angles: bool = True) -> tuple[PlaneClass, ...]:
+    """
+    Classify planes by any gravity: a coarse direction is first made exact by the planes.
+
+    Without true angles all are ``UNKNOWN``.
+    """
+    down = gravity.down_camera if has_true_angles else None
     if down is not None and gravity.tolerance_deg > COARSE_DEG:
         down = refine_gravity(planes, down, gravity.tolerance_deg)
     return classify_planes(planes, down)

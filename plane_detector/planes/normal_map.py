@@ -58,24 +58,23 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
         another surface, keeps its own.
 
     """
-    normals_camera = prediction.normals_camera
-    if normals_camera is None:
+    if prediction.normals_camera is None:
         return regions
+    normals_camera = prediction.normals_camera[::STEP_PX, ::STEP_PX]
     jacobian = ray_plane_jacobian(intrinsics)
     coefficients = regions.coefficients.copy()
     spreads = _cell_spreads(regions, jacobian)
-    thinned = (slice(None, None, STEP_PX),) * 2
-    labels = np.where(np.isfinite(normals_camera[thinned]).all(axis=-1), regions.labels[thinned],
-                      -1)
+    disparity, labels = (image[::STEP_PX, ::STEP_PX]
+                         for image in (regions.disparity, regions.labels))
+    labels = np.where(np.isfinite(normals_camera).all(axis=-1), labels, -1)
     ray_x, ray_y = (ray[::STEP_PX] for ray in pixel_rays(intrinsics))
     for k, own in enumerate(_unit(-coefficients @ jacobian.T)):
         row, column = np.nonzero(labels == k)
         if len(row) < MIN_SAMPLES or not np.isfinite(spreads[k]):
             continue
-        sample = normals_camera[thinned][row, column].astype(float)
-        normal = _average(own, spreads[k], sample)
+        normal = _average(own, spreads[k], normals_camera[row, column].astype(float))
         rays = np.stack([ray_x[column], ray_y[row], np.ones(len(row))], axis=1)
-        inverse_offset = _inverse_offset(normal, rays, regions.disparity[thinned][row, column])
+        inverse_offset = _inverse_offset(normal, rays, disparity[row, column])
         if inverse_offset > 0:
             coefficients[k] = np.linalg.solve(jacobian, -normal * inverse_offset)
     return replace(regions, coefficients=coefficients)

@@ -44,13 +44,18 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndar
     for channel, name in enumerate(('red', 'green', 'blue')):
         vertices[name] = rgb[valid, channel]
     vertices['label'] = labels[valid]
-    properties = [f'property {_PLY_TYPES[kind.str[1:]]} {name}'
-                  for name, (kind, _) in _VERTEX.fields.items()]
-    header = ['ply', 'format binary_little_endian 1.0',
-              f'comment {"metres" if in_metres else "unit of length not known"}',
-              'comment camera frame: x right, y down, z forward; label 0: no plane',
-              f'element vertex {len(vertices)}', *properties, 'end_header', '']
+    header = _header(len(vertices), in_metres)
     with open(path, 'wb') as file:
-        file.write('\n'.join(header).encode('ascii'))
+        file.write(header.encode('ascii'))
         file.write(vertices.tobytes())
     return len(vertices)
+
+
+def _header(count: int, in_metres: bool) -> str:
+    """Return the text before the vertices."""
+    properties = [f'property {_PLY_TYPES[kind.str[1:]]} {name}'
+                  for name, (kind, _) in _VERTEX.fields.items()]
+    return '\n'.join(['ply', 'format binary_little_endian 1.0',
+                      f'comment {"metres" if in_metres else "unit of length not known"}',
+                      'comment camera frame: x right, y down, z forward; label 0: no plane',
+                      f'element vertex {count}', *properties, 'end_header', ''])

@@ -26,15 +26,13 @@ def load(path, output='metric_depth'):
     ((1, 0, 0), np.inf, 'nowhere finite'),
     ((10, 0, 0), -3, r'\d\d% of its output is negative \(down to -')])
 def test_a_network_that_gives_no_depth_is_refused_at_configure(tmp_path, weights, bias, said):
-    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=weights,
-                               bias=bias)
+    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(*weights, bias))
     with pytest.raises(ImplausibleDepthError, match=rf'n\.onnx: .*{said}'):
         load(path)
 
 
 def test_negative_values_are_a_fault_of_metres_only(tmp_path):
-    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(10, 0, 0),
-                               bias=-3)
+    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(10, 0, 0, -3))
     estimate = load(path, 'relative_disparity')
     rgb = np.zeros((48, 64, 3), np.uint8)
     rgb[:, 32:, 0] = 255

@@ -61,16 +61,8 @@ def write_point_map_network(path: Path, rays: np.ndarray, *, shift: float = 0.7,
     height, width = rays.shape[:2]
     directions = np.concatenate([rays, np.ones((height, width, 1))], axis=-1)[None]
     nodes = [
-        *_channels(),
-        make('Mul', ['rg', 'metres'], ['rg_m']),
-        make('ReduceSum', ['rg_m', 'channel_axis'], ['z'], keepdims=1),
-        make('Transpose', ['z'], ['z_last'], perm=[0, 2, 3, 1]),
-        make('Mul', ['z_last', 'rays'], ['points_m']),
-        make('Sub', ['points_m', 'shift'], ['shifted_m']),
-        make('Cast', ['num_tokens'], ['tokens'], to=proto.FLOAT),
-        make('Mul', ['tokens', 'scale_per_token'], ['scale']),
-        make('Div', ['shifted_m', 'scale'], ['points']),
-        *_normals(), make('Transpose', ['normal_first'], ['normal'], perm=[0, 2, 3, 1]),
+        *_channels(), *_points(), *_normals(),
+        make('Transpose', ['normal_first'], ['normal'], perm=[0, 2, 3, 1]),
         make('Greater', ['z', 'nothing'], ['is_there']),
         make('Squeeze', ['is_there', 'channel_axis'], ['is_there_3d']),
         make('Cast', ['is_there_3d'], ['mask'], to=getattr(proto, element_of_mask))]
@@ -107,6 +99,19 @@ def _channels(image: str = 'image') -> list:
     make = onnx_package().helper.make_node
     return [make('Slice', [image, 'zero', 'two', 'channel_axis'], ['rg']),
             make('Slice', [image, 'two', 'three', 'channel_axis'], ['blue'])]
+
+
+def _points() -> list:
+    """Return what makes scaled, shifted points [1, h, w, 3] of red and green."""
+    make = onnx_package().helper.make_node
+    return [make('Mul', ['rg', 'metres'], ['rg_m']),
+            make('ReduceSum', ['rg_m', 'channel_axis'], ['z'], keepdims=1),
+            make('Transpose', ['z'], ['z_last'], perm=[0, 2, 3, 1]),
+            make('Mul', ['z_last', 'rays'], ['points_m']),
+            make('Sub', ['points_m', 'shift'], ['shifted_m']),
+            make('Cast', ['num_tokens'], ['tokens'], to=onnx_package().TensorProto.FLOAT),
+            make('Mul', ['tokens', 'scale_per_token'], ['scale']),
+            make('Div', ['shifted_m', 'scale'], ['points'])]
 
 
 def _normals() -> list:

@@ -32,10 +32,9 @@ def millimetres_as_rgb(depth_m: np.ndarray) -> np.ndarray:
 
 def write_depth_network(path: Path, *, height: int | str = 'height', width: int | str = 'width',
                         channels_last: bool = False, dtype: type = np.float32,
-                        weights: tuple[float, float, float] = METRES_OF_RGB,
-                        bias: float = 0.0) -> Path:
+                        weights: tuple[float, ...] = (*METRES_OF_RGB, 0.0)) -> Path:
     """
-    Write a network that gives weights . (R, G, B) + bias at every pixel.
+    Write a network that gives weights . (R, G, B, 1) at every pixel.
 
     Parameters
     ----------
@@ -47,8 +46,8 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
         [1, H, W, 3] -> [1, H, W, 1] instead of [1, 3, H, W] -> [1, 1, H, W].
     dtype : numpy.float32 or numpy.float16
         Of input and output; it is computed in float32.
-    weights, bias
-        Of the network's normalised input.
+    weights : tuple of float
+        Of the normalised R, G and B, and a constant, 0 if it is left out.
 
     """
     onnx = onnx_package()
@@ -57,7 +56,7 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
     def shape(channels: int) -> list[int | str]:
         return [1, height, width, channels] if channels_last else [1, channels, height, width]
 
-    kernel = np.reshape(np.float32(weights), (3, 1) if channels_last else (1, 3, 1, 1))
+    kernel = np.reshape(np.float32(weights[:3]), (3, 1) if channels_last else (1, 3, 1, 1))
     end = {np.float32: float32, np.float16: onnx.TensorProto.FLOAT16}[dtype]
     nodes = [
         helper.make_node('Cast', ['image'], ['image32'], to=float32),
@@ -65,7 +64,7 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
         helper.make_node('Add', ['mixed', 'bias'], ['depth32']),
         helper.make_node('Cast', ['depth32'], ['depth'], to=end)]
     constants = [numpy_helper.from_array(kernel, 'kernel'),
-                 numpy_helper.from_array(np.float32(bias), 'bias')]
+                 numpy_helper.from_array(np.float32(sum(weights[3:])), 'bias')]
     return write_network(path, nodes, [('image', end, shape(3))], [('depth', end, shape(1))],
                          constants)
 

@@ -32,43 +32,51 @@ def write_slow_network(path: Path, *, deaf: bool = False, always: bool = False) 
         Also on a black image, with which a network is warmed up.
 
     """
-    onnx = onnx_package()
-    helper, make = onnx.helper, onnx.helper.make_node
-    float32, of_bool, int64 = (onnx.TensorProto.FLOAT, onnx.TensorProto.BOOL,
-                               onnx.TensorProto.INT64)
-
-    def constant(name: str, value: object, dtype: type) -> object:
-        return onnx.numpy_helper.from_array(np.array(value, dtype), name)
-
-    def graph(name: str, nodes: list, inputs: list, outputs: list) -> object:
-        def infos(ends: list) -> list:
-            return [helper.make_tensor_value_info(*end) for end in ends]
-        return helper.make_graph(nodes, name, infos(inputs), infos(outputs))
-
-    same = graph('same', [make('Identity', ['red'], ['quick'])], [], [('quick', float32, None)])
-    if deaf:
-        slow = [make('ReduceMax', ['red'], ['redmost'], keepdims=1),
-                make('Expand', ['redmost', 'wide_shape'], ['wide']),
-                make('MaxPool', ['wide'], ['pooled'], kernel_shape=[_DEAF_WINDOW] * 2,
-                     pads=[_DEAF_WINDOW // 2] * 4),
-                make('ReduceMax', ['pooled'], ['top'], keepdims=1),
-                make('Add', ['red', 'top'], ['slow'])]
-        slow_constants = [constant('wide_shape', [1, 1, _DEAF_SIDE, _DEAF_SIDE], np.int64)]
-    else:
-        step = graph('step', [make('Identity', ['going'], ['goes_on']),
-                              make('Add', ['sum', 'one'], ['next'])],
-                     [('index', int64, []), ('going', of_bool, []), ('sum', float32, None)],
-                     [('goes_on', of_bool, []), ('next', float32, None)])
-        slow = [make('Loop', ['for_ever', 'true', 'red'], ['slow'], body=step)]
-        slow_constants = [constant('for_ever', 2**62, np.int64), constant('true', True, np.bool_),
-                          constant('one', 1.0, np.float32)]
-    branch = graph('slow', slow, [], [('slow', float32, None)])
+    make, float32 = onnx_package().helper.make_node, onnx_package().TensorProto.FLOAT
+    same = _graph('same', [make('Identity', ['red'], ['quick'])], [], [('quick', float32, None)])
+    slow, slow_constants = _deaf_operator() if deaf else _endless_loop()
+    branch = _graph('slow', slow, [], [('slow', float32, None)])
     nodes = [make('Slice', ['image', 'zero', 'first', 'axis'], ['red']),
              make('ReduceMax', ['image'], ['brightest'], keepdims=0),
              make('Greater', ['brightest', 'limit'], ['is_bright']),
              make('If', ['is_bright'], ['depth'], then_branch=branch, else_branch=same)]
-    constants = [constant('zero', [0], np.int64), constant('first', [1], np.int64),
-                 constant('axis', [1], np.int64),
-                 constant('limit', -1.0 if always else 0.5, np.float32), *slow_constants]
+    constants = [_constant('zero', [0], np.int64), _constant('first', [1], np.int64),
+                 _constant('axis', [1], np.int64),
+                 _constant('limit', -1.0 if always else 0.5, np.float32), *slow_constants]
     return write_network(path, nodes, [('image', float32, [1, 3, HEIGHT, WIDTH])],
                          [('depth', float32, [1, 1, HEIGHT, WIDTH])], constants)
+
+
+def _deaf_operator() -> tuple[list, list]:
+    """Return nodes from red to slow, one of which takes hours, and their constants."""
+    make = onnx_package().helper.make_node
+    return [make('ReduceMax', ['red'], ['redmost'], keepdims=1),
+            make('Expand', ['redmost', 'wide_shape'], ['wide']),
+            make('MaxPool', ['wide'], ['pooled'], kernel_shape=[_DEAF_WINDOW] * 2,
+                 pads=[_DEAF_WINDOW // 2] * 4),
+            make('ReduceMax', ['pooled'], ['top'], keepdims=1),
+            make('Add', ['red', 'top'], ['slow'])], [
+        _constant('wide_shape', [1, 1, _DEAF_SIDE, _DEAF_SIDE], np.int64)]
+
+
+def _endless_loop() -> tuple[list, list]:
+    """Return nodes from red to slow, a loop of short operators, and their constants."""
+    make, proto = onnx_package().helper.make_node, onnx_package().TensorProto
+    step = _graph('step', [make('Identity', ['going'], ['goes_on']),
+                           make('Add', ['sum', 'one'], ['next'])],
+                  [('index', proto.INT64, []), ('going', proto.BOOL, []),
+                   ('sum', proto.FLOAT, None)],
+                  [('goes_on', proto.BOOL, []), ('next', proto.FLOAT, None)])
+    return [make('Loop', ['for_ever', 'true', 'red'], ['slow'], body=step)], [
+        _constant('for_ever', 2**62, np.int64), _constant('true', True, np.bool_),
+        _constant('one', 1.0, np.float32)]
+
+
+def _constant(name: str, value: object, dtype: type) -> object:
+    return onnx_package().numpy_helper.from_array(np.array(value, dtype), name)
+
+
+def _graph(name: str, nodes: list, inputs: list, outputs: list) -> object:
+    helper = onnx_package().helper
+    infos = ([helper.make_tensor_value_info(*end) for end in ends] for ends in (inputs, outputs))
+    return helper.make_graph(nodes, name, *infos)

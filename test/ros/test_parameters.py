@@ -13,12 +13,12 @@ from rclpy.parameter import Parameter
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
-from plane_detector.settings import Settings, parameters_of, setting
+from plane_detector.settings import Settings, fixed_setting, parameters_of, setting
 
 
 @dataclass(frozen=True)
 class Inner(Settings):
-    count: int = setting(3, 'how many', 'px', 0, 10, read_only=True)
+    count: int = fixed_setting(3, 'how many', 'px', 0, 10)
     names: tuple[str, ...] = setting(('a', 'b'), 'which')
 
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table of accuracy and time, its processes, and the figures made of the same samples."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -32,11 +34,11 @@ class Fixed(peers.Method):
         return raw
 
 
-def sample(method='ours', kind='rooms', sigma=0.004, cpu_ms=1.0, covering=0.5, shares=(),
-           found=(), scene='1'):
+def sample(covering=0.5, shares=(), found=(), **differences):
     numbers = {'SC': covering, 'recall': np.nan, 'precision': 0.25, 'unlabelled': 0.125}
-    return Sample(method, kind, scene, sigma, cpu_ms, numbers, np.array(shares, float),
-                  np.array(found, bool))
+    usual = Sample('ours', 'rooms', '1', 0.004, 1.0, numbers, np.array(shares, float),
+                   np.array(found, bool))
+    return replace(usual, **differences)
 
 
 def test_the_plan_leaves_absent_methods_out_and_slow_ones_to_the_first_scenes():
@@ -73,7 +75,7 @@ def test_two_processes_find_the_same_as_one():
 
 
 def test_tables_compare_all_methods_and_show_the_first_in_detail(capsys):
-    found = [sample(method, sigma=sigma, covering=covering, scene=scene, cpu_ms=cpu_ms)
+    found = [sample(method=method, sigma=sigma, covering=covering, scene=scene, cpu_ms=cpu_ms)
              for sigma in (0.01, 0.004) for method in ('ours', 'other')
              for scene, covering, cpu_ms in (('1', 0.5, 2.0), ('2', 0.75, 3.0), ('3', 1.0, 9.0))]
     report(found)
@@ -97,7 +99,7 @@ def test_recall_by_size_by_hand():
 
 def test_figures_are_written_and_hold_every_method(tmp_path):
     pytest.importorskip('matplotlib', reason='the extra plane_detector[benchmark] is missing')
-    found = [sample(method, kind, sigma, shares=(0.03,), found=(1,))
+    found = [sample(method=method, kind=kind, sigma=sigma, shares=(0.03,), found=(1,))
              for method in ('method A', 'method B') for kind in ('rooms', 'lived-in rooms')
              for sigma in (0.0, 0.004)]
     paths = write_plots(found, tmp_path / 'figures')
