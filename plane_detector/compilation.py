@@ -83,7 +83,7 @@ def compile_kernels(subject: str) -> None:
     Parameters
     ----------
     subject : str
-        Those of this folder of the package that were imported, ``'segmentation'`` or ``'shapes'``.
+        Those of this folder of the package that were imported, as ``'segmentation'``.
 
     """
     for one in list(_KERNELS):

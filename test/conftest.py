@@ -24,7 +24,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 def compiled():
     """Compile all kernels once, into the cache that the processes of the tests share."""
     import plane_detector.pipeline  # noqa: F401 - brings the kernels
-    for subject in ('segmentation', 'shapes'):
+    for subject in ('segmentation', 'directions', 'planes', 'shapes'):
         compile_kernels(subject)
 
 

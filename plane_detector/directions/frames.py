@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.directions.line_segments import LineSegments
 
 # derived: with an axis that has a fifth of the length each, 3 % of the triples are good ones.
@@ -45,11 +46,26 @@ def misalignment(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
 
     At the midpoint (x, y, 1) the image of the direction d runs along (dx - x dz, dy - y dz).
     """
-    flat = directions.reshape(-1, 3)
-    x = flat[:, 0] - segments.midpoints[:, :1] * flat[:, 2]
-    y = flat[:, 1] - segments.midpoints[:, 1:2] * flat[:, 2]
-    sine = (segments.normals @ flat.T) / np.sqrt(x * x + y * y + 1e-12)
+    sine = _sines(segments.normals, segments.midpoints,
+                  np.ascontiguousarray(directions.reshape(-1, 3)))
     return sine.reshape(len(segments), *directions.shape[:-1])
+
+
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1])')
+def _sines(normals, midpoints, directions):
+    sines = np.empty((len(normals), len(directions)))
+    for i in range(len(normals)):
+        for j in range(len(directions)):
+            sines[i, j] = _sine(normals[i], midpoints[i], directions[j])
+    return sines
+
+
+@kernel('float64(float64[::1], float64[::1], float64[::1])')
+def _sine(normal, midpoint, direction):
+    x = direction[0] - midpoint[0] * direction[2]
+    y = direction[1] - midpoint[1] * direction[2]
+    cross = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
+    return cross / np.sqrt(x * x + y * y + 1e-12)
 
 
 def pointing(sine: np.ndarray, tolerance_deg: float) -> np.ndarray:
@@ -104,8 +120,22 @@ def propose_frames(segments: LineSegments, rng: np.random.Generator) -> np.ndarr
 
 def score_frames(segments: LineSegments, frames: np.ndarray) -> np.ndarray:
     """Return the share (C,) of the length that points to one of the three axes."""
-    sine = np.abs(misalignment(segments, frames)).min(-1)
-    return segments.lengths @ pointing(sine, SEARCH_TOLERANCE_DEG) / segments.lengths.sum()
+    return _scores(segments.normals, segments.midpoints, segments.lengths,
+                   np.ascontiguousarray(frames), np.sin(np.radians(SEARCH_TOLERANCE_DEG)))
+
+
+@kernel('float64[::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, :, ::1], '
+        'float64)')
+def _scores(normals, midpoints, lengths, frames, widest):
+    scores = np.zeros(len(frames))
+    for k in range(len(frames)):
+        for i in range(len(lengths)):
+            best = 1.0
+            for axis in range(3):
+                sine = _sine(normals[i], midpoints[i], frames[k, axis]) / widest
+                best = min(best, sine * sine)
+            scores[k] += lengths[i] * (1.0 - best)
+    return scores / max(lengths.sum(), 1e-12)
 
 
 def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = (0, 1, 2)
@@ -121,28 +151,54 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
         The axes that segments may point to; the others are carried along.
 
     """
-    weight = np.zeros(len(segments))
-    moment, squares = np.eye(3), 0.0
+    sums = np.zeros((5, 3))
     for k in range(SEARCH_ROUNDS + FIT_ROUNDS):
-        directions = axes[list(used)]
-        sine = misalignment(segments, directions)
-        nearest = np.abs(sine).argmin(1)
-        sine = sine[np.arange(len(sine)), nearest]
         tolerance_deg = SEARCH_TOLERANCE_DEG if k < SEARCH_ROUNDS else FIT_TOLERANCE_DEG
-        weight = segments.lengths * pointing(sine, tolerance_deg) ** 2
-        jacobian = _by_rotation(segments, directions[nearest])
-        moment = (jacobian.T * weight) @ jacobian + 1e-6 * weight.sum() * np.eye(3)
-        squares = weight @ sine**2
-        axes = axes @ cv2.Rodrigues(-np.linalg.solve(
-            moment + 1e-12 * np.eye(3), jacobian.T @ (weight * sine)))[0].T
-    independent = weight.sum() ** 2 / max(weight @ weight, 1e-12)
+        sums = _normal_equations(segments.normals, segments.midpoints, segments.lengths,
+                                 np.ascontiguousarray(axes[list(used)]),
+                                 np.sin(np.radians(tolerance_deg)))
+        axes = axes @ cv2.Rodrigues(-np.linalg.solve(_regular(sums), sums[3]))[0].T
+    weight, weight_square, squares = sums[4]
+    independent = weight**2 / max(weight_square, 1e-12)
     # The covariance of weighted means: moment^-1 times the variance over the independent ones.
     variance = squares / max(independent - len(used), 1.0)
-    return FrameFit(axes, np.linalg.inv(moment + 1e-12 * np.eye(3)) * variance)
+    return FrameFit(axes, np.linalg.inv(_regular(sums)) * variance)
 
 
-def _by_rotation(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
-    """Return the derivative (N, 3) of the misalignment by a small rotation."""
-    across = directions[:, :2] - segments.midpoints[:, :2] * directions[:, 2:]
-    return np.cross(directions, segments.normals) / (
-        np.linalg.norm(across, axis=1, keepdims=True) + 1e-12)
+def _regular(sums: np.ndarray) -> np.ndarray:
+    """Return the moment of the normal equations, made invertible where an axis is unseen."""
+    return sums[:3] + (1e-6 * sums[4, 0] + 1e-12) * np.eye(3)
+
+
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
+        'float64)')
+def _normal_equations(normals, midpoints, lengths, directions, widest):
+    """
+    Return moment (3, 3), gradient (3,) and (sum w, sum w^2, sum w s^2) of the misalignments s.
+
+    Each segment counts for the direction that it is nearest to, by its length and Tukey's weight;
+    the derivative by a small rotation is d x n over the length of the direction's image.
+    """
+    sums, jacobian = np.zeros((5, 3)), np.zeros(3)
+    for i in range(len(lengths)):
+        nearest, sine = 0, np.inf
+        for j in range(len(directions)):
+            candidate = _sine(normals[i], midpoints[i], directions[j])
+            if abs(candidate) < abs(sine):
+                nearest, sine = j, candidate
+        inside = 1.0 - (sine / widest) ** 2
+        if inside <= 0:
+            continue
+        weight, n, d = lengths[i] * inside * inside, normals[i], directions[nearest]
+        length = np.hypot(d[0] - midpoints[i, 0] * d[2], d[1] - midpoints[i, 1] * d[2]) + 1e-12
+        jacobian[0] = (d[1] * n[2] - d[2] * n[1]) / length
+        jacobian[1] = (d[2] * n[0] - d[0] * n[2]) / length
+        jacobian[2] = (d[0] * n[1] - d[1] * n[0]) / length
+        for a in range(3):
+            for b in range(3):
+                sums[a, b] += weight * jacobian[a] * jacobian[b]
+            sums[3, a] += weight * sine * jacobian[a]
+        sums[4, 0] += weight
+        sums[4, 1] += weight * weight
+        sums[4, 2] += weight * sine * sine
+    return sums

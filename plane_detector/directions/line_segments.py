@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -48,7 +49,7 @@ class LineSegments:
     def __len__(self) -> int:
         return len(self.lengths)
 
-    @property
+    @cached_property
     def normals(self) -> np.ndarray:
         """
         Return the normals (N, 3) of the planes through the camera and each segment.

@@ -8,11 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.directions.finder import ImageDirections
 from plane_detector.planes.line_evidence import collect_evidence
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import orient_planes
 from plane_detector.planes.region_samples import sample_regions
+from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -82,9 +84,8 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
     agree = _agreeing(normals, offsets, found.sigmas_rad)
-    group = _groups(agree & _touching(regions.labels, len(planes)))
-    labels = np.where(regions.labels >= 0, group[regions.labels], -1).astype(np.int32)
-    joined = replace(regions, labels=labels)
+    group = _groups(agree & _touching(regions.labels, len(planes), BORDER_REACH_PX))
+    joined = replace(regions, labels=rename_labels(regions.labels, group))
     again = samples.joined(group).offsets(normals)
     grown = np.isfinite(again) & (np.bincount(group, minlength=len(group)) > 1)
     offsets[grown] = again[grown]
@@ -110,12 +111,19 @@ def _groups(joined: np.ndarray) -> np.ndarray:
     return group
 
 
-def _touching(labels: np.ndarray, count: int) -> np.ndarray:
+@kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')
+def _touching(labels, count, reach):
     """Return which regions (count, count) come within the reach of each other."""
-    touching = np.zeros((count, count), bool)
-    reach = BORDER_REACH_PX
-    for a, b in ((labels[::2, :-reach], labels[::2, reach:]),
-                 (labels[:-reach, ::2], labels[reach:, ::2])):
-        border = (a != b) & (a >= 0) & (b >= 0)
-        touching[a[border], b[border]] = touching[b[border], a[border]] = True
+    touching = np.zeros((count, count), np.bool_)
+    height, width = labels.shape
+    for v in range(0, height, 2):
+        for u in range(width - reach):
+            a, b = labels[v, u], labels[v, u + reach]
+            if a != b and a >= 0 and b >= 0:
+                touching[a, b] = touching[b, a] = True
+    for v in range(0, height - reach, 2):
+        for u in range(width):
+            a, b = labels[v, u], labels[v + reach, u]
+            if a != b and a >= 0 and b >= 0:
+                touching[a, b] = touching[b, a] = True
     return touching

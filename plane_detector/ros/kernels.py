@@ -12,7 +12,8 @@ from plane_detector.config import Config
 
 def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and report that to ``log``."""
-    for subject in ('segmentation', *(['shapes'] if config.shapes.wanted else [])):
+    for subject in ('segmentation', 'directions', 'planes',
+                    *(['shapes'] if config.shapes.wanted else [])):
         if not are_compiled(subject):
             log(f'compiling the loops of the {subject} for this machine, once')
         compile_kernels(subject)

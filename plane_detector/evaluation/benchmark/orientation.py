@@ -10,10 +10,12 @@ best planes through the sensor's points under them.
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+import cv2
 import numpy as np
 
 from plane_detector.config import Config, DirectionsConfig
@@ -35,7 +37,9 @@ from plane_detector.types import PlaneSegmentation
 INDOOR = ('kinect', 'nyu', 'living_room')
 # Frames of the long sequence that nothing was tuned on.
 HELD_OUT_FRAME = 5
+PARTS = ('gravity', 'rendered', 'planes', 'cost')
 PURE = 0.8
+COST_ROUNDS = 4
 UPRIGHT_SINE = 0.05
 SCENES: dict[str, Callable] = {
     'rooms': rooms.random_room, 'rooms, camera rolled by 10 deg': textures.rolled_room,
@@ -153,6 +157,34 @@ def report_planes(name: str, found: Sequence[Frame], model: str) -> None:
          f'plane of the sensor. Worst frame: {found[worst].name}.')
 
 
+def report_cost(found: Sequence[Frame], model: str) -> None:
+    """Print the CPU time of a frame's second half with and without directions."""
+    estimate, title = load_network(model)
+    if estimate is None:
+        emit(f'Cost: {title}')
+        return
+    cost = np.array([[_cpu_ms(frame, PlaneDetector(Config(directions=config), estimate))
+                      for config in WAYS.values()] for frame in found])
+    added = cost[:, 1] - cost[:, 0]
+    emit('### CPU time of planes from depth, one thread',
+         table((*WAYS, 'added: mean (ms)', 'worst'),
+               [[*(f'{mean:.1f}' for mean in cost.mean(0)), f'{added.mean():.1f}',
+                 f'{added.max():.1f}']]),
+         f'{len(found)} frames, {title}; the least of {COST_ROUNDS} rounds of each.')
+
+
+def _cpu_ms(frame: Frame, detector: PlaneDetector) -> float:
+    """Return the least time of finding the planes; rounds after the first one also track."""
+    seen = detector.observe(frame.rgb, frame.intrinsics)
+    cv2.setNumThreads(1)
+    times = []
+    for _ in range(COST_ROUNDS):
+        start = time.thread_time()
+        detector.find_planes(seen)
+        times.append(time.thread_time() - start)
+    return 1e3 * min(times[1:])
+
+
 def _errors(frame: Frame, detector: PlaneDetector) -> Errors:
     found = detector.detect(frame.rgb, frame.intrinsics)
     sensor = segment_planes(frame.depth_m, frame.intrinsics)
@@ -180,7 +212,7 @@ def _mean(judged: Sequence[JudgedPlane], name: str) -> float:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--only', choices=('gravity', 'rendered', 'planes'), action='append',
+    parser.add_argument('--only', choices=PARTS, action='append',
                         help='print this part only; may be given again')
     parser.add_argument('--scenes', type=shared.at_least_one, default=20,
                         help='rendered scenes of each kind')
@@ -191,7 +223,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print all tables."""
-    parts = options.only or ['gravity', 'rendered', 'planes']
+    parts = options.only or PARTS
     sets = {name: partial(frames, options.data, (name,)) for name in INDOOR}
     sets['living_room, held out'] = partial(frames, options.data, ('living_room',),
                                             HELD_OUT_FRAME)
@@ -201,6 +233,8 @@ def run(options: argparse.Namespace) -> None:
             report_gravity(name, found)
         if 'planes' in parts:
             report_planes(name, found, options.model)
+    if 'cost' in parts and options.data.is_dir():
+        report_cost(list(frames(options.data, INDOOR)), options.model)
     if 'rendered' in parts:
         report_rendered(options.scenes, options.first_seed)
     if not options.data.is_dir():

@@ -18,8 +18,14 @@ def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.n
     """Return labels in which ``kept`` of ``count`` labels are 0, 1, ..., all others -1."""
     if len(kept) == count and (kept == np.arange(count)).all():
         return labels
-    index = np.full(count + 1, -1, np.int32)
+    index = np.full(count, -1, np.int32)
     index[kept] = np.arange(len(kept))
+    return rename_labels(labels, index)
+
+
+def rename_labels(labels: np.ndarray, names: np.ndarray) -> np.ndarray:
+    """Return labels in which k is ``names[k]``; -1 stays."""
+    index = np.append(names, -1).astype(np.int32)
     return _renumbered(np.ascontiguousarray(labels, np.int32), index)
 
 
