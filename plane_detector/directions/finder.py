@@ -41,6 +41,11 @@ class ImageDirections:
         return np.vstack([self.directions.down_camera[None],
                           *(pair.axes for pair in self.directions.pairs[:1])])
 
+    @property
+    def all_axes(self) -> np.ndarray:
+        """As ``axes``, with every pair of horizontal axes about the one vertical."""
+        return np.vstack([self.axes, *(pair.axes for pair in self.directions.pairs[1:])])
+
 
 def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.Generator,
                   coarse_down: np.ndarray | None = None,

@@ -55,7 +55,8 @@ MIN_VERTICAL_SIGMAS, MIN_PAIR_SIGMAS, MIN_SUM_SIGMAS = 6.0, 6.0, 20.0
 # Directions nearer than this are the same one; another one with this share of the score is a
 # rival. tuned: as above, flat from 0.8 to 0.92.
 SAME_DEG, RIVAL_SHARE = 10.0, 0.85
-MAX_PAIRS = 3
+# tuned: as MIN_PAIR_SHARE of the line evidence; a third pair changes no plane.
+MAX_PAIRS = 2
 # Lines of buildings and calibrations of lenses are no better than this. tuned: as above; on real
 # images nine of ten directions of gravity are within twice as much.
 SYSTEMATIC_DEG = 1.0

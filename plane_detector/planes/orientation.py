@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.directions.vanishing import SceneDirections
-from plane_detector.planes.line_evidence import LineEvidence
+from plane_detector.planes.line_evidence import MAIN_AXES, LineEvidence
 from plane_detector.planes.region_samples import RegionSamples
 from plane_detector.types import Plane
 
@@ -93,7 +93,7 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
         Of their pixels.
 
     """
-    hypotheses = _hypotheses(np.stack([plane.normal for plane in planes]), directions)
+    hypotheses = _hypotheses(np.stack([plane.normal for plane in planes]), directions, evidence)
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
@@ -116,23 +116,25 @@ def _variances(planes: tuple[Plane, ...], sigma_rad: float) -> np.ndarray:
     return fit + 1 / (1 / sigma_rad**2 + 1 / np.maximum(TILT_PER_BEND * bend, 1e-6) ** 2)
 
 
-def _hypotheses(normals: np.ndarray, directions: SceneDirections) -> _Hypotheses:
+def _hypotheses(normals: np.ndarray, directions: SceneDirections,
+                evidence: LineEvidence) -> _Hypotheses:
     """Return all hypotheses; the last one is the network's own normal."""
     down = directions.down_camera
-    axes = directions.pairs[0].axes if directions.pairs else np.zeros((0, 3))
+    axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in directions.pairs)])
     points = np.vstack([down[None], axes])
-    across = [normals - np.outer(normals @ axis, axis) for axis in points]
+    across = [normals - np.outer(normals @ axis, axis) for axis in points[:MAIN_AXES]]
     candidates = np.stack([*(np.broadcast_to(point, normals.shape) for point in points),
                            *across, normals], axis=1)
     length = np.linalg.norm(candidates, axis=2)
     candidates = _unit(candidates)
     cosine = (candidates * normals[:, None]).sum(2)
     candidates = candidates * np.where(cosine < 0, -1.0, 1.0)[..., None]
-    count = len(axes)
-    prior = np.array([LEVEL_PRIOR, *[AXIS_PRIOR] * count, UPRIGHT_PRIOR, *[ROOF_PRIOR] * count,
-                      FREE_PRIOR])
-    freedoms = np.repeat([0, 1, 2], [count + 1, count + 1, 1])
-    log_prior = np.where(length > MIN_ACROSS, np.log(prior), -np.inf)
+    prior = np.array([LEVEL_PRIOR, *[AXIS_PRIOR] * len(axes), UPRIGHT_PRIOR,
+                      *[ROOF_PRIOR] * (len(across) - 1), FREE_PRIOR])
+    freedoms = np.repeat([0, 1, 2], [len(points), len(across), 1])
+    possible = length > MIN_ACROSS
+    possible[:, :len(points)] &= evidence.allows()
+    log_prior = np.where(possible, np.log(prior), -np.inf)
     return _Hypotheses(candidates, np.arccos(np.clip(np.abs(cosine), 0, 1)), freedoms, log_prior)
 
 

@@ -75,7 +75,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
         One region per plane; those joined to another have no pixels.
 
     """
-    evidence = collect_evidence(lines.segments, lines.axes, regions.labels, len(planes))
+    evidence = collect_evidence(lines.segments, lines.all_axes, regions.labels, len(planes))
     samples = sample_regions(regions, planes, intrinsics)
     found = orient_planes(planes, lines.directions, evidence, samples)
     normals = np.stack([plane.normal for plane in planes])

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of the orientation of planes by depth, lines and axes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,6 +104,17 @@ def test_lines_along_an_axis_are_in_no_plane_across_it(line, expected):
     shares[0, line] = 0.8
     found = orient((plane(between, 8.0),), directions(), LineEvidence(AXES, shares))
     assert abs(found.normals[0] @ AXES[expected]) > 0.999
+
+
+@pytest.mark.parametrize(('share', 'is_across'), [(0.0, False), (0.3, True)])
+def test_a_wall_across_a_further_axis_shows_lines_along_its_partner(share, is_across):
+    further = np.stack([turned(axis, 40, AXES[0]) for axis in AXES[1:]])
+    both = directions()
+    both = replace(both, pairs=(*both.pairs, AxisPair(further, 0.01, 0.1)))
+    leaning = turned(turned(-further[1], 8, AXES[0]), 8, further[0])
+    evidence = LineEvidence(np.vstack([AXES, further]), np.array([[0, 0, 0, share, 0]]))
+    found = orient((plane(leaning),), both, evidence)
+    assert (angle_deg(found.normals[0], -further[1]) < 1.0) == is_across
 
 
 def test_covariance_of_the_axes_leaves_room_for_a_sure_network():
