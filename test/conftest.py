@@ -49,9 +49,10 @@ def data_folder():
 
 
 @pytest.fixture
-def robot(capfd):
-    """Return a camera and subscribers on a ROS domain of their own."""
+def robot(capfd, monkeypatch):
+    """Return a camera and subscribers on a ROS domain of their own; diagnostics come often."""
     from ros_helpers import Robot
+    monkeypatch.setattr('plane_detector.ros.diagnostics._PERIOD_S', 0.25)
     robot = Robot(capfd=capfd)
     yield robot
     robot.shutdown()

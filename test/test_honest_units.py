@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from rclpy.parameter import Parameter
-from ros_helpers import Robot, camera_info_msg, image_msg
+from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import attic, random_room
@@ -56,13 +56,6 @@ def drawn(monkeypatch):
 
     monkeypatch.setattr(cv2, 'putText', recording)
     return texts
-
-
-@pytest.fixture
-def robot(capfd):
-    robot = Robot(capfd=capfd)
-    yield robot
-    robot.shutdown()
 
 
 def run(robot, scene, frames=3, **values):

@@ -94,22 +94,30 @@ def test_planes_through_a_network_over_dds(start, robot, tmp_path):
     assert 'Traceback' not in node.log()
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_waiting_node_with_exit_code_0(start, robot, number):
-    node = start('-p', 'depth.source:=topic')
-    assert diagnosis(robot, node)[1]['state'] in ('unconfigured', 'configuring', 'active')
-    assert node.end(number) == 0
-    assert 'Traceback' not in node.log()
+def test_a_signal_ends_a_waiting_node_with_exit_code_0(start, robot):
+    names = {signal.SIGINT: 'one', signal.SIGTERM: 'other'}
+    nodes = {number: start('-p', 'depth.source:=topic', '-r', f'__node:={name}')
+             for number, name in names.items()}
+
+    def states():
+        return {status.name: value.value for message in robot.received['diagnostics']
+                for status in message.status for value in status.values if value.key == 'state'}
+
+    assert robot.spin(lambda: set(states()) == set(names.values()), STARTED_S), states()
+    assert set(states().values()) <= {'unconfigured', 'configuring', 'active'}
+    for number, node in nodes.items():
+        assert node.end(number) == 0
+        assert 'Traceback' not in node.log()
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch, number):
+def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch):
     monkeypatch.setenv('PYTHONPROFILEIMPORTTIME', '1')  # the log tells each import that is done
-    node = start('-p', 'depth.source:=topic')
-    node.wait_until(lambda: re.search(r'\| +numpy$', node.log(), re.MULTILINE))
-    assert node.end(number) == -number
-    assert 'plane_detector.ros.lifecycle_node' not in node.log(), 'it was still importing'
-    assert 'Traceback' not in node.log()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        node = start('-p', 'depth.source:=topic')
+        node.wait_until(lambda node=node: re.search(r'\| +numpy$', node.log(), re.MULTILINE))
+        assert node.end(number) == -number
+        assert 'plane_detector.ros.lifecycle_node' not in node.log(), 'it was still importing'
+        assert 'Traceback' not in node.log()
 
 
 def test_a_signal_ends_a_download(start, monkeypatch, tmp_path):
@@ -151,7 +159,7 @@ def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
                  '-p', 'depth.output:=metric_depth')
     diagnosis(robot, node)
     assert robot.spin(lambda: 'missing.onnx' in robot.diagnosis()[1]['last_error'], STARTED_S)
-    assert robot.diagnosis()[1]['state'] == 'unconfigured'
+    assert robot.spin(lambda: robot.diagnosis()[1]['state'] == 'unconfigured')
     assert 'missing.onnx' in node.log()
     assert node.end(signal.SIGTERM) == 0
 
@@ -163,18 +171,19 @@ def test_with_exit_on_failure_a_missing_network_is_exit_code_1(start, tmp_path):
     assert 'Traceback' not in node.log()
 
 
-@pytest.mark.parametrize('arguments, reason', [
-    (('-p', 'segmentation.max_planes:=0'), 'segmentation.max_planes'),
-    (('-p', 'depth.max_depth:=far'), 'depth.max_depth'),
-    (('-p', 'mode:=sometimes'), 'mode must be one of'),
-    (('--params-file', '/nowhere.yaml'), '/nowhere.yaml'),
-    (('-r', 'image'), "remap rule: '-r image'"),
-    (('--unknown',), '--unknown')])
-def test_an_impossible_argument_ends_the_start_with_the_reason(start, arguments, reason):
-    node = start(*arguments)
-    assert node.process.wait(STARTED_S) == 1
-    assert reason in node.log()
-    assert 'Traceback' not in node.log()
+def test_an_impossible_argument_ends_the_start_with_the_reason(start):
+    reasons = {
+        ('-p', 'segmentation.max_planes:=0'): 'segmentation.max_planes',
+        ('-p', 'depth.max_depth:=far'): 'depth.max_depth',
+        ('-p', 'mode:=sometimes'): 'mode must be one of',
+        ('--params-file', '/nowhere.yaml'): '/nowhere.yaml',
+        ('-r', 'image'): "remap rule: '-r image'",
+        ('--unknown',): '--unknown'}
+    nodes = [start(*arguments) for arguments in reasons]  # side by side: importing takes a second
+    for node, reason in zip(nodes, reasons.values(), strict=True):
+        assert node.process.wait(STARTED_S) == 1, reason
+        assert reason in node.log()
+        assert 'Traceback' not in node.log()
 
 
 def test_dumped_parameters_start_the_same_node(start, domain, tmp_path):

@@ -189,33 +189,38 @@ def test_demo_runs_the_node_over_dds(tmp_path, pictures):
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_demo_is_quiet_when_it_is_ended(tmp_path, number):
+def start_demo(folder, *arguments):
+    return subprocess.Popen(
+        [sys.executable, '-m', 'plane_detector.tools.demo', *arguments], cwd=folder,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env={**os.environ, 'PYTHONPATH': str(ROOT)})
+
+
+def test_demo_is_quiet_when_it_is_ended(tmp_path):
     pytest.importorskip('rclpy')
-    with subprocess.Popen(
-            [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
-             str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True) as process:
-        deadline_s = time.monotonic() + 120
-        while not (tmp_path / 'node_depth_topic.log').exists():
+    signals = (signal.SIGINT, signal.SIGTERM)
+    started = {number: start_demo(tmp_path, '--without-network', '--output', number.name)
+               for number in signals}
+    deadline_s = time.monotonic() + 120
+    for number, process in started.items():
+        while not (tmp_path / number.name / 'node_depth_topic.log').exists():
             assert time.monotonic() < deadline_s
             time.sleep(0.05)
         process.send_signal(number)
         printed = process.communicate(timeout=120)
-    assert process.returncode == 130, printed
-    assert 'Traceback' not in ''.join(printed)
-    assert printed[1].strip() == ''
+        assert process.returncode == 130, printed
+        assert 'Traceback' not in ''.join(printed)
+        assert printed[1].strip() == ''
 
 
-@pytest.mark.parametrize('arguments, reason', [
-    (['--images', '.'], 'demo: no image in'), (['--fx', '525'], 'demo: a calibration'),
-    (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of auto'),
-    (['--model', __file__], 'demo: --model-output must say what the network of a file gives')])
-def test_demo_says_what_is_wrong(tmp_path, arguments, reason):
+def test_demo_says_what_is_wrong(tmp_path):
     pytest.importorskip('rclpy')
-    run = subprocess.run(
-        [sys.executable, '-m', 'plane_detector.tools.demo', *arguments], cwd=tmp_path,
-        capture_output=True, text=True, timeout=60,
-        env={**os.environ, 'PYTHONPATH': str(ROOT)})
-    assert run.returncode == 1
-    assert run.stderr.strip().startswith(reason)
+    reasons = {
+        ('--images', '.'): 'demo: no image in', ('--fx', '525'): 'demo: a calibration',
+        ('--model', 'nowhere.onnx'): 'demo: --model nowhere.onnx is neither a file nor one of ',
+        ('--model', __file__): 'demo: --model-output must say what the network of a file gives'}
+    started = [start_demo(tmp_path, *arguments) for arguments in reasons]
+    for process, reason in zip(started, reasons.values(), strict=True):
+        _, told = process.communicate(timeout=120)
+        assert process.returncode == 1, reason
+        assert told.strip().startswith(reason)

@@ -149,20 +149,8 @@ def workers_of(process):
     return found
 
 
-def test_a_worker_that_is_killed_loses_nothing(bags, scenes, tmp_path):
-    out = tmp_path / 'out'
-    with start(bags, out) as process:
-        wait_for(lambda: any(out.glob('*.part')) or process.poll() is not None)
-        for worker in workers_of(process)[:1]:
-            os.kill(worker, signal.SIGKILL)
-        printed = process.communicate()
-    assert process.returncode == 0, printed
-    for name in ('first', 'second', 'monday_walk'):
-        assert_true(out / name, scenes)
-    assert not list(out.glob('*.part'))
-
-
-def test_a_signal_ends_all_and_a_second_run_does_the_rest(bags, scenes, tmp_path):
+def test_a_signal_ends_all_and_a_second_run_with_a_killed_worker_does_the_rest(
+        bags, scenes, tmp_path):
     out = tmp_path / 'out'
     with start(bags, out) as process:
         wait_for(lambda: any(out.glob('*.part')) or process.poll() is not None)
@@ -172,10 +160,14 @@ def test_a_signal_ends_all_and_a_second_run_does_the_rest(bags, scenes, tmp_path
     assert 'Traceback' not in printed[1]
     assert 'interrupted' in printed[0]
     with start(bags, out) as process:
+        wait_for(lambda: any(out.glob('*.part')) or process.poll() is not None)
+        workers = workers_of(process)
+        os.kill(workers[0], signal.SIGKILL)
         printed = process.communicate()
     assert process.returncode == 0, printed
     for name in ('first', 'second', 'monday_walk'):
         assert_true(out / name, scenes)
+    assert not list(out.glob('*.part'))
 
 
 @pytest.mark.parametrize('words, network, paths', [
