@@ -76,7 +76,7 @@ def kernel(signature: str) -> Callable[[Callable], Kernel]:
     return lambda function: Kernel(function, signature)
 
 
-def compile_kernels(subject: str) -> None:
+def compile_kernels(subject: str, on_compiling: Callable[[], None] = lambda: None) -> None:
     """
     Compile kernels or load them from the cache: the first frame then takes no longer.
 
@@ -84,17 +84,15 @@ def compile_kernels(subject: str) -> None:
     ----------
     subject : str
         Those of this folder of the package that were imported, as ``'segmentation'``.
+    on_compiling : callable
+        Called once, after the first kernel that was not in the cache: the others take seconds.
 
     """
+    is_told = False
     for one in list(_KERNELS):
-        if one.subject == subject:
-            one.compiled()
-
-
-def are_compiled(subject: str) -> bool:
-    """Say whether machine code of these sources is in the cache, of a folder of the package."""
-    # numba names its folders by the folder of the source.
-    return any(cache_folder().glob(f'{subject}_*/*.nbc'))
+        if one.subject == subject and one.compiled().stats.cache_misses and not is_told:
+            is_told = True
+            on_compiling()
 
 
 @cache

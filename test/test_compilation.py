@@ -23,12 +23,25 @@ def test_machine_code_is_in_a_folder_of_the_user(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     try:
         assert compilation.cache_folder().is_relative_to(tmp_path / 'plane_detector')
-        assert not compilation.are_compiled('segmentation')
         monkeypatch.setenv('XDG_CACHE_HOME', '/proc/none')
         compilation.cache_folder.cache_clear()
         assert compilation.cache_folder().is_dir()
     finally:
         compilation.cache_folder.cache_clear()
+
+
+def test_compiling_is_told_when_code_is_missing_not_when_it_is_loaded(tmp_path, monkeypatch):
+    """Code of the same sources at another place, or of some kernels only, is not that code."""
+    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
+    told = []
+    for expected in (['compiling'], ['compiling']):
+        monkeypatch.setattr(compilation, '_KERNELS', [])
+        kernels = [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
+        for one in kernels:
+            one.subject = 'segmentation'
+        compilation.compile_kernels('segmentation', lambda: told.append('compiling'))
+        assert told == expected
+    assert kernels[1](3) == 6
 
 
 def test_threads_that_compile_at_once_share_the_folder_of_the_user(monkeypatch):

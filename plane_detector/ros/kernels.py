@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
-from plane_detector.compilation import are_compiled, compile_kernels
+from plane_detector.compilation import compile_kernels
 from plane_detector.config import Config
 
 
@@ -14,6 +15,5 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and report that to ``log``."""
     for subject in ('segmentation', 'directions', 'planes',
                     *(['shapes'] if config.shapes.wanted else [])):
-        if not are_compiled(subject):
-            log(f'compiling the loops of the {subject} for this machine, once')
-        compile_kernels(subject)
+        compile_kernels(subject, partial(
+            log, f'compiling the loops of the {subject} for this machine, once'))
