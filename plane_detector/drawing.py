@@ -4,13 +4,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import cv2
 import numpy as np
 
 from plane_detector.geometry.disparity import valid_depth
-from plane_detector.geometry.label_places import label_edges, label_places
+from plane_detector.geometry.label_places import LabelPlace, label_edges, label_places
 from plane_detector.types import CameraIntrinsics
 
 # Neighbours in the list, the largest planes of an image, are far apart in hue and lightness.
@@ -95,10 +95,13 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
     return result
 
 
-def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None
-            ) -> np.ndarray:
+def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,
+            places: Mapping[int, LabelPlace] | None = None) -> np.ndarray:
     """
     Return the image with its planes coloured, outlined and numbered; as :func:`tint`.
+
+    ``places`` are those of :func:`~plane_detector.geometry.label_places.label_places`, for who has
+    them already.
 
     Examples
     --------
@@ -109,7 +112,7 @@ def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = No
     """
     result = tint(rgb, labels, colours)
     _draw_outlines(result, labels)
-    _draw_numbers(result, labels)
+    _draw_numbers(result, label_places(labels) if places is None else places)
     return result
 
 
@@ -244,9 +247,9 @@ def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:
     rgb[edge > 0] = _WHITE
 
 
-def _draw_numbers(rgb: np.ndarray, labels: np.ndarray) -> None:
+def _draw_numbers(rgb: np.ndarray, places: Mapping[int, LabelPlace]) -> None:
     """Write each label where its plane is widest, unless the plane is too thin for a number."""
-    for label, place in label_places(labels).items():
+    for label, place in places.items():
         if place.half_width_px > _TEXT_HALF_HEIGHT * rgb.shape[0]:
             _write_centred(rgb, str(label), (place.column, place.row))
 

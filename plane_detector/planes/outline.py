@@ -4,10 +4,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -52,8 +54,31 @@ class Rectangle:
     height_m: float
 
 
+def all_polygons(labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                 planes: Sequence[Plane]) -> tuple[tuple[Polygon, ...], ...]:
+    """
+    Return :func:`plane_polygons` of all planes of an image.
+
+    Parameters
+    ----------
+    labels : (H, W) int32
+        Index into ``planes``; -1, or another index, for no plane.
+    depth_m : (H, W) float32
+        Depth.
+    intrinsics : CameraIntrinsics
+        Of the image.
+    planes : sequence of Plane
+        Where the outlines are laid.
+
+    """
+    boxes = ndimage.find_objects(labels + 1, len(planes))
+    return tuple(() if box is None else plane_polygons(
+        labels[box] == index, depth_m, intrinsics, plane, (box[0].start, box[1].start))
+        for index, (plane, box) in enumerate(zip(planes, boxes, strict=True)))
+
+
 def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                   plane: Plane) -> tuple[Polygon, ...]:
+                   plane: Plane, first_pixel: tuple[int, int] = (0, 0)) -> tuple[Polygon, ...]:
     """
     Return the outlines of all patches of a plane, and of the holes in them.
 
@@ -63,14 +88,16 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
 
     Parameters
     ----------
-    mask : (H, W) bool
-        The plane's pixels, at least one; their depth is valid.
+    mask : (h, w) bool
+        The plane's pixels, at least one, in a part of the image; their depth is valid.
     depth_m : (H, W) float32
         Depth.
     intrinsics : CameraIntrinsics
         Of the image.
     plane : Plane
         Where the outlines are laid.
+    first_pixel : (int, int)
+        Row and column of the image where the mask begins.
 
     Returns
     -------
@@ -91,15 +118,25 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
            [2., 0., 2.]])
 
     """
-    outlines, hierarchy = _contours(mask)
+    top, left = first_pixel
+    contours, hierarchy = cv2.findContours(
+        np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE,
+        offset=(left, top))
     parents = hierarchy[0, :, 3].tolist()
     patches = [index for index, parent in enumerate(parents) if parent < 0]
-    patches.sort(key=lambda index: -cv2.contourArea(outlines[index]))
+    patches.sort(key=lambda index: -cv2.contourArea(contours[index]))
     order = [index for patch in patches for index in
              (patch, *(hole for hole, parent in enumerate(parents) if parent == patch))]
-    polygons = [Polygon(_corners_on_plane(outlines[index], depth_m, intrinsics, plane),
-                        parents[index] >= 0) for index in order]
-    return tuple(polygon for polygon in polygons if len(polygon.corners_m) > 2)
+    simple = [(cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
+               parents[index] >= 0) for index in order]
+    simple = [(corners_px, is_hole) for corners_px, is_hole in simple if len(corners_px) > 2]
+    if not simple:
+        return ()
+    corners_m = _corners_on_plane(np.concatenate([corners_px for corners_px, _ in simple]),
+                                  depth_m, intrinsics, plane)
+    starts = np.cumsum([len(corners_px) for corners_px, _ in simple])[:-1]
+    return tuple(Polygon(of_one, is_hole) for of_one, (_, is_hole) in zip(
+        np.split(corners_m, starts), simple, strict=True))
 
 
 def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
@@ -130,24 +167,16 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
                      max(width_m, height_m), min(width_m, height_m))
 
 
-def _contours(mask: np.ndarray) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
-    """Return contours and hierarchy; they are followed in the part of the image with pixels."""
-    pixels = np.ascontiguousarray(mask).view(np.uint8)
-    left, top, width, height = cv2.boundingRect(pixels)
-    return cv2.findContours(pixels[top:top + height, left:left + width],
-                            cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE, offset=(left, top))
-
-
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Return the cross product of two vectors (3,), without the overhead of numpy's."""
     (a, b, c), (d, e, f) = first.tolist(), second.tolist()
     return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
-def _corners_on_plane(outline: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+def _corners_on_plane(corners_px: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                       plane: Plane) -> np.ndarray:
-    """Return the simplified corners (N, 3) of an outline in pixels, brought onto the plane."""
-    column, row = cv2.approxPolyDP(outline, _TOLERANCE_PX, True).reshape(-1, 2).T
+    """Return pixels (N, 2), column and row, as points (N, 3) brought onto the plane."""
+    column, row = corners_px.T
     z_m = depth_m[row, column].astype(float)
     points_m = np.stack([(column - intrinsics.cx) / intrinsics.fx * z_m,
                          (row - intrinsics.cy) / intrinsics.fy * z_m, z_m], axis=-1)

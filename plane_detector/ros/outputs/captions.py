@@ -4,12 +4,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.geometry.label_places import LabelPlace, label_places
+from plane_detector.geometry.label_places import LabelPlace
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Plane
@@ -58,8 +58,8 @@ def arrow_length_m(plane: Plane) -> float:
                _LARGEST_ARROW * float(np.sqrt(plane.area_m2)))
 
 
-def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: CameraIntrinsics
-                   ) -> tuple[Caption, ...]:
+def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: CameraIntrinsics,
+                   places: Mapping[int, LabelPlace]) -> tuple[Caption, ...]:
     """
     Return the captions of all planes.
 
@@ -75,9 +75,10 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
         Of the planes, as they are written.
     intrinsics : CameraIntrinsics
         Of the image.
+    places : mapping of int to LabelPlace
+        By label; those that are missing are the centroids.
 
     """
-    places = label_places(detection.labels + 1)
     captions: list[Caption] = []
     boxes: list[np.ndarray] = []
     min_pixels = _MIN_SHARE * detection.labels.size
@@ -85,7 +86,7 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
     for index in order:
         plane, text = detection.planes[index], f'{labels[index]}: {_description(detection, index)}'
         height = _height_m(plane) / float(np.linalg.norm(plane.centroid_m))
-        middle = _middle(plane, places.get(index + 1), intrinsics)
+        middle = _middle(plane, places.get(labels[index]), intrinsics)
         box = middle + _BOX * height / 2 * np.outer([-1, 1], [_ADVANCE * len(text), 1.0])
         is_shown = plane.inlier_count >= min_pixels and not any(
             _overlap(box, other) for other in boxes)

@@ -154,11 +154,25 @@ def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
     return cloud_msg(header, POINT_DTYPE, data, height, width)
 
 
-def obstacles_to_msg(header: Header, points_m: np.ndarray) -> PointCloud2:
-    """Return points (N, 3), all valid, as an unorganised cloud with the fields x y z."""
-    data = array.array('B')
-    data.frombytes(np.ascontiguousarray(points_m, '<f4').data.cast('B'))
-    return cloud_msg(header, XYZ_DTYPE, data, 1, len(points_m))
+def obstacles_to_msg(header: Header, points_m: np.ndarray, wanted: np.ndarray) -> PointCloud2:
+    """
+    Return some points as an unorganised cloud with the fields x y z.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image.
+    points_m : (H, W, 3) float32
+        Metres.
+    wanted : (H, W) bool
+        Those of the cloud; they are valid.
+
+    """
+    # Rows of 12 bytes are copied in a fifth of the time of three numbers each.
+    rows = np.ascontiguousarray(points_m, '<f4').view(f'V{XYZ_DTYPE.itemsize}')[..., 0]
+    chosen = rows[wanted]
+    data = array.array('B', chosen.tobytes())
+    return cloud_msg(header, XYZ_DTYPE, data, 1, len(chosen))
 
 
 def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:

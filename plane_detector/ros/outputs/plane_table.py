@@ -51,17 +51,18 @@ def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
 
     """
     table = np.zeros(len(planes), PLANE_DTYPE)
-    table['class'], table['merged'] = classes or 0, merged or 0
-    for row, plane, label, rectangle in zip(table, planes, labels, rectangles, strict=True):
-        row['x'], row['y'], row['z'] = plane.centroid_m
-        row['normal_x'], row['normal_y'], row['normal_z'] = plane.normal
-        row['d'], row['label'], row['num_inliers'] = plane.offset_m, label, plane.inlier_count
-        row['rms'], row['area'] = plane.rms_m, plane.area_m2
-        row['confidence'] = plane.confidence
-        row['rect_x'], row['rect_y'], row['rect_z'] = rectangle.centre_m
-        quaternion = Rotation.from_matrix(rectangle.rotation).as_quat()
-        row['rect_qx'], row['rect_qy'], row['rect_qz'], row['rect_qw'] = quaternion
-        row['rect_width'], row['rect_height'] = rectangle.width_m, rectangle.height_m
+    table['class'], table['merged'], table['label'] = classes or 0, merged or 0, labels
+    if planes:
+        _set(table, ('x', 'y', 'z'), [plane.centroid_m for plane in planes])
+        _set(table, ('normal_x', 'normal_y', 'normal_z'), [plane.normal for plane in planes])
+        _set(table, ('d', 'num_inliers', 'rms', 'area', 'confidence'), [
+            (plane.offset_m, plane.inlier_count, plane.rms_m, plane.area_m2, plane.confidence)
+            for plane in planes])
+        _set(table, ('rect_x', 'rect_y', 'rect_z'), [one.centre_m for one in rectangles])
+        turns = Rotation.from_matrix(np.stack([one.rotation for one in rectangles]))
+        _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'), turns.as_quat())
+        _set(table, ('rect_width', 'rect_height'), [(one.width_m, one.height_m)
+                                                    for one in rectangles])
     return _table_msg(header, table)
 
 
@@ -94,6 +95,11 @@ def boundaries_to_msg(header: Header, labels: Iterable[int],
     for name in CORNER_DTYPE.names:
         joined[name] = np.concatenate([table[name] for table in tables])
     return _table_msg(header, joined)
+
+
+def _set(table: np.ndarray, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
+    for name, column in zip(names, np.asarray(rows, float).T, strict=True):
+        table[name] = column
 
 
 def _table_msg(header: Header, table: np.ndarray) -> PointCloud2:

@@ -21,14 +21,15 @@ from visualization_msgs.msg import MarkerArray
 
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import label_image, overlay
+from plane_detector.geometry.label_places import LabelPlace, label_places
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import (
     Polygon,
     Rectangle,
+    all_polygons,
     enclosing_rectangle,
-    plane_polygons,
 )
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.captions import plane_captions
@@ -98,8 +99,7 @@ class Result:
     def camera_polygons(self) -> tuple[tuple[Polygon, ...], ...]:
         """The outlines of each plane in the frame of the camera."""
         found = self.detection
-        return tuple(plane_polygons(found.labels == index, found.depth_m, self.intrinsics, plane)
-                     for index, plane in enumerate(found.planes))
+        return all_polygons(found.labels, found.depth_m, self.intrinsics, found.planes)
 
     @cached_property
     def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
@@ -129,9 +129,14 @@ class Result:
         return points_m if self.to_target is None else self.to_target.points(points_m)
 
     @cached_property
+    def label_places(self) -> dict[int, LabelPlace]:
+        """Where the region of each label is widest: numbers and captions are written there."""
+        return label_places(self.labels)
+
+    @cached_property
     def overlay(self) -> np.ndarray:
         """The image with its planes, (H, W, 3) uint8."""
-        return overlay(self.rgb, self.labels)
+        return overlay(self.rgb, self.labels, places=self.label_places)
 
     @property
     def thinned(self) -> tuple[slice, slice]:
@@ -163,8 +168,8 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
     is_floor = np.append([kind == PlaneClass.FLOOR for kind in detection.classes],
                          np.zeros(len(detection.shapes) + 1, bool))
     points_m, labels = result.points_m[result.thinned], detection.labels[result.thinned]
-    return messages.obstacles_to_msg(
-        result.target_header, points_m[~is_floor[labels] & np.isfinite(points_m[..., 2])])
+    wanted = ~np.take(is_floor, labels, mode='wrap') & np.isfinite(points_m[..., 2])
+    return messages.obstacles_to_msg(result.target_header, points_m, wanted)
 
 
 def _planes(result: Result) -> PointCloud2:
@@ -184,7 +189,8 @@ def _poses(result: Result) -> PoseArray:
 
 def _markers(result: Result) -> MarkerArray:
     found = result.detection
-    captions = plane_captions(found, messages.plane_labels(found).tolist(), result.intrinsics)
+    captions = plane_captions(found, messages.plane_labels(found).tolist(), result.intrinsics,
+                              result.label_places)
     markers = markers_to_msg(result.target_header, found, result.camera_polygons, captions,
                              result.shown, result.settings.marker_lifetime)
     return markers if result.to_target is None else moved(markers, result.to_target)

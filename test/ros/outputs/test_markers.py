@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from ros_helpers import header
 
+from plane_detector.geometry.label_places import label_places
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import plane_polygons
 from plane_detector.ros.outputs.captions import plane_captions
@@ -31,7 +32,8 @@ def markers(shown=(), lifetime_s=0.0, **changes):
     polygons = [plane_polygons(found.labels == index, found.depth_m, CAMERA, plane)
                 for index, plane in enumerate(found.planes)]
     labels = found.track_labels or range(1, len(found.planes) + 1)
-    captions = plane_captions(found, labels, CAMERA)
+    lookup = np.array([0, *labels])
+    captions = plane_captions(found, labels, CAMERA, label_places(lookup[found.labels + 1]))
     return markers_to_msg(header(1.0), found, polygons, captions, shown, lifetime_s).markers
 
 
