@@ -118,25 +118,14 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
            [2., 0., 2.]])
 
     """
-    top, left = first_pixel
-    contours, hierarchy = cv2.findContours(
-        np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE,
-        offset=(left, top))
-    parents = hierarchy[0, :, 3].tolist()
-    patches = [index for index, parent in enumerate(parents) if parent < 0]
-    patches.sort(key=lambda index: -cv2.contourArea(contours[index]))
-    order = [index for patch in patches for index in
-             (patch, *(hole for hole, parent in enumerate(parents) if parent == patch))]
-    simple = [(cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
-               parents[index] >= 0) for index in order]
-    simple = [(corners_px, is_hole) for corners_px, is_hole in simple if len(corners_px) > 2]
-    if not simple:
+    outlines = _simple_outlines(mask, first_pixel)
+    if not outlines:
         return ()
-    corners_m = _corners_on_plane(np.concatenate([corners_px for corners_px, _ in simple]),
+    corners_m = _corners_on_plane(np.concatenate([corners_px for corners_px, _ in outlines]),
                                   depth_m, intrinsics, plane)
-    starts = np.cumsum([len(corners_px) for corners_px, _ in simple])[:-1]
+    starts = np.cumsum([len(corners_px) for corners_px, _ in outlines])[:-1]
     return tuple(Polygon(of_one, is_hole) for of_one, (_, is_hole) in zip(
-        np.split(corners_m, starts), simple, strict=True))
+        np.split(corners_m, starts), outlines, strict=True))
 
 
 def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
@@ -165,6 +154,22 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
     return Rectangle(centroid_m + np.asarray(centre_m) @ axes,
                      np.stack([x_axis, _cross(normal, x_axis), normal], axis=1),
                      max(width_m, height_m), min(width_m, height_m))
+
+
+def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
+                     ) -> list[tuple[np.ndarray, bool]]:
+    """Return corners (N, 2), column and row, and whether it is a hole, of each outline."""
+    contours, hierarchy = cv2.findContours(
+        np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE,
+        offset=first_pixel[::-1])
+    parents = hierarchy[0, :, 3].tolist()
+    patches = [index for index, parent in enumerate(parents) if parent < 0]
+    patches.sort(key=lambda index: -cv2.contourArea(contours[index]))
+    order = [index for patch in patches for index in
+             (patch, *(hole for hole, parent in enumerate(parents) if parent == patch))]
+    simple = ((cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
+               parents[index] >= 0) for index in order)
+    return [(corners_px, is_hole) for corners_px, is_hole in simple if len(corners_px) > 2]
 
 
 def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
