@@ -90,12 +90,8 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
     ----------
     mask : (h, w) bool
         The plane's pixels, at least one, in a part of the image; their depth is valid.
-    depth_m : (H, W) float32
-        Depth.
-    intrinsics : CameraIntrinsics
-        Of the image.
-    plane : Plane
-        Where the outlines are laid.
+    depth_m, intrinsics, plane
+        As for :func:`all_polygons`.
     first_pixel : (int, int)
         Row and column of the image where the mask begins.
 
@@ -109,13 +105,10 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
     --------
     >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
     >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
-    >>> depth_m = np.full((51, 101), 2.0)
-    >>> (polygon,) = plane_polygons(np.ones((51, 101), bool), depth_m, camera, wall)
-    >>> polygon.corners_m + 0.0
-    array([[0., 0., 2.],
-           [0., 1., 2.],
-           [2., 1., 2.],
-           [2., 0., 2.]])
+    >>> mask = np.ones((51, 101), bool)
+    >>> (polygon,) = plane_polygons(mask, 2.0 * mask, camera, wall)
+    >>> polygon.corners_m[2]
+    array([2., 1., 2.])
 
     """
     outlines = _simple_outlines(mask, first_pixel)
