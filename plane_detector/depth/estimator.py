@@ -52,7 +52,7 @@ class DepthEstimator:
     output : str
         What calls return: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     needs_lens : bool
-        Whether it takes the intrinsics of the image into account, and cannot do without.
+        Whether it needs the intrinsics of the image.
     name : str
         Of the network: a name of the zoo or a path.
     reason : str
@@ -70,8 +70,8 @@ class DepthEstimator:
     FileNotFoundError
         The network is not there and cannot be fetched.
     ValueError
-        The settings do not fit the network, or it is no depth network, or no execution provider
-        runs it, or what it gives cannot be depth.
+        The settings do not fit the network, or it is not a depth network, or no execution
+        provider runs it, or its output cannot be depth.
 
     """
 
@@ -118,7 +118,8 @@ class DepthEstimator:
         Raises
         ------
         ValueError
-            It is no such image, or the network fails on it, or what it gives cannot be depth.
+            The image has another shape or type, the network fails on it, or its output cannot be
+            depth.
 
         """
         if rgb.ndim != 3 or rgb.shape[2] != 3 or rgb.dtype != np.uint8 or rgb.size == 0:
@@ -206,7 +207,7 @@ class DepthEstimator:
             raise self._session.misfit(str(error)) from error
 
     def _check_on_corridor(self, arrays: Sequence[np.ndarray]) -> None:
-        """Refuse a network that runs against its kind where the depth is known."""
+        """Reject a network whose output contradicts its kind where the depth is known."""
         rgb, depth_m = plausibility.corridor()
         prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
         if plausibility.shows_corridor(self.input_size(*plausibility.CORRIDOR_SIZE)):
@@ -248,7 +249,7 @@ def _resolve(config: DepthConfig) -> tuple[Network | None, Path, str]:
 
 
 def _reader(config: DepthConfig, network: Network | None) -> Reader:
-    """Return what makes sense of the outputs, by the zoo or, for a path, by the settings."""
+    """Return the reader of the outputs: that of the zoo or, for a path, by the settings."""
     if network is None and config.output == 'auto':
         raise ValueError(f'depth.output must say what {config.model} gives: metric_depth, '
                          'disparity or relative_disparity')

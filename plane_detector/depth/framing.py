@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How an image lies in the input of a network, and how maps come back onto the image."""
+"""Placement of an image in the input of a network, and of the output maps on the image."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """
 The known depth networks as files: fetched on first use into a cache folder, verified before
-every use. Which there are says `plane_detector.depth.networks`.
+every use. `plane_detector.depth.networks` lists them.
 """
 
 from __future__ import annotations
@@ -82,13 +82,13 @@ def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Pa
         _check_writable(path.parent)
         _write_from_any(network, path, unreachable)
     except OSError as error:
-        note = f'the file there is damaged or another one, and {error}' if damaged else f'{error}'
+        note = f'the cached file is damaged, and {error}' if damaged else f'{error}'
         raise NetworkUnavailableError(network, path, note) from error
     return path, 'fetched anew, the cached one was damaged' if damaged else 'fetched'
 
 
 def _check_writable(folder: Path) -> None:
-    """Make the folder and see that it can be written, before anything is fetched."""
+    """Make the folder and check that it can be written, before anything is fetched."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):

@@ -147,7 +147,7 @@ class ModelDepth:
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:
         """
-        Return an image with what the model says of it, and with measured depth where there is.
+        Return an image with the prediction of the model, and measured depth if there is any.
 
         Raises
         ------

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Refuses what cannot be the depth of an image, in words that say what was seen.
+Reject network outputs that cannot be depth, with a message that says what was seen.
 
-Files of networks are confused easily: some give zeros, some that are called metric give relative
+Network files are easily confused: some give zeros, some that are called metric give relative
 disparity. A constant, empty or negative output shows in any frame. Whether the values rise or
 fall with depth shows on an image whose depth is known: a corridor with a checkerboard on all its
 faces, so that nothing but its perspective tells near from far.
@@ -16,7 +16,7 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics, Prediction
 
-# A network of depth gives no negative metres; what resampling inside it rings is let through.
+# Metres are not negative; small overshoots of the resampling inside a network are allowed.
 MOST_NEGATIVE = 0.01
 # derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor, and what only
 # looks at the colour of a pixel 0.01.
@@ -37,7 +37,7 @@ _GREYS = (60, 110)
 
 
 class ImplausibleDepthError(ValueError):
-    """The output of a network cannot be the depth that is stated for its file."""
+    """The output of a network cannot be the depth that was declared for its file."""
 
 
 def corridor() -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +70,7 @@ def corridor() -> tuple[np.ndarray, np.ndarray]:
 
 def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     """
-    Refuse an output that is no depth of any image.
+    Reject an output that cannot be the depth of any image.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     negative = np.mean(finite < 0)
     if kind == 'metric_depth' and negative > MOST_NEGATIVE:
         raise ImplausibleDepthError(
-            f'{negative:.0%} of its output is negative (down to {low:g}), which metres are not')
+            f'{negative:.0%} of its output is negative (down to {low:g}), but metres are not')
 
 
 def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
     """
-    Refuse a network whose output runs against its kind on an image of known depth.
+    Reject a network whose output contradicts its kind on an image of known depth.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
     if correlation < -LEAST_OPPOSITE_CORRELATION:
         rises, other = (('falls', 'disparity') if sign > 0 else ('rises', 'depth'))
         raise ImplausibleDepthError(
-            f'it is said to give {prediction.output}, but its output {rises} with distance on an '
+            f'it is declared as {prediction.output}, but its output {rises} with distance on an '
             f'image of a corridor (rank correlation {sign * correlation:.2f}): it seems to give '
             f'{other}. Set depth.output, or take another file')
 

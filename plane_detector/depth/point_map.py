@@ -55,7 +55,7 @@ def depth_from_point_map(points: np.ndarray, is_valid: np.ndarray,
 
 
 def _shift(points: np.ndarray, rays: np.ndarray) -> float:
-    """Return t for points (n, 3) on rays (n, 2); 0 where nothing says it."""
+    """Return t for points (n, 3) on rays (n, 2); 0 if it is undetermined."""
     square = (rays**2).sum(axis=1)
     if not square.any():
         return 0.0

@@ -3,8 +3,8 @@
 """
 Readers of network outputs: each kind of network has a reader that makes a Prediction.
 
-A reader names the outputs that it needs, gets their arrays in this order, and knows units, axes
-and what the network leaves open. The lens is handed in, since some need it.
+A reader names the outputs that it needs, gets their arrays in this order, and knows their units
+and axes and what the network leaves open. Some readers need the lens, so it is passed in.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Reader(Protocol):
     kind : str
         ``metric_depth``, ``disparity`` or ``relative_disparity``.
     needs_lens : bool
-        Whether it cannot do without the intrinsics of the image.
+        Whether it needs the intrinsics of the image.
 
     """
 
@@ -48,7 +48,7 @@ class Reader(Protocol):
     needs_lens: bool
 
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return what tells depth, (h, w) as the network gives it; raise OutputError as `read`."""
+        """Return the values that encode depth, (h, w), unchanged; raise OutputError as `read`."""
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics | None) -> Prediction:
@@ -119,7 +119,7 @@ class PointMapReader:
     needs_lens: bool = True
 
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the length of each point, which a wall face on has different too."""
+        """Return the length of each point, which varies even on a wall seen face on."""
         length = np.linalg.norm(as_map(arrays[0], 3), axis=-1)
         return np.where(as_map(arrays[2]) >= LEAST_MASK, length, np.nan)
 

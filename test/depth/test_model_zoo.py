@@ -91,7 +91,7 @@ def test_a_damaged_file_in_the_cache_is_fetched_anew(server, tmp_path, monkeypat
     assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
     put(monkeypatch, 'fastdepth', UrlSource(server.url + '/missing.onnx'))
     (tmp_path / network.file_name).write_bytes(CONTENT[:-1])
-    with pytest.raises(NetworkUnavailableError, match='the file there is damaged .*404'):
+    with pytest.raises(NetworkUnavailableError, match='the cached file is damaged, .*404'):
         fetch('fastdepth', tmp_path)
 
 

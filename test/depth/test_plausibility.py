@@ -77,8 +77,8 @@ def write_corridor_network(path, *, disparity):
 
 
 @pytest.mark.parametrize(('gives_disparity', 'output', 'said'), [
-    (True, 'metric_depth', r'said to give metric_depth, but its output falls with distance'),
-    (False, 'disparity', r'said to give disparity, but its output rises with distance'),
+    (True, 'metric_depth', r'declared as metric_depth, but its output falls with distance'),
+    (False, 'disparity', r'declared as disparity, but its output rises with distance'),
     (False, 'relative_disparity', r'it seems to give depth')])
 def test_depth_called_disparity_and_disparity_called_depth_are_refused(
         tmp_path, gives_disparity, output, said):

@@ -73,7 +73,7 @@ def test_sizes_keep_the_aspect_and_never_fall_below_the_short_side():
         lower_bound_size(4000, 2, 518, 14)
 
 
-def test_preparing_leaves_the_picture_as_it_was():
+def test_preparing_leaves_the_image_as_it_was():
     rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     before = rgb.copy()
     prepare_input(rgb, (40, 30), IMAGENET)
@@ -81,7 +81,7 @@ def test_preparing_leaves_the_picture_as_it_was():
     np.testing.assert_array_equal(rgb, before)
 
 
-def test_a_picture_may_be_a_reversed_or_transposed_view():
+def test_a_image_may_be_a_reversed_or_transposed_view():
     rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     for view in (rgb[..., ::-1], rgb[::-1, ::2], rgb.transpose(1, 0, 2)):
         np.testing.assert_array_equal(prepare_input(view, (28, 14), IMAGENET),

@@ -23,36 +23,36 @@ NOISE = 0.01
 
 
 def scenery(shape=SHAPE):
-    """Return a picture of many edges."""
+    """Return a image of many edges."""
     coarse = np.random.default_rng(0).integers(40, 220, (shape[0] // 20, shape[1] // 20, 3))
     return np.kron(coarse, np.ones((20, 20, 1))).astype(np.uint8)
 
 
-def seen(picture, rng):
-    """Return a picture with the noise of a sensor."""
-    return np.clip(picture + rng.normal(0, 3, picture.shape), 0, 255).astype(np.uint8)
+def seen(image, rng):
+    """Return a image with the noise of a sensor."""
+    return np.clip(image + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
 
 
 def flickering(rng, truth=TRUTH):
     return truth + rng.normal(0, NOISE, truth.shape).astype(np.float32)
 
 
-def moved(picture, pixels):
-    """Return a picture that a camera sees that has turned by so many pixels."""
+def moved(image, pixels):
+    """Return a image that a camera sees that has turned by so many pixels."""
     matrix = np.float32([[1, 0, pixels], [0, 1, 0]])
-    return cv2.warpAffine(picture, matrix, picture.shape[1::-1], borderMode=cv2.BORDER_REFLECT)
+    return cv2.warpAffine(image, matrix, image.shape[1::-1], borderMode=cv2.BORDER_REFLECT)
 
 
-def damped(pictures, disparities, keep=0.8, same_scale=True):
+def damped(images, disparities, keep=0.8, same_scale=True):
     """Return the state after these."""
     state = None
-    for rgb, disparity in zip(pictures, disparities, strict=True):
+    for rgb, disparity in zip(images, disparities, strict=True):
         state = filter_disparity(state, disparity, rgb, keep, same_scale=same_scale)
     return state
 
 
 def still(count, rng=None):
-    """Return pictures and disparities of a camera that stands still."""
+    """Return images and disparities of a camera that stands still."""
     rng = rng or np.random.default_rng(1)
     return [seen(scenery(), rng) for _ in range(count)], [flickering(rng) for _ in range(count)]
 
@@ -61,9 +61,9 @@ def rms(state, truth=TRUTH):
     return float(np.sqrt(np.nanmean((state.disparity - truth) ** 2)))
 
 
-def test_the_first_pictures_count_alike():
-    pictures, disparities = still(4)
-    state = damped(pictures, disparities)
+def test_the_first_images_count_alike():
+    images, disparities = still(4)
+    state = damped(images, disparities)
     assert state.image_count == 4
     np.testing.assert_allclose(state.disparity, np.mean(disparities, axis=0), atol=1e-6)
 
@@ -74,16 +74,16 @@ def test_noise_falls_to_what_the_share_leaves():
 
 
 def test_nothing_is_kept_of_a_share_of_zero():
-    pictures, disparities = still(3)
-    np.testing.assert_array_equal(damped(pictures, disparities, keep=0.0).disparity,
+    images, disparities = still(3)
+    np.testing.assert_array_equal(damped(images, disparities, keep=0.0).disparity,
                                   disparities[-1])
 
 
 @pytest.mark.parametrize('pixels', [0.7, 1.5, 40])
 def test_a_camera_that_turns_is_left_alone(pixels):
-    pictures, disparities = still(6)
-    pictures[-1] = seen(moved(scenery(), pixels), np.random.default_rng(2))
-    state = damped(pictures, disparities)
+    images, disparities = still(6)
+    images[-1] = seen(moved(scenery(), pixels), np.random.default_rng(2))
+    state = damped(images, disparities)
     assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
@@ -99,35 +99,35 @@ def test_slow_motion_adds_up_and_never_lags_by_a_pixel():
     assert not any(np.convolve(~np.array(starts), np.ones(10), 'valid') == 10)
 
 
-def test_something_that_moves_ends_the_average_of_the_whole_picture():
-    pictures, disparities = still(6)
-    pictures[-1][100:120, 100:120] = 255
-    state = damped(pictures, disparities)
+def test_something_that_moves_ends_the_average_of_the_whole_image():
+    images, disparities = still(6)
+    images[-1][100:120, 100:120] = 255
+    state = damped(images, disparities)
     assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
 def test_a_speck_is_no_motion_and_is_not_averaged_itself():
-    pictures, disparities = still(6)
-    pictures[-1][110, 110] = 255
-    state = damped(pictures, disparities)
+    images, disparities = still(6)
+    images[-1][110, 110] = 255
+    state = damped(images, disparities)
     assert state.image_count == 6
     assert state.disparity[110, 112] == disparities[-1][110, 112]
     assert rms(state) < NOISE / 2
 
 
-def test_depth_that_changes_behind_the_same_picture_is_new():
-    pictures, disparities = still(6)
+def test_depth_that_changes_behind_the_same_image_is_new():
+    images, disparities = still(6)
     disparities[-1][100:150, 100:150] += 0.3
-    state = damped(pictures, disparities)
+    state = damped(images, disparities)
     assert state.image_count == 1
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
-def test_another_light_is_another_picture():
-    pictures, disparities = still(6)
-    pictures[-1] = cv2.add(pictures[-1], np.full_like(pictures[-1], 12))
-    assert damped(pictures, disparities).image_count == 1
+def test_another_light_is_another_image():
+    images, disparities = still(6)
+    images[-1] = cv2.add(images[-1], np.full_like(images[-1], 12))
+    assert damped(images, disparities).image_count == 1
 
 
 def test_without_edges_nothing_tells_that_the_camera_stands_still():
@@ -138,37 +138,37 @@ def test_without_edges_nothing_tells_that_the_camera_stands_still():
 
 
 def test_another_size_starts_anew():
-    pictures, disparities = still(2)
+    images, disparities = still(2)
     rng = np.random.default_rng(3)
-    state = filter_disparity(damped(pictures, disparities), flickering(rng, TRUTH[:120]),
+    state = filter_disparity(damped(images, disparities), flickering(rng, TRUTH[:120]),
                          seen(scenery((120, 320)), rng), 0.8, same_scale=True)
     assert state.image_count == 1
     assert state.disparity.shape == (120, 320)
 
 
 def test_relative_disparity_of_any_scale_and_shift():
-    pictures, disparities = still(20)
+    images, disparities = still(20)
     rng = np.random.default_rng(4)
     lines = [(rng.uniform(0.2, 5), rng.uniform(-0.5, 0.5)) for _ in disparities]
     told = [scale * one + shift for one, (scale, shift) in zip(disparities, lines, strict=True)]
-    state = damped(pictures, [one.astype(np.float32) for one in told], same_scale=False)
+    state = damped(images, [one.astype(np.float32) for one in told], same_scale=False)
     scale, shift = lines[-1]
     assert state.image_count == 20
     assert rms(state, scale * TRUTH + shift) < 0.45 * scale * NOISE
 
 
 def test_a_disparity_turned_round_is_no_scale():
-    pictures, disparities = still(2)
-    turned = damped(pictures, [disparities[0], 1 - disparities[1]], same_scale=False)
+    images, disparities = still(2)
+    turned = damped(images, [disparities[0], 1 - disparities[1]], same_scale=False)
     assert turned.image_count == 1
 
 
 def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
-    pictures, disparities = still(4)
+    images, disparities = still(4)
     for disparity in disparities[:-1]:
         disparity[:40] = np.nan
     disparities[-1][-40:] = np.inf
-    state = damped(pictures, disparities)
+    state = damped(images, disparities)
     assert state.image_count == 4
     assert not np.isfinite(state.disparity[-40:]).any()
     np.testing.assert_array_equal(state.disparity[:40], disparities[-1][:40])
@@ -176,14 +176,14 @@ def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
 
 
 def test_no_valid_depth_at_all():
-    pictures, _ = still(3)
+    images, _ = still(3)
     nothing = np.full(SHAPE, np.nan, np.float32)
     for same_scale in (True, False):
-        assert np.isnan(damped(pictures, [nothing] * 3, same_scale=same_scale).disparity).all()
+        assert np.isnan(damped(images, [nothing] * 3, same_scale=same_scale).disparity).all()
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (3, 700)])
-def test_pictures_of_any_size(shape):
+def test_images_of_any_size(shape):
     rng = np.random.default_rng(5)
     state = None
     for _ in range(3):
@@ -193,12 +193,12 @@ def test_pictures_of_any_size(shape):
 
 
 def test_inputs_are_not_changed():
-    pictures, disparities = still(3)
-    before = damped(pictures[:2], disparities[:2])
+    images, disparities = still(3)
+    before = damped(images[:2], disparities[:2])
     copies = [array.copy() for array in (before.disparity, before.grey, disparities[2],
-                                         pictures[2])]
-    filter_disparity(before, disparities[2], pictures[2], 0.8, same_scale=True)
-    for array, copy in zip((before.disparity, before.grey, disparities[2], pictures[2]), copies,
+                                         images[2])]
+    filter_disparity(before, disparities[2], images[2], 0.8, same_scale=True)
+    for array, copy in zip((before.disparity, before.grey, disparities[2], images[2]), copies,
                            strict=True):
         np.testing.assert_array_equal(array, copy)
 
@@ -221,24 +221,24 @@ class FlickeringWall:
 def test_the_pipeline_damps_what_a_network_says(output):
     network = DepthFunction(FlickeringWall(output), output)
     detector = PlaneDetector(Config(tracking=TrackingConfig(enabled=False)), network)
-    pictures, _ = still(8)
-    first, *_, last = (detector.detect(rgb, CAMERA) for rgb in pictures)
+    images, _ = still(8)
+    first, *_, last = (detector.detect(rgb, CAMERA) for rgb in images)
     scale = np.median(1 / last.depth_m) / np.median(TRUTH)
     flicker, damped_flicker = (
         float(np.std(1 / found.depth_m / scale - TRUTH)) for found in (first, last))
     assert flicker == pytest.approx(NOISE, rel=0.15)
     assert damped_flicker < 0.5 * NOISE
     detector.reset()
-    prediction = detector.observe(pictures[0], CAMERA).prediction
+    prediction = detector.observe(images[0], CAMERA).prediction
     np.testing.assert_array_equal(prediction.values, network.function.last)
 
 
 def test_the_pipeline_leaves_depth_as_it_is_where_it_is_told_to():
-    pictures, disparities = still(4)
+    images, disparities = still(4)
     network = FlickeringWall('metric_depth')
     detector = PlaneDetector(Config(depth=DepthConfig(damping=0.0)), network)
     measured = PlaneDetector(Config(depth=DepthConfig(source='topic')))
-    for rgb, disparity in zip(pictures, disparities, strict=True):
+    for rgb, disparity in zip(images, disparities, strict=True):
         np.testing.assert_array_equal(detector.detect(rgb, CAMERA).depth_m, network.last)
         depth_m = 1 / disparity
         np.testing.assert_array_equal(measured.detect(rgb, CAMERA, depth_m).depth_m, depth_m)
@@ -247,14 +247,14 @@ def test_the_pipeline_leaves_depth_as_it_is_where_it_is_told_to():
 def test_damping_ends_when_it_is_switched_off():
     network = FlickeringWall('metric_depth')
     detector = PlaneDetector(Config(), network)
-    pictures, _ = still(5)
-    for rgb in pictures[:3]:
+    images, _ = still(5)
+    for rgb in images[:3]:
         found = detector.detect(rgb, CAMERA)
     assert not np.array_equal(found.depth_m, network.last)
     detector.config = replace(detector.config, depth=DepthConfig(damping=0.0))
-    np.testing.assert_array_equal(detector.detect(pictures[3], CAMERA).depth_m, network.last)
+    np.testing.assert_array_equal(detector.detect(images[3], CAMERA).depth_m, network.last)
     detector.config = Config()
-    np.testing.assert_array_equal(detector.detect(pictures[4], CAMERA).depth_m, network.last)
+    np.testing.assert_array_equal(detector.detect(images[4], CAMERA).depth_m, network.last)
 
 
 def test_rooms_are_better_where_nothing_moves_and_the_same_where_something_does():

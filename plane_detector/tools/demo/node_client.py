@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The other side of the node: publishes images as a camera does, receives as a subscriber."""
+"""Client of the node: publishes images as a camera does and subscribes to the outputs."""
 
 from __future__ import annotations
 

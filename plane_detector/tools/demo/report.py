@@ -92,7 +92,7 @@ def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
     _print_directions(photograph)
     stages = ', '.join(f'{stage} {ms:.1f}' for stage, ms in timing.stage_ms().items())
     print(f'  {timing.rate_hz:.1f} frames per second through the topics; ms per frame in the '
-          f'node: {stages or "not told"}')
+          f'node: {stages or "not reported"}')
     if photograph.true_depth_m is not None:
         _print_truth(outcome)
     if photograph.remark:
@@ -125,9 +125,9 @@ def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
     drawn = drawing.draw_directions(photograph.rgb, photograph.intrinsics, found.down_camera, axes)
     if found.down_camera is None:
         return 'image', drawn
-    level = ', level axes red and green' if len(axes) else ''
+    level = ', horizontal axes red and green' if len(axes) else ''
     horizon = ', horizon yellow' if _sees_horizon(photograph.intrinsics, found) else ''
-    return f'image: upright blue{level}{horizon}', drawn
+    return f'image: vertical blue{level}{horizon}', drawn
 
 
 def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
@@ -146,9 +146,9 @@ def _directions(photograph: Photograph) -> SceneDirections:
 def _print_directions(photograph: Photograph) -> None:
     found = _directions(photograph)
     if found.refusal:
-        print(f'  the lines of the image do not tell the upright: {found.refusal}')
+        print(f'  the lines of the image do not give the vertical: {found.refusal}')
     elif found.pair_refusal:
-        print(f'  the lines of the image tell the upright, but no level axes: '
+        print(f'  the lines of the image give the vertical, but no horizontal axes: '
               f'{found.pair_refusal}')
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The planes of a scene as people speak of them: floor, walls, others, and their angles."""
+"""Table of the planes of a scene by class: floor, walls, others, and their angles."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def class_colours(planes: np.ndarray) -> np.ndarray:
 
 
 def legend(planes: np.ndarray) -> str:
-    """Return the classes that there are with their colours; empty where none is known."""
+    """Return the classes in the scene with their colours; empty if none is known."""
     there = [kind for kind in NAMES if kind in COLOURS and (planes['class'] == kind).any()]
     return ', '.join(f'{NAMES[kind]} {COLOURS[kind][0]}' for kind in there)
 
