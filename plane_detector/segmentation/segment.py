@@ -149,7 +149,8 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     regions = merge_occluded(cells, regions, correlation)
     regions = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
                                    frame.search.min_pixels)
-    if correlation is not None and sees_creases(frame.search, noise):
+    if correlation is not None and sees_creases(
+            cells.grid, noise, frame.search.config.ransac.inlier_threshold):
         regions = remove_curved(cells, regions, correlation.density)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
     return remove_regions(labels, planes, find_curved(cells, regions, DepthKind.MEASURED))

@@ -97,16 +97,15 @@ def find_planes(search: Search, cells: WeightedCells, noise: Noise, most: int) -
     return _begin(search, cells, _components(search, cells, noise)).find(most)
 
 
-def sees_creases(search: Search, noise: Noise) -> bool:
-    """Say whether neighbouring cells on two planes differ by more than the noise."""
-    tolerance = (search.config.ransac.inlier_threshold * 2**0.5 * noise.slope_sigma
-                 * TYPICAL_FOCAL_SHARE)
-    return noise.source_sigma == 0 and tolerance < MIN_CREASE_SLOPE * search.grid.typical_disparity
+def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
+    """Say whether neighbouring cells on two planes differ by more than this many deviations."""
+    tolerance = threshold * 2**0.5 * noise.slope_sigma * TYPICAL_FOCAL_SHARE
+    return noise.source_sigma == 0 and tolerance < MIN_CREASE_SLOPE * grid.typical_disparity
 
 
 def _components(search: Search, cells: WeightedCells, noise: Noise) -> PlaneRegions | None:
     """Return the planar components if creases are visible and they cover most of the depth."""
-    if not sees_creases(search, noise):
+    if not sees_creases(search.grid, noise, search.config.ransac.inlier_threshold):
         return None
     components = _planar_components(search, cells)
     count = search.grid.moments[:, N]

@@ -1,0 +1,29 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Where pixels put the borders of planes whose cells have them elsewhere."""
+
+import numpy as np
+import pytest
+from cell_helpers import EXACT, cell_model, disparity_image, fold, hand_made, view, wall
+
+from plane_detector import CameraIntrinsics
+from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.pixels.labelling import label_pixels
+
+CAMERA = CameraIntrinsics.from_field_of_view(320, 240, 60.0)
+SCENES = {'crease': view(fold(30), intrinsics=CAMERA, angles_deg=(0, 0, 25)),
+          'step': view([wall(2, right_m=0), wall(2.3, 0)], intrinsics=CAMERA,
+                       angles_deg=(0, 0, 25))}
+
+
+@pytest.mark.parametrize('scene', SCENES.values(), ids=SCENES)
+@pytest.mark.parametrize('shift', [-3, 0, 3])
+def test_pixels_move_a_border_that_is_cells_away(scene, shift):
+    model, size = cell_model(scene.depth_m), 4
+    assert model.grid.size_px == size
+    cells = scene.labels[size // 2::size, size // 2::size]
+    true = hand_made(model, cells)
+    moved = PlaneRegions(np.roll(cells, shift, axis=1).astype(np.int32), true.coefficients)
+    moved.labels[:, :3], moved.labels[:, -3:] = cells[:, :3], cells[:, -3:]
+    labels = label_pixels(disparity_image(scene.depth_m), model, moved, EXACT, 3.0)
+    assert (labels != scene.labels).mean() < 0.004  # less than one pixel a row
