@@ -159,6 +159,12 @@ class SegmentationConfig(Settings, section='segmentation'):
     disparity_noise: float = setting(
         0.0, 'standard deviation of 1/depth; 0: estimated from the image, but at least the '
         'noise that is known of the network', '1/m', 0.0, 10.0)
+    flatness_distance: float = setting(
+        0.015, 'touching planes of measured depth are one if the depth departs from their common '
+        'plane by no more than this, rms, noise included, and they meet at no more than '
+        'flatness_angle; 0: only the noise decides', 'm', 0.0, 1.0)
+    flatness_angle: float = setting(
+        4.0, 'largest angle between planes that flatness_distance makes one', 'deg', 0.0, 45.0)
     snap_to_picture: bool = setting(
         True, 'with the depth of a network, borders of planes move to edges of the image '
         'within about 3 pixels of the network input')

@@ -17,7 +17,7 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.labels import remove_regions
+from plane_detector.segmentation.cells.labels import map_labels
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
@@ -30,6 +30,7 @@ from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.bowed_walls import merge_bowed_walls
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
+from plane_detector.segmentation.regions.flatness import join_nearly_flat
 from plane_detector.segmentation.regions.icm import compete_for_cells
 from plane_detector.segmentation.regions.merging import merge_adjacent
 from plane_detector.segmentation.regions.occlusion import merge_occluded
@@ -136,8 +137,7 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     regions = merge_occluded(cells, regions, None)
     regions = remove_curved(cells, regions, frame.noise.mean_sigma**2)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
-    # Curved regions are removed last, so that no plane can grow into their pixels.
-    return remove_regions(labels, planes, find_curved(cells, regions, DepthKind.EXACT))
+    return _finish(frame, labels, planes, regions, DepthKind.EXACT)
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -153,7 +153,7 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
             cells.grid, noise, frame.search.config.ransac.inlier_threshold):
         regions = remove_curved(cells, regions, correlation.density)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
-    return remove_regions(labels, planes, find_curved(cells, regions, DepthKind.MEASURED))
+    return _finish(frame, labels, planes, regions, DepthKind.MEASURED)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -163,6 +163,18 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
     regions = merge_occluded(frame.cells, regions, None)
     regions = merge_bowed_walls(frame.cells, regions)
     return _label_pixels(frame, regions), regions.coefficients
+
+
+def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, regions: PlaneRegions,
+            kind: DepthKind) -> tuple[np.ndarray, np.ndarray]:
+    """Remove curved regions, so late that no plane grew into them, and join nearly flat ones."""
+    curved = find_curved(frame.cells, regions, kind)
+    owner, joined = join_nearly_flat(frame.cells, regions, curved,
+                                     frame.search.config.segmentation)
+    index = np.arange(len(planes) + 1, dtype=np.int32)
+    index[:len(owner)] = owner
+    index[-1] = index[curved] = -1
+    return map_labels(labels, index), np.vstack([joined, planes[len(joined):]])
 
 
 def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:

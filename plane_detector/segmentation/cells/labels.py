@@ -26,6 +26,13 @@ def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.n
 def rename_labels(labels: np.ndarray, names: np.ndarray) -> np.ndarray:
     """Return labels in which k is ``names[k]``; -1 stays."""
     index = np.append(names, -1).astype(np.int32)
+    return map_labels(labels, index)
+
+
+def map_labels(labels: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Return ``index`` (K + 1,) int32 of labels (H, W) int32; its last entry is that of -1."""
+    if (index[:-1] == np.arange(len(index) - 1)).all() and index[-1] == -1:
+        return labels
     return _renumbered(np.ascontiguousarray(labels, np.int32), index)
 
 
