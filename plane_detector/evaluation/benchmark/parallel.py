@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -39,5 +41,12 @@ def mapping(processes: int) -> Iterator[Callable]:
 def _use_one_thread() -> None:
     # Ctrl-C is for the first process; it ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_first_process, daemon=True).start()
     cv2.setNumThreads(1)
     threadpool_limits(1)
+
+
+def _end_with_the_first_process() -> None:
+    # If the first process is killed nobody tells the others, and they would wait forever.
+    multiprocessing.parent_process().join()
+    os._exit(1)
