@@ -259,7 +259,18 @@ class PaperConfig(Settings, section='paper'):
 
 @dataclass(frozen=True)
 class Config(Settings):
-    """All settings of the pipeline."""
+    """
+    All settings of the pipeline.
+
+    Examples
+    --------
+    >>> Config(segmentation=SegmentationConfig(max_planes=5)).segmentation.max_planes
+    5
+    >>> SegmentationConfig(max_planes=0)
+    Traceback (most recent call last):
+    ValueError: segmentation.max_planes must be in [1, ...], not 0
+
+    """
 
     depth: DepthConfig = field(default_factory=DepthConfig)
     scale: ScaleConfig = field(default_factory=ScaleConfig)

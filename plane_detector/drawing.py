@@ -48,6 +48,11 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
     (..., 3) uint8
         RGB.
 
+    Examples
+    --------
+    >>> bool((label_colours(np.array([3])) == label_colours(np.array([3 + len(PALETTE)]))).all())
+    True
+
     """
     return PALETTE[(np.asarray(labels).astype(np.int64) - 1) % len(PALETTE)]
 
@@ -230,6 +235,12 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
     -------
     (rows of panels) uint8
         RGB; a row that is not full is filled with white.
+
+    Examples
+    --------
+    >>> black = np.zeros((40, 60, 3), np.uint8)
+    >>> figure([('image', black), ('planes', black)]).shape
+    (75, 136, 3)
 
     """
     framed = [_with_title(title, image) for title, image in panels]

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What several files of tests share: scenes, rendered once, real pictures, a robot, a bag.
+What several files of tests share: scenes, rendered once, real images, a robot, a bag.
 
 What needs ROS is imported where it is used: the core is tested without.
 """
@@ -20,9 +20,15 @@ pytest.register_assert_rewrite('node_helpers', 'replay_helpers')
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
+# These read sources and documents, for which no loop need be compiled.
+READERS = {'test_architecture.py', 'test_defaults.py', 'test_dependencies.py', 'test_docs.py'}
+
+
 @pytest.fixture(scope='session', autouse=True)
-def compiled():
+def compiled(request):
     """Compile all kernels once, into the cache that the processes of the tests share."""
+    if {item.path.name for item in request.session.items} <= READERS:
+        return
     import plane_detector.pipeline  # noqa: F401 - brings the kernels
     for subject in ('segmentation', 'directions', 'planes', 'shapes'):
         compile_kernels(subject)
@@ -41,10 +47,10 @@ def room():
 
 @pytest.fixture
 def data_folder():
-    """Return the folder of real pictures; the test is skipped where there is none."""
+    """Return the folder of real images; the test is skipped where there is none."""
     folder = Path(os.environ.get('PLANE_DETECTOR_DATA', REPOSITORY.parent / 'shared' / 'data'))
     if not folder.is_dir():
-        pytest.skip(f'no real pictures in {folder}; PLANE_DETECTOR_DATA may name their folder')
+        pytest.skip(f'no real images in {folder}; PLANE_DETECTOR_DATA may name their folder')
     return folder
 
 

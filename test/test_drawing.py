@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of planes and depth."""
+"""Images of planes and depth."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ def test_overlay_leaves_the_number_out_where_a_plane_is_too_thin():
     assert (overlay(np.full((480, 640, 3), 128, np.uint8), labels) > 0).all()
 
 
-def test_overlay_without_a_plane_is_the_picture():
+def test_overlay_without_a_plane_is_the_image():
     np.testing.assert_array_equal(overlay(GREY, np.zeros((120, 160), np.uint32)), GREY)
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 3), (7, 500)])
-def test_overlay_of_tiny_pictures(shape):
+def test_overlay_of_tiny_images(shape):
     drawn = overlay(np.zeros((*shape, 3), np.uint8), np.ones(shape, np.uint32))
     assert drawn.shape == (*shape, 3)
 
@@ -135,7 +135,7 @@ def test_figure_sets_panels_in_rows_and_fills_the_last():
 
 
 def test_figure_cuts_a_long_title_to_the_width():
-    drawn = figure([('a title that is much longer than its picture is wide ' * 2, GREY)], 1)
+    drawn = figure([('a title that is much longer than its image is wide ' * 2, GREY)], 1)
     bar = drawn[:20]
     assert (bar[:, -5:] == 255).all()
     assert (bar < 100).any()

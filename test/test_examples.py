@@ -18,14 +18,20 @@ WITH_EXAMPLES = sorted(
 PUBLIC = {
     'plane_detector': (),
     'plane_detector.depth.observation': ('DepthFunction',),
-    'plane_detector.drawing': ('colour_depth', 'overlay'),
+    'plane_detector.config': ('Config',),
+    'plane_detector.drawing': ('colour_depth', 'figure', 'label_colours', 'overlay'),
     'plane_detector.geometry.disparity': ('to_depth', 'to_disparity', 'valid_depth'),
-    'plane_detector.geometry.gravity': ('unit_direction',),
-    'plane_detector.geometry.projection': ('depth_to_points', 'points_to_pixels'),
+    'plane_detector.geometry.gravity': ('gravity_from_acceleration', 'unit_direction'),
+    'plane_detector.geometry.projection': ('depth_to_points', 'pixel_rays', 'points_to_pixels'),
+    'plane_detector.geometry.rigid_transform': ('RigidTransform',),
+    'plane_detector.geometry.robust': ('dilated', 'median'),
     'plane_detector.pipeline': ('PlaneDetector', 'segment_planes'),
     'plane_detector.planes.classification': ('classify_planes',),
     'plane_detector.planes.outline': ('plane_polygons',),
     'plane_detector.scale.methods': ('estimate_scale',),
+    'plane_detector.settings': ('setting',),
+    'plane_detector.stage_timer': ('StageTimer',),
+    'plane_detector.tracking.tracker': ('PlaneTracker',),
     'plane_detector.types': ('CameraIntrinsics',),
 }
 

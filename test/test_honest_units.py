@@ -46,7 +46,7 @@ def relative_network(scene):
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """All the text that is drawn into pictures."""
+    """All the text that is drawn into images."""
     texts = []
     put_text = cv2.putText
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recipe from picture to planes, with depth handed in instead of a network."""
+"""The recipe from image to planes, with depth handed in instead of a network."""
 
 import numpy as np
 import pytest
@@ -143,7 +143,7 @@ def test_measured_depth_that_is_missing_is_an_error():
         PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL)
 
 
-def test_depth_of_another_size_than_the_picture_is_refused():
+def test_depth_of_another_size_than_the_image_is_refused():
     detector = PlaneDetector(Config(), lambda rgb: np.ones((4, 5), np.float32))
     with pytest.raises(ValueError, match='one size'):
         detector.detect(SCENE.rgb, SMALL)
@@ -162,13 +162,13 @@ def test_every_stage_has_its_time():
     assert all(seconds >= 0 for seconds in relative.stage_seconds.values())
 
 
-def test_the_picture_is_not_modified():
+def test_the_image_is_not_modified():
     before = SCENE.rgb.copy()
     detect(network('metric_depth'))
     np.testing.assert_array_equal(SCENE.rgb, before)
 
 
-def test_what_the_picture_does_not_cover_has_no_depth_and_no_plane():
+def test_what_the_image_does_not_cover_has_no_depth_and_no_plane():
     scene = single_wall()
     covered = np.ones(scene.depth_m.shape, bool)
     covered[:, :100] = False

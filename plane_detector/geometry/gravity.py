@@ -49,6 +49,13 @@ def gravity_from_acceleration(acceleration: Sequence[float],
     (3,) float64 or None
         Unit vector in the optical frame; None when the force is not that of gravity alone.
 
+    Examples
+    --------
+    >>> (gravity_from_acceleration((0.0, -9.8, 0.0), (0.0, 0.0, 0.0, 1.0)) + 0.0).tolist()
+    [0.0, 1.0, 0.0]
+    >>> gravity_from_acceleration((0.0, -15.0, 0.0), (0.0, 0.0, 0.0, 1.0)) is None
+    True
+
     """
     force = np.asarray(acceleration, np.float64)
     strength = np.linalg.norm(force)

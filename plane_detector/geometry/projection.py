@@ -15,6 +15,12 @@ def pixel_rays(intrinsics: CameraIntrinsics) -> tuple[np.ndarray, np.ndarray]:
     Return the slopes x/z of each column (W,) and y/z of each row (H,), float32.
 
     The pinhole model: x/z = (u - cx) / fx, y/z = (v - cy) / fy.
+
+    Examples
+    --------
+    >>> pixel_rays(CameraIntrinsics(2.0, 2.0, 1.0, 0.0, 3, 2))
+    (array([-0.5,  0. ,  0.5], dtype=float32), array([0. , 0.5], dtype=float32))
+
     """
     ray_x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
     ray_y = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy

@@ -47,7 +47,7 @@ def test_the_depth_of_every_layout_and_type_comes_back(tmp_path, channels_last, 
     np.testing.assert_allclose(found, depth_m, rtol=tolerance)
 
 
-def test_a_image_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp_path):
+def test_an_image_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=24, width=32)
     rgb = np.zeros((90, 120, 3), np.uint8)
     rgb[..., 0] = 10

@@ -81,7 +81,7 @@ def test_preparing_leaves_the_image_as_it_was():
     np.testing.assert_array_equal(rgb, before)
 
 
-def test_a_image_may_be_a_reversed_or_transposed_view():
+def test_an_image_may_be_a_reversed_or_transposed_view():
     rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
     for view in (rgb[..., ::-1], rgb[::-1, ::2], rgb.transpose(1, 0, 2)):
         np.testing.assert_array_equal(prepare_input(view, (28, 14), IMAGENET),

@@ -23,13 +23,13 @@ NOISE = 0.01
 
 
 def scenery(shape=SHAPE):
-    """Return a image of many edges."""
+    """Return an image of many edges."""
     coarse = np.random.default_rng(0).integers(40, 220, (shape[0] // 20, shape[1] // 20, 3))
     return np.kron(coarse, np.ones((20, 20, 1))).astype(np.uint8)
 
 
 def seen(image, rng):
-    """Return a image with the noise of a sensor."""
+    """Return an image with the noise of a sensor."""
     return np.clip(image + rng.normal(0, 3, image.shape), 0, 255).astype(np.uint8)
 
 
@@ -38,7 +38,7 @@ def flickering(rng, truth=TRUTH):
 
 
 def moved(image, pixels):
-    """Return a image that a camera sees that has turned by so many pixels."""
+    """Return an image that a camera sees that has turned by so many pixels."""
     matrix = np.float32([[1, 0, pixels], [0, 1, 0]])
     return cv2.warpAffine(image, matrix, image.shape[1::-1], borderMode=cv2.BORDER_REFLECT)
 

@@ -90,7 +90,7 @@ def test_what_is_no_known_model_is_refused(model, d, reason):
         make_rectification(model, d, MATRIX, np.eye(3), NEW_MATRIX, SIZE)
 
 
-def test_a_picture_of_another_size_is_refused():
+def test_an_image_of_another_size_is_refused():
     maps = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.eye(3), NEW_MATRIX, SIZE)
     with pytest.raises(ValueError, match='100 x 50'):
         maps.image(np.zeros((50, 100, 3), np.uint8))

@@ -79,7 +79,7 @@ def cells_and_noise(depth_m):
 
 @cache
 def bare_wall():
-    """Return a wall 2.5 m ahead that fills the picture."""
+    """Return a wall 2.5 m ahead that fills the image."""
     return view([wall(2.5)])
 
 

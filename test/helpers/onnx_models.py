@@ -3,7 +3,7 @@
 """
 Small ONNX networks whose depth is a known function of the pixels.
 
-`millimetres_as_rgb` writes a depth image into the red and green of a image, and the network
+`millimetres_as_rgb` writes a depth image into the red and green of another, and the network
 of `write_depth_network` reads it back, so that a test knows the depth that a network gives.
 Tests that write a network are skipped where onnx is missing, as it is after rosdep.
 """
@@ -23,7 +23,7 @@ METRES_OF_RGB = (65.28, 0.255, 0.0)
 
 
 def millimetres_as_rgb(depth_m: np.ndarray) -> np.ndarray:
-    """Return a image (H, W, 3) uint8 with the depth in whole millimetres; NaN becomes 0."""
+    """Return an image (H, W, 3) uint8 with the depth in whole millimetres; NaN becomes 0."""
     millimetres = np.rint(np.nan_to_num(depth_m) * 1000).astype(np.uint16)
     rgb = np.zeros((*depth_m.shape, 3), np.uint8)
     rgb[..., 0], rgb[..., 1] = millimetres >> 8, millimetres & 255

@@ -20,12 +20,12 @@ def stamp_s(index):
 
 
 def time_ns(index):
-    """When a picture was recorded: a little after its stamp."""
+    """When an image was recorded: a little after its stamp."""
     return round(stamp_s(index) * 1e9) + 5_000_000
 
 
 def camera_messages(scenes, depth=True, names=(IMAGE, INFO, DEPTH)):
-    """Return pictures, calibrations and depth images as they are recorded."""
+    """Return images, calibrations and depth images as they are recorded."""
     messages = []
     for index, scene in enumerate(scenes):
         messages += [(names[0], time_ns(index), image_msg(scene.rgb, 'rgb8', stamp_s(index))),
@@ -46,7 +46,7 @@ def stamps_of(messages):
 
 
 def assert_true(target, scenes):
-    """Check coefficients, labels, stamps and frame of every picture."""
+    """Check coefficients, labels, stamps and frame of every image."""
     planes = planes_of(target)
     labels = messages_of(target, '/plane_detector/labels', Image)
     assert stamps_of(planes) == [round(PERIOD_S * k, 3) for k in range(len(scenes))]

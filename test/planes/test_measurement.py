@@ -82,7 +82,7 @@ def test_labels_are_counted_as_in_a_loop(shape, size, count, patchy):
 
 
 @pytest.mark.parametrize(('label', 'count'), [(-1, 0), (-1, 3), (2, 3)])
-def test_a_picture_of_one_label_is_counted(label, count):
+def test_an_image_of_one_label_is_counted(label, count):
     grid = build_cell_grid(DisparityImage(np.ones((37, 53), np.float32),
                                           np.ones((37, 53), bool)), 4)
     counts = count_labels(grid, np.full((37, 53), label, np.int32), count)

@@ -59,9 +59,9 @@ def test_all_outputs_are_true_to_the_scene(robot, room):
 
 def test_the_whole_way_through_a_network(robot, room, tmp_path):
     """
-    The picture holds the depth, and a small ONNX network reads it; cleanup frees it.
+    The image holds the depth, and a small ONNX network reads it; cleanup frees it.
 
-    Lines of such a picture are no lines of the scene: planes are not turned by them.
+    Lines of such an image are no lines of the scene: planes are not turned by them.
     """
     model = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
     node = start(robot, depth__model=str(model), depth__output='metric_depth',

@@ -103,7 +103,7 @@ def test_what_a_message_says_is_cut_and_escaped_in_log_and_diagnostics(robot, ro
     assert len(robot.diagnosis()[1]['last_error']) < 500
 
 
-def test_a_picture_that_overtakes_the_calibration_of_its_size_is_processed(robot, room):
+def test_an_image_that_overtakes_the_calibration_of_its_size_is_processed(robot, room):
     start(robot, lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
     send(robot, room, 1.0)
     robot.wait_for('planes')
@@ -130,7 +130,7 @@ def test_a_network_that_gives_no_depth_is_told_frame_by_frame(robot, room, tmp_p
     assert robot.wait_for('planes')[0].header == header(2.0)
 
 
-def test_depth_that_cannot_belong_to_the_picture_is_skipped(robot, room):
+def test_depth_that_cannot_belong_to_the_image_is_skipped(robot, room):
     start(robot, depth__source='topic')
     robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
     robot.publish('depth', image_msg(room.depth_m[:50], '32FC1', 1.0))
@@ -182,7 +182,7 @@ def test_the_freshest_frame_wins(robot, room):
 
 
 def test_region_of_interest_and_binning(robot, room):
-    """The node sees every second pixel of a part of the picture, and finds the same planes."""
+    """The node sees every second pixel of a part of the image, and finds the same planes."""
     start(robot, lambda rgb: np.ascontiguousarray(room.depth_m[20:220:2, 40:300:2]),
           directions__orient_planes=False)
     info = camera_info_msg(CAMERA, 1.0)
@@ -196,17 +196,17 @@ def test_region_of_interest_and_binning(robot, room):
 
 
 def test_a_distorted_camera_is_rectified(robot, room):
-    """The picture of a lens is made by distorting the rendered one; the planes come out right."""
+    """The image of a lens is made by distorting the rendered one; the planes come out right."""
     distortion = np.array([-0.25, 0.08, 0.001, 0.001, 0.0])
     matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1]])
     columns, rows = np.meshgrid(np.arange(320, dtype=np.float64), np.arange(240))
     straight = cv2.undistortPoints(np.stack([columns, rows], -1).reshape(-1, 1, 2), matrix,
                                    distortion, P=matrix).reshape(240, 320, 2).astype(np.float32)
     seen = cv2.remap(room.rgb, straight[..., 0], straight[..., 1], cv2.INTER_LINEAR)
-    pictures = []
+    images = []
 
     def estimate(rgb):
-        pictures.append(rgb)
+        images.append(rgb)
         return room.depth_m
 
     start(robot, estimate)
@@ -216,17 +216,17 @@ def test_a_distorted_camera_is_rectified(robot, room):
     robot.publish('image', image_msg(seen, 'rgb8', 1.0))
     robot.wait_for('planes')
     centre = np.s_[40:200, 50:270]
-    error = np.abs(cv2.blur(pictures[0], (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
+    error = np.abs(cv2.blur(images[0], (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
     unrectified = np.abs(cv2.blur(seen, (5, 5)).astype(int) - cv2.blur(room.rgb, (5, 5)))[centre]
     assert error.mean() < unrectified.mean() / 4
 
 
 @pytest.mark.parametrize('extension', ['.png', '.jpg'])
 def test_compressed_transport(robot, room, extension):
-    pictures = []
+    images = []
 
     def estimate(rgb):
-        pictures.append(rgb)
+        images.append(rgb)
         return room.depth_m
 
     start(robot, estimate, image_transport='compressed')
@@ -235,7 +235,7 @@ def test_compressed_transport(robot, room, extension):
     robot.publish('camera_info', camera_info_msg(CAMERA, 4.0))
     robot.publish('image/compressed', msg)
     assert robot.wait_for('planes')[0].header == header(4.0)
-    assert np.abs(pictures[0].astype(int) - room.rgb).mean() < 4
+    assert np.abs(images[0].astype(int) - room.rgb).mean() < 4
 
 
 def test_a_jump_back_in_time_is_survived_and_logged(robot, room):

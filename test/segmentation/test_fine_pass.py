@@ -64,7 +64,7 @@ def test_the_others_are_unchanged(roll_deg):
 
 
 @pytest.mark.parametrize('first_px', [323, 450])
-def test_the_plane_is_in_coordinates_of_the_picture(first_px):
+def test_the_plane_is_in_coordinates_of_the_image(first_px):
     """It is found in a cut-out, whose own coordinates are others."""
     scene = strip(12, 10.0, first_px, yaw_deg=15)
     given = before_narrow(scene.depth_m)
@@ -113,7 +113,7 @@ def test_where_all_pixels_have_a_plane_none_is_added():
     assert unchanged(given)
 
 
-def test_a_small_picture_has_no_smaller_cells():
+def test_a_small_image_has_no_smaller_cells():
     camera = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
     scene = view([wall(LEFT_M, right_m=0), wall(RIGHT_M, 0)], intrinsics=camera)
     assert cell_model(scene.depth_m).grid.size_px < 6

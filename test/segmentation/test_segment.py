@@ -122,7 +122,7 @@ def test_where_everything_is_curved_there_is_no_plane():
     assert (found.labels == -1).all()
 
 
-def test_a_picture_frame_two_centimetres_off_the_wall_is_its_own_plane():
+def test_an_image_frame_two_centimetres_off_the_wall_is_its_own_plane():
     wall = Rectangle(np.array([-3.0, 2.0, -3.0]), np.array([6.0, 0, 0]), np.array([0, 0, 6.0]))
     frame = upright_box(np.array([0.1, 1.99, 0.1]), np.array([0.6, 0.02, 0.5]))
     scene = render([wall, *frame], camera_rotation(0, 0, 0), np.zeros(3), VGA,
@@ -194,7 +194,7 @@ def test_a_street_to_eighty_metres_under_a_sky_without_depth():
 
 @pytest.mark.parametrize('sigma', [0.0, 0.004])
 def test_what_a_plane_says_of_itself(sigma):
-    """Of a wall that fills the picture everything is known in closed form."""
+    """Of a wall that fills the image everything is known in closed form."""
     scene = single_wall(yaw_deg=0)
     depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(2))
     (plane,) = segment_planes(depth_m, scene.intrinsics).planes

@@ -75,7 +75,7 @@ def test_a_few_pixels_are_no_plane(pixels):
 
 @pytest.mark.filterwarnings('error')
 @pytest.mark.parametrize('shape', [(2, 2), (3, 3), (8, 8), (24, 32)])
-def test_tiny_pictures_are_segmented_or_not_but_never_wrong(shape):
+def test_tiny_images_are_segmented_or_not_but_never_wrong(shape):
     camera = CameraIntrinsics(30.0, 30.0, 0.5, 0.5, shape[1], shape[0])
     depth_m = np.full(shape, 2.0, np.float32)
     found = segment_planes(depth_m, camera)
@@ -111,7 +111,7 @@ def test_garbage_depth_is_survived():
     assert_consistent(segment_planes(depth_m, VGA), depth_m)
 
 
-def test_a_picture_of_twelve_million_pixels():
+def test_an_image_of_twelve_million_pixels():
     camera = CameraIntrinsics.from_field_of_view(4000, 3000, 60.0)
     ray_y = (np.arange(3000)[:, None] - camera.cy) / camera.fy
     ray_x = (np.arange(4000)[None, :] - camera.cx) / camera.fx

@@ -50,7 +50,7 @@ FLIPS = {'mirrored': (np.s_[:, ::-1], (-1, 1, 1)), 'upside down': (np.s_[::-1], 
 @pytest.mark.parametrize('sigma', SIGMAS)
 @pytest.mark.parametrize('seed', SEEDS)
 @pytest.mark.parametrize('flip', FLIPS)
-def test_a_flipped_picture_has_the_planes_flipped(room, flip, seed, sigma):
+def test_a_flipped_image_has_the_planes_flipped(room, flip, seed, sigma):
     index, signs = FLIPS[flip]
     depth_m = noisy(room(seed), sigma, seed)
     before = segment_planes(depth_m, VGA)
@@ -60,7 +60,7 @@ def test_a_flipped_picture_has_the_planes_flipped(room, flip, seed, sigma):
 
 @pytest.mark.parametrize('sigma', SIGMAS)
 @pytest.mark.parametrize('seed', SEEDS)
-def test_a_picture_turned_by_90_degrees_has_the_planes_turned(room, seed, sigma):
+def test_an_image_turned_by_90_degrees_has_the_planes_turned(room, seed, sigma):
     depth_m = noisy(room(seed), sigma, seed)
     upright = CameraIntrinsics(VGA.fy, VGA.fx, VGA.cy, VGA.width - 1 - VGA.cx, VGA.height,
                                VGA.width)

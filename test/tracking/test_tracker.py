@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Labels from picture to picture: by hand, on a camera that walks through a room, on real ones."""
+"""Labels from image to image: by hand, on a camera that walks through a room, on real ones."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ BOX = plane([0.2, 0, -1], 2.0, (0.5, 0.5, 2), 0.2)
 PATCHES = (np.s_[80:, :], np.s_[:80, :60], np.s_[:80, 60:], np.s_[50:90, 90:130])
 
 
-def picture(*planes, patches=PATCHES, shape=SHAPE):
+def image(*planes, patches=PATCHES, shape=SHAPE):
     """Return a segmentation in which each plane fills its patch; later ones lie before."""
     labels = np.full(shape, -1, np.int32)
     for index, patch in enumerate(patches[:len(planes)]):
@@ -46,7 +46,7 @@ def picture(*planes, patches=PATCHES, shape=SHAPE):
     return PlaneSegmentation(planes, labels, 0.001)
 
 
-ROOM = picture(FLOOR, LEFT, BACK, BOX)
+ROOM = image(FLOOR, LEFT, BACK, BOX)
 
 
 class Tracked(PlaneTracker):
@@ -69,7 +69,7 @@ def test_new_planes_are_counted_from_one():
 def test_labels_follow_the_plane_and_not_the_order():
     tracker = Tracked()
     tracker.update(ROOM)
-    turned = picture(BOX, BACK, FLOOR, LEFT,
+    turned = image(BOX, BACK, FLOOR, LEFT,
                      patches=(PATCHES[3], PATCHES[2], PATCHES[0], PATCHES[1]))
     turned.labels[PATCHES[3]] = 0
     assert labels_of(tracker, turned) == (4, 3, 1, 2)
@@ -78,7 +78,7 @@ def test_labels_follow_the_plane_and_not_the_order():
 def test_without_planes_there_are_no_labels_and_the_old_ones_stay():
     tracker = Tracked()
     tracker.update(ROOM)
-    assert labels_of(tracker, picture()) == ()
+    assert labels_of(tracker, image()) == ()
     assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
 
 
@@ -86,7 +86,7 @@ def test_a_plane_missed_for_a_while_comes_back_under_its_label():
     tracker = Tracked(keep_frames=5)
     tracker.update(ROOM)
     for _ in range(5):
-        assert labels_of(tracker, picture(FLOOR, LEFT, BACK)) == (1, 2, 3)
+        assert labels_of(tracker, image(FLOOR, LEFT, BACK)) == (1, 2, 3)
     assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
 
 
@@ -94,17 +94,17 @@ def test_a_label_is_free_once_its_plane_is_forgotten():
     tracker = Tracked(keep_frames=3)
     tracker.update(ROOM)
     for _ in range(4):
-        tracker.update(picture(FLOOR, LEFT, BACK))
+        tracker.update(image(FLOOR, LEFT, BACK))
     other = plane([0, -1, -1], 3.0, (1, 0, 3))
-    assert labels_of(tracker, picture(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 4)
+    assert labels_of(tracker, image(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 4)
 
 
 def test_the_label_of_a_missed_plane_is_not_given_away():
     tracker = Tracked(keep_frames=3)
     tracker.update(ROOM)
-    tracker.update(picture(FLOOR, LEFT, BACK))
+    tracker.update(image(FLOOR, LEFT, BACK))
     other = plane([0, -1, -1], 3.0, (1, 0, 3))
-    assert labels_of(tracker, picture(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 5)
+    assert labels_of(tracker, image(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 5)
 
 
 @pytest.mark.parametrize('stranger', [
@@ -113,16 +113,16 @@ def test_the_label_of_a_missed_plane_is_not_given_away():
 def test_another_plane_at_the_same_pixels_gets_another_label(stranger):
     tracker = Tracked()
     tracker.update(ROOM)
-    assert labels_of(tracker, picture(FLOOR, LEFT, stranger, BOX)) == (1, 2, 5, 4)
+    assert labels_of(tracker, image(FLOOR, LEFT, stranger, BOX)) == (1, 2, 5, 4)
 
 
 def test_parts_of_one_plane_are_told_apart_by_their_pixels():
     tracker = Tracked()
     patches = (np.s_[:, :60], np.s_[:, 100:])
     left, right = plane([0, 0, -1], 3.0, (-1, 0, 3)), plane([0, 0, -1], 3.0, (1, 0, 3))
-    assert labels_of(tracker, picture(left, right, patches=patches)) == (1, 2)
-    assert labels_of(tracker, picture(right, left, patches=patches[::-1])) == (2, 1)
-    assert labels_of(tracker, picture(right, patches=patches[1:])) == (2,)
+    assert labels_of(tracker, image(left, right, patches=patches)) == (1, 2)
+    assert labels_of(tracker, image(right, left, patches=patches[::-1])) == (2, 1)
+    assert labels_of(tracker, image(right, patches=patches[1:])) == (2,)
 
 
 @pytest.mark.parametrize('factor', [0.4, 0.9, 1.3, 5.0])
@@ -135,25 +135,25 @@ def test_a_change_of_unit_changes_no_label(factor):
 
 
 def test_a_turn_changes_no_label_where_no_pixel_is_shared():
-    """A slow network sees a turning camera at 20 degrees a picture; the small plane moves away."""
+    """A slow network sees a turning camera at 20 degrees an image; the small plane moves away."""
     tracker = Tracked()
     tracker.update(ROOM)
     motion = PlaneMotion(cv2.Rodrigues(np.radians([0.0, 20.0, 0.0]))[0],
                          np.array([0.05, 0.0, 0.1]), 1.0)
-    moved = picture(*map(motion.move, ROOM.planes),
+    moved = image(*map(motion.move, ROOM.planes),
                     patches=(np.s_[80:, :], np.s_[:80, :90], np.s_[:80, 90:],
                              np.s_[50:90, 132:160]))
     assert labels_of(tracker, moved) == (1, 2, 3, 4)
 
 
-def test_another_picture_size_and_reset_start_anew():
+def test_another_image_size_and_reset_start_anew():
     tracker = Tracked()
-    tracker.update(picture(BACK, BOX))
-    tracker.update(picture(FLOOR, LEFT))
-    assert labels_of(tracker, picture(FLOOR, LEFT)) == (3, 4)
-    assert labels_of(tracker, picture(FLOOR, LEFT, shape=(240, 320))) == (1, 2)
+    tracker.update(image(BACK, BOX))
+    tracker.update(image(FLOOR, LEFT))
+    assert labels_of(tracker, image(FLOOR, LEFT)) == (3, 4)
+    assert labels_of(tracker, image(FLOOR, LEFT, shape=(240, 320))) == (1, 2)
     tracker.reset()
-    assert labels_of(tracker, picture(LEFT, FLOOR, shape=(240, 320))) == (1, 2)
+    assert labels_of(tracker, image(LEFT, FLOOR, shape=(240, 320))) == (1, 2)
 
 
 def test_labels_stay_small_and_unique_whatever_comes():
@@ -176,13 +176,13 @@ def test_smoothing_takes_the_noise_and_leaves_the_changes():
     tracker = Tracked(smoothing=0.8)
     for _ in range(60):
         noisy = plane(BACK.normal + rng.normal(0, 1e-3, 3), 4 + rng.normal(0, 2e-3), (0, 0, 4))
-        (tracked,) = tracker.update(picture(noisy))[0].planes
+        (tracked,) = tracker.update(image(noisy))[0].planes
         assert np.linalg.norm(tracked.normal) == pytest.approx(1)
         assert tracked.normal @ tracked.centroid_m + tracked.offset_m == pytest.approx(0)
         rough.append(noisy.offset_m)
         smooth.append(tracked.offset_m)
     assert np.std(smooth[20:]) < 0.6 * np.std(rough[20:])
-    stepped, labels = tracker.update(picture(plane([0, 0, -1], 3.9, (0, 0, 3.9))))
+    stepped, labels = tracker.update(image(plane([0, 0, -1], 3.9, (0, 0, 3.9))))
     assert labels == (1,)
     assert stepped.planes[0].offset_m == 3.9
 
@@ -275,7 +275,7 @@ def test_planes_in_view_keep_their_labels_while_the_camera_walks(walked_room, si
 
 
 def test_planes_of_a_real_sequence_keep_their_labels(data_folder):
-    """Without true labels: planes that overlap by half in two pictures are the same."""
+    """Without true labels: planes that overlap by half in two images are the same."""
     folder = data_folder / 'living_room'
     camera = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
     tracker, before, same, switched = Tracked(), None, 0, 0

@@ -60,7 +60,7 @@ def bombs():
 
 def others():
     yield 'empty', b'', 'neither a JPEG nor a PNG'
-    yield 'text', b'not a picture', 'neither a JPEG nor a PNG'
+    yield 'text', b'not an image', 'neither a JPEG nor a PNG'
     for extension in ('.webp', '.bmp', '.tiff', '.pgm'):
         yield extension, cv2.imencode(extension, np.zeros((16, 18), np.uint8))[1].tobytes(), \
             'neither a JPEG nor a PNG'

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""When a picture is rectified, by which matrices, and how its depth is fitted to it."""
+"""When an image is rectified, by which matrices, and how its depth is fitted to it."""
 
 import cv2
 import numpy as np
@@ -45,17 +45,17 @@ def test_names_of_rectified_topics(topic, rectified):
 
 
 @pytest.mark.parametrize('model', DISTORTION)
-def test_auto_rectifies_a_distorted_picture(model):
-    picture = convert(frame(DISTORTION[model], model))
-    assert picture.intrinsics == NEW
-    assert (picture.rgb != RGB).any()
+def test_auto_rectifies_a_distorted_image(model):
+    image = convert(frame(DISTORTION[model], model))
+    assert image.intrinsics == NEW
+    assert (image.rgb != RGB).any()
 
 
 @pytest.mark.parametrize('d', [(), (0.0,) * 5])
-def test_auto_leaves_a_picture_without_distortion(d):
-    picture = convert(frame(d))
-    assert picture.intrinsics == CAMERA
-    np.testing.assert_array_equal(picture.rgb, RGB)
+def test_auto_leaves_an_image_without_distortion(d):
+    image = convert(frame(d))
+    assert image.intrinsics == CAMERA
+    np.testing.assert_array_equal(image.rgb, RGB)
 
 
 @pytest.mark.parametrize('binning', [1, 2])
@@ -63,16 +63,16 @@ def test_a_calibration_without_size_has_that_of_the_image(binning):
     bare = frame()
     bare.camera_info.width = bare.camera_info.height = 0
     bare.camera_info.binning_x = bare.camera_info.binning_y = binning
-    picture = convert(bare)
-    assert (picture.intrinsics.width, picture.intrinsics.height) == (80, 60)
-    assert picture.intrinsics.fx == CAMERA.fx / binning
+    image = convert(bare)
+    assert (image.intrinsics.width, image.intrinsics.height) == (80, 60)
+    assert image.intrinsics.fx == CAMERA.fx / binning
     assert bare.camera_info.width == 0, 'the message is not changed'
 
 
-def test_auto_leaves_a_picture_that_is_rectified_already():
-    picture = convert(frame(DISTORTION['plumb_bob']), topic='/camera/image_rect')
-    assert picture.intrinsics == NEW
-    np.testing.assert_array_equal(picture.rgb, RGB)
+def test_auto_leaves_an_image_that_is_rectified_already():
+    image = convert(frame(DISTORTION['plumb_bob']), topic='/camera/image_rect')
+    assert image.intrinsics == NEW
+    np.testing.assert_array_equal(image.rgb, RGB)
 
 
 def test_rectifying_can_be_switched_off_and_forced():
@@ -100,7 +100,7 @@ def test_maps_are_computed_once_per_calibration(monkeypatch):
     assert len(made) == 2
 
 
-def test_a_cropped_and_binned_distorted_picture_is_that_part_of_the_whole():
+def test_a_cropped_and_binned_distorted_image_is_that_part_of_the_whole():
     """Rectifying the sent part gives what the part of the rectified whole is."""
     whole = frame(DISTORTION['plumb_bob'])
     smooth = cv2.GaussianBlur(RGB, (0, 0), 4)
@@ -110,9 +110,9 @@ def test_a_cropped_and_binned_distorted_picture_is_that_part_of_the_whole():
     roi = part.camera_info.roi
     roi.x_offset, roi.y_offset, roi.width, roi.height = 20, 10, 40, 30
     part = Frame(image_msg(smooth[10:40, 20:60], 'rgb8'), part.camera_info, None, None, 0)
-    picture = convert(part)
-    assert (picture.intrinsics.cx, picture.intrinsics.cy) == (NEW.cx - 20, NEW.cy - 10)
-    error = np.abs(picture.rgb.astype(int) - expected.rgb[10:40, 20:60])
+    image = convert(part)
+    assert (image.intrinsics.cx, image.intrinsics.cy) == (NEW.cx - 20, NEW.cy - 10)
+    error = np.abs(image.rgb.astype(int) - expected.rgb[10:40, 20:60])
     assert error[5:-5, 5:-5].max() <= 1
 
 
@@ -121,24 +121,24 @@ def test_an_unknown_lens_model_is_refused():
         convert(frame([0.1, 0.2], 'double_sphere'))
 
 
-def test_a_picture_of_another_size_than_its_calibration_is_refused():
+def test_an_image_of_another_size_than_its_calibration_is_refused():
     wrong = frame()
     wrong.camera_info.width = 100
     with pytest.raises(ValueError, match='80 x 60, its CameraInfo is for 100 x 60'):
         convert(wrong)
 
 
-def test_compressed_pictures_are_decoded():
+def test_compressed_images_are_decoded():
     _, data = cv2.imencode('.png', RGB[..., ::-1])
     image = CompressedImage(header=header(), format='png', data=data.tobytes())
-    picture = convert(Frame(image, frame().camera_info, None, None, 0))
-    np.testing.assert_array_equal(picture.rgb, RGB)
+    image = convert(Frame(image, frame().camera_info, None, None, 0))
+    np.testing.assert_array_equal(image.rgb, RGB)
 
 
 @pytest.mark.parametrize('shape', [(60, 80), (30, 40), (120, 160), (45, 60)])
-def test_depth_of_the_same_view_is_brought_to_the_picture(shape):
-    picture = convert(frame(depth=np.full(shape, 2.0, np.float32)))
-    np.testing.assert_allclose(picture.depth_m, np.full((60, 80), 2.0), rtol=1e-6)
+def test_depth_of_the_same_view_is_brought_to_the_image(shape):
+    image = convert(frame(depth=np.full(shape, 2.0, np.float32)))
+    np.testing.assert_allclose(image.depth_m, np.full((60, 80), 2.0), rtol=1e-6)
 
 
 def test_depth_of_another_view_is_refused():
@@ -146,11 +146,11 @@ def test_depth_of_another_view_is_refused():
         convert(frame(depth=np.ones((60, 60), np.float32)))
 
 
-def test_depth_is_rectified_with_its_picture():
+def test_depth_is_rectified_with_its_image():
     depth_m = np.full((60, 80), 2.0, np.float32)
     depth_m[:, 40:] = 5.0
-    picture = convert(frame(DISTORTION['plumb_bob'], depth=depth_m))
-    values = picture.depth_m[np.isfinite(picture.depth_m)]
+    image = convert(frame(DISTORTION['plumb_bob'], depth=depth_m))
+    values = image.depth_m[np.isfinite(image.depth_m)]
     np.testing.assert_allclose(np.unique(values.round(5)), [2.0, 5.0])
 
 

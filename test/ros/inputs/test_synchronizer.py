@@ -25,7 +25,7 @@ def info(stamp_s):
     return camera_info_msg(CAMERA, stamp_s)
 
 
-def test_pictures_before_the_first_calibration_are_dropped():
+def test_images_before_the_first_calibration_are_dropped():
     assembler = FrameAssembler()
     for stamp_s in (1.0, 1.1, 1.2):
         assert assembler.add_image(image(stamp_s)) == []
@@ -34,7 +34,7 @@ def test_pictures_before_the_first_calibration_are_dropped():
     assert len(assembler.add_image(image(1.3))) == 1
 
 
-def test_the_first_picture_waits_for_its_own_calibration():
+def test_the_first_image_waits_for_its_own_calibration():
     assembler = FrameAssembler()
     first = image(1.0)
     assembler.add_image(first)
@@ -61,19 +61,19 @@ def large_image(stamp_s):
 
 @pytest.mark.parametrize('depth_use', ['unused', 'optional'])
 @pytest.mark.parametrize('stamp_s', [1.1, 1.12])
-def test_a_picture_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
+def test_an_image_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
     assembler = FrameAssembler(depth_use)
     assembler.add_camera_info(info(1.0))
     assert len(assembler.add_image(image(1.0))) == 1
-    picture, own = large_image(1.1), camera_info_msg(LARGE, stamp_s)
-    assert assembler.add_image(picture) == []
+    large, own = large_image(1.1), camera_info_msg(LARGE, stamp_s)
+    assert assembler.add_image(large) == []
     assert assembler.add_camera_info(info(1.05)) == [], 'a late one of the old size'
     (frame,) = assembler.add_camera_info(own)
-    assert (frame.image, frame.camera_info) == (picture, own)
+    assert (frame.image, frame.camera_info) == (large, own)
     assert assembler.take_dropped() == 0
 
 
-def test_without_depth_only_the_newest_picture_of_another_size_waits():
+def test_without_depth_only_the_newest_image_of_another_size_waits():
     assembler = FrameAssembler()
     assembler.add_camera_info(info(1.0))
     for stamp_s in (1.1, 1.2, 1.3):
@@ -92,7 +92,7 @@ def test_with_depth_they_wait_together_and_are_refused_together():
     assert stamps == [header(1.1), header(1.2), header(2.0)]
 
 
-def test_a_picture_whose_calibration_does_not_come_is_handed_over_to_be_refused():
+def test_an_image_whose_calibration_does_not_come_is_handed_over_to_be_refused():
     for later in ('info', 'image', 'end'):
         assembler = FrameAssembler()
         assembler.add_camera_info(info(1.0))
@@ -104,7 +104,7 @@ def test_a_picture_whose_calibration_does_not_come_is_handed_over_to_be_refused(
 
 
 @pytest.mark.parametrize('info_s, image_s', [(1.0, 1.0), (1.1, 1.0), (1.0, 3.0)])
-def test_a_picture_of_another_size_does_not_wait_for_what_will_not_come(info_s, image_s):
+def test_an_image_of_another_size_does_not_wait_for_what_will_not_come(info_s, image_s):
     """It has its own, they are ahead in time, or they have come once, long ago."""
     assembler = FrameAssembler()
     assembler.add_camera_info(info(info_s))
@@ -140,7 +140,7 @@ def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
     assert frame.depth is near
 
 
-def test_a_picture_without_depth_within_the_slop_is_dropped():
+def test_an_image_without_depth_within_the_slop_is_dropped():
     assembler = FrameAssembler(depth='required', stamp_slop_s=0.01)
     assembler.add_camera_info(info(0.0))
     assembler.add_depth(depth(0.98))
@@ -149,7 +149,7 @@ def test_a_picture_without_depth_within_the_slop_is_dropped():
     assert assembler.take_dropped() == 1
 
 
-def test_pictures_do_not_pile_up_while_depth_is_missing():
+def test_images_do_not_pile_up_while_depth_is_missing():
     assembler = FrameAssembler(depth='required')
     assembler.add_camera_info(info(0.0))
     for index in range(100):
@@ -166,7 +166,7 @@ def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
     (frame,) = assembler.add_depth(depth(5.0))
     assert frame.epoch == 1
     (frame,) = assembler.add_image(image(4.99))
-    assert frame.epoch == 1, 'a picture that is only out of order is no jump'
+    assert frame.epoch == 1, 'an image that is only out of order is no jump'
 
 
 def test_optional_depth_is_taken_where_there_is_some():
@@ -218,7 +218,7 @@ def test_at_the_end_nothing_is_waited_for():
     assert assembler.finish() == []
 
 
-def test_a_picture_does_not_wait_for_a_calibration_with_a_size():
+def test_an_image_does_not_wait_for_a_calibration_with_a_size():
     assembler = FrameAssembler()
     bare = info(1.0)
     bare.width = bare.height = 0

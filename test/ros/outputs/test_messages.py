@@ -20,13 +20,13 @@ def make_plane(normal, offset_m):
     return Plane(normal, offset_m, -offset_m * normal, 1234, 0.003, 2.5, np.eye(4), 0.75)
 
 
-def test_intrinsics_of_a_raw_picture_are_k():
+def test_intrinsics_of_a_raw_image_are_k():
     info = camera_info_msg(CAMERA)
     info.p[0] = 400.0
     assert messages.intrinsics_from_msg(info) == CAMERA
 
 
-def test_intrinsics_of_a_rectified_picture_are_p_or_k_where_it_is_empty():
+def test_intrinsics_of_a_rectified_image_are_p_or_k_where_it_is_empty():
     info = camera_info_msg(CAMERA)
     info.p = [400.0, 0, 310, 0, 0, 401, 230, 0, 0, 0, 1, 0]
     rectified = messages.intrinsics_from_msg(info, rectified=True)

@@ -85,7 +85,7 @@ def test_one_line_of_a_lidar_is_no_plane_two_are(lines, usable):
 
 
 def test_far_and_near_planes_are_summed_exactly_enough():
-    """A float32 sum of x*d over a picture loses digits; sums about each cell's centre do not."""
+    """A float32 sum of x*d over an image loses digits; sums about each cell's centre do not."""
     v, u = np.mgrid[:480, :640]
     for scale in (1e-3, 1.0, 1e3):
         disparity = scale * (1 + 1e-3 * (u - 319.5) / 640 - 2e-3 * (v - 239.5) / 640)
@@ -129,7 +129,7 @@ def test_one_plane_is_fitted_as_many_are(seed):
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (480, 640), (3000, 4000)])
-def test_the_number_of_cells_hardly_grows_with_the_picture(shape):
+def test_the_number_of_cells_hardly_grows_with_the_image(shape):
     size = cells.cell_size(shape)
     assert size >= 1
     count = np.ceil(shape[0] / size) * np.ceil(shape[1] / size)

@@ -71,7 +71,7 @@ def test_what_is_known_is_not_lowered():
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (300, 2)])
-def test_small_pictures_are_taken(shape):
+def test_small_images_are_taken(shape):
     disparity = np.full(shape, 0.5, np.float32)
     assert with_quantisation(FLOOR, DisparityImage(disparity, np.ones(shape, bool))) == FLOOR
     assert with_quantisation(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Borders of planes that a network blurred move to the edges of the picture, others stay."""
+"""Borders of planes that a network blurred move to the edges of the image, others stay."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COLOURS = np.array([[200, 60, 50], [60, 70, 190], [90, 180, 80], [30, 30, 30]], 
 
 
 def scene(shape=(120, 161), grain=6.0, seed=0):
-    """Return true labels and a picture: two halves, a square on the left one."""
+    """Return true labels and an image: two halves, a square on the left one."""
     true = np.zeros(shape, np.int32)
     true[:, shape[1] // 2:] = 1
     true[30:80, 20:60] = 2
@@ -82,7 +82,7 @@ def test_without_reach_nothing_moves(reach_px):
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (2, 2), (3, 400), (5, 5)])
-def test_small_pictures_are_taken(shape):
+def test_small_images_are_taken(shape):
     labels = np.arange(np.prod(shape), dtype=np.int32).reshape(shape) % 3 - 1
     rgb = np.zeros((*shape, 3), np.uint8)
     snapped = snap_to_image_edges(labels, GuideImage(rgb, 10.0))
@@ -91,10 +91,10 @@ def test_small_pictures_are_taken(shape):
 
 def test_input_is_not_modified():
     true, rgb = scene()
-    labels, picture = true.copy(), rgb.copy()
-    snap_to_image_edges(labels, GuideImage(picture, 10.0))
+    labels, image = true.copy(), rgb.copy()
+    snap_to_image_edges(labels, GuideImage(image, 10.0))
     np.testing.assert_array_equal(labels, true)
-    np.testing.assert_array_equal(picture, rgb)
+    np.testing.assert_array_equal(image, rgb)
 
 
 def blurred_depth(rgb):

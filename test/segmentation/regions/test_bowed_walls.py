@@ -24,7 +24,7 @@ def bowed(depth_m, height):
 
 
 def halves(depth_m, noise=NETWORK):
-    """Return model and regions of the left and the right half of a picture."""
+    """Return model and regions of the left and the right half of an image."""
     model = cell_model(depth_m, noise)
     labels = np.zeros(model.grid.shape, int)
     labels[:, labels.shape[1] // 2:] = 1

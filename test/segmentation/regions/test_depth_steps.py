@@ -53,7 +53,7 @@ def bare(seed):
 
 
 def split(depth_m, noise=None):
-    """Return the pieces that the whole picture, taken as one region, is cut into."""
+    """Return the pieces that the whole image, taken as one region, is cut into."""
     image = disparity_image(depth_m)
     noise = noise or estimate_noise(build_cell_grid(image), EXACT)
     model = cell_model(depth_m, noise)

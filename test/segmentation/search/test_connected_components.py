@@ -35,7 +35,7 @@ def components(depth_m, noise=EXACT):
 
 
 def estimated(depth_m):
-    """Return model and components as they are with the noise that the picture shows."""
+    """Return model and components as they are with the noise that the image shows."""
     return components(depth_m, estimate_noise(build_cell_grid(disparity_image(depth_m)), EXACT))
 
 

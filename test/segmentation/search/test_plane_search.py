@@ -17,7 +17,7 @@ from plane_detector.segmentation.search.ransac import SequentialRansac
 
 ROOMS = (3, 7, 11)
 CONFIG = Config()
-# Of the variance of the noise, half is smooth over the picture and half is grain.
+# Of the variance of the noise, half is smooth over the image and half is grain.
 PART = np.sqrt(0.5)
 
 
@@ -81,8 +81,8 @@ def test_known_noise_bounds_the_noise_and_rules_out_exact_depth(room, seed, exac
 
 
 @pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.1, False)])
-def test_most_of_the_picture_must_be_flat_for_exact_depth(flat_share, is_exact):
-    """What is left of the picture is far too noisy for a plane."""
+def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
+    """What is left of the image is far too noisy for a plane."""
     scene = view([wall(2)], angles_deg=(20, 0, 0))
     noisy_m = with_disparity_noise(scene.depth_m, 0.02, np.random.default_rng(0))
     edge = round(flat_share * noisy_m.shape[1])
@@ -107,7 +107,7 @@ def test_no_more_than_wanted_and_the_large_ones_first(room, sigma, most):
 
 
 @pytest.mark.parametrize('known', [0.0, 0.01])
-def test_a_picture_without_depth_has_no_plane(known):
+def test_an_image_without_depth_has_no_plane(known):
     depth_m = np.full((120, 160), np.nan, np.float32)
     _, regions, noise = found(depth_m, Noise(EXACT.depth_floor_m, source_sigma=known))
     assert regions.coefficients.shape == (0, 3)

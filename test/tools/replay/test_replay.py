@@ -60,7 +60,7 @@ def test_the_new_bag_in_other_formats(bag, scenes, replay, options):
     assert_true(target, scenes)
 
 
-def test_depth_from_a_network_and_compressed_pictures(tmp_path, scenes, replay):
+def test_depth_from_a_network_and_compressed_images(tmp_path, scenes, replay):
     """The network reads millimetres out of the colours; lines of such images mean nothing."""
     messages = [(INFO, time_ns(0) - 1000, camera_info_msg(CAMERA, stamp_s(0)))]
     for index, scene in enumerate(scenes):
@@ -139,7 +139,7 @@ def test_part_of_a_bag(bag, replay):
 @pytest.mark.parametrize('asked', [
     ('--start', 5), ('--start', 0.1, '--duration', 0), ('--start', 0.11, '--duration', 0.05),
     ('--start', 1e300)])
-def test_a_part_without_pictures_is_told_and_nothing_is_written(bag, replay, tmp_path, asked):
+def test_a_part_without_images_is_told_and_nothing_is_written(bag, replay, tmp_path, asked):
     code, target, text = replay(bag, *asked, '--figures', tmp_path / 'figures')
     assert code == 1
     asked_for = ' '.join(f'{word:g}' if isinstance(word, float) else str(word) for word in asked)
@@ -156,7 +156,7 @@ def test_every_nth_frame_and_chosen_outputs(bag, replay):
                                      DIAGNOSTICS}
 
 
-def test_a_calibration_that_comes_once_serves_all_pictures(tmp_path, scenes, replay):
+def test_a_calibration_that_comes_once_serves_all_images(tmp_path, scenes, replay):
     """Even those from before it, and those after a late start."""
     messages = [entry for entry in camera_messages(scenes) if entry[0] != INFO]
     messages.insert(5, (INFO, time_ns(1) + 3000, camera_info_msg(CAMERA, stamp_s(1))))

@@ -40,7 +40,7 @@ def test_no_planes_are_claimed_where_no_frame_could_be_used(tmp_path, scenes, re
     assert 'The planes are in' not in text
 
 
-def test_pictures_without_depth_are_counted(tmp_path, scenes, replay):
+def test_images_without_depth_are_counted(tmp_path, scenes, replay):
     messages = [entry for index, entry in enumerate(camera_messages(scenes)) if index != 5]
     code, target, text = replay(write_bag(tmp_path / 'walk', messages))
     assert code == 0
@@ -48,7 +48,7 @@ def test_pictures_without_depth_are_counted(tmp_path, scenes, replay):
     assert '1 images had no calibration or depth' in text
 
 
-def test_depth_of_the_pictures_frame_is_found(tmp_path, scenes, replay):
+def test_depth_of_the_images_frame_is_found(tmp_path, scenes, replay):
     other = camera_messages(scenes)
     for entry in other:
         entry[2].header.frame_id = 'another_frame'
@@ -60,7 +60,7 @@ def test_depth_of_the_pictures_frame_is_found(tmp_path, scenes, replay):
     assert_true(target, scenes)
 
 
-def test_of_several_pictures_the_rectified_colour_one_is_taken(tmp_path, scenes, replay):
+def test_of_several_images_the_rectified_colour_one_is_taken(tmp_path, scenes, replay):
     messages = camera_messages(scenes)
     for index, scene in enumerate(scenes):
         for name, pixels, encoding in (('/cam/image_rect', scene.rgb, 'rgb8'),
@@ -85,7 +85,7 @@ def test_of_two_cameras_one_must_be_named(tmp_path, scenes, replay):
 
 
 @pytest.mark.parametrize('options, told', [
-    (('--image', '/cam/picture'), 'there is no topic /cam/picture, as --image says'),
+    (('--image', '/cam/image'), 'there is no topic /cam/image, as --image says'),
     (('--image', '/bumper'), f'/bumper is of type {CUSTOM_TYPE}, but --image must be '
                              'sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage'),
     (('--camera-info', IMAGE), '--camera-info must be sensor_msgs/msg/CameraInfo')])
