@@ -168,8 +168,8 @@ def _temple() -> Photograph:
     rgb = np.ascontiguousarray(load_sample_image('china.jpg'))
     lens = Lens()
     return Photograph('china', rgb, lens.intrinsics(rgb.shape[1], rgb.shape[0]), str(lens),
-                      remark='Outdoors, far from what indoor networks were trained on: planes in '
-                      'the sky, the lake\n  and the trees mean nothing, and metres are wrong.')
+                      remark='Outdoors, far from what indoor networks were trained on: planes on '
+                      'the lake and the\n  trees mean nothing, and metres are wrong.')
 
 
 def _motorcycle() -> Photograph:
