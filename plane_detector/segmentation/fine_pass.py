@@ -79,7 +79,9 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     labels = _overlaid(labels, new, target)
     coefficients = np.vstack([coefficients, regions.coefficients])
     target = _merged(labels, cells, regions, coefficients)
-    return _overlaid(labels, labels, target), coefficients
+    if (target[1:] != np.arange(len(coefficients))).any():
+        labels = _overlaid(labels, labels, target)
+    return labels, coefficients
 
 
 def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
@@ -94,8 +96,10 @@ def _large_pieces(left, size, min_pixels):
     rows, columns = -(-left.shape[0] // size), -(-left.shape[1] // size)
     pixels = np.zeros(rows * columns, np.int64)
     for v in range(left.shape[0]):
-        for u in range(left.shape[1]):
-            pixels[v // size * columns + u // size] += left[v, u]
+        row, first = left[v], v // size * columns
+        for column in range(columns):
+            for u in range(column * size, min(column * size + size, len(row))):
+                pixels[first + column] += row[u]
     is_open, is_wanted = 2 * pixels >= size**2, np.zeros(rows * columns, np.bool_)
     queue = np.empty(rows * columns, np.int64)
     for seed in range(rows * columns):

@@ -31,6 +31,8 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def on_one_thread(*args: P.args, **kwargs: P.kwargs) -> R:
         before = [library.num_threads for library in _libraries()]
+        if all(count == 1 for count in before):  # as in a nested call
+            return function(*args, **kwargs)
         for library in _libraries():
             library.set_num_threads(1)
         try:

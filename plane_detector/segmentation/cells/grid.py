@@ -146,69 +146,82 @@ def _sum_up(disparity, valid, size, frame, wanted):
     moments, mean = np.zeros((rows * columns, 10)), np.zeros((rows * columns, 3))
     slope, rms = np.zeros((rows * columns, 2)), np.zeros(rows * columns)
     usable, sparsity = np.zeros(rows * columns, np.bool_), np.zeros((rows * columns, 2))
-    whole, m = (size**2 - 1) / 12 / width**2, np.empty(10)
-    sums, reference = np.empty((6, columns * size), np.float32), np.empty(columns * size,
-                                                                         np.float32)
+    sums, m = np.empty((6, columns * size), np.float32), np.empty(10)
+    reference = np.empty(columns * size, np.float32)
     for i in range(rows * columns):
         top, left = i // columns * size, i % columns * size
         if left == 0:
-            _sum_up_columns(disparity, valid, (top, size), reference, sums)
+            among = np.flatnonzero(wanted[i:i + columns])
+            if len(among):
+                _sum_up_columns(disparity, valid, (top, size, among[0], among[-1]), reference,
+                                sums)
         if not wanted[i]:
             continue
-        _sum_up_cell(sums[:, left:left + size], width, m)
-        n = m[0]
-        if n == 0:
+        _sum_up_cell(sums, left, left + size, width, m)
+        if m[0] == 0:
             continue
-        mx, my, md = m[1] / n, m[2] / n, m[6] / n
-        xx, xy, yy = m[3] / n - mx * mx, m[4] / n - mx * my, m[5] / n - my * my
-        xd, yd, dd = m[7] / n - mx * md, m[8] / n - my * md, m[9] / n - md * md
-        determinant = xx * yy - xy * xy
-        if n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_SPREAD * whole**2:
-            usable[i] = True
-            slope[i, 0] = (yy * xd - xy * yd) / determinant
-            slope[i, 1] = (xx * yd - xy * xd) / determinant
-            if n < size**2:
-                sparsity[i, 0] = 1 / n - 1 / size**2
-                excess = (xx + yy) / (2 * n * determinant) - 1 / (size**2 * whole)
-                sparsity[i, 1] = max(excess, 0.0)
-        rms[i] = np.sqrt(max(dd - slope[i, 0] * xd - slope[i, 1] * yd, 0.0))
+        usable[i], rms[i], slope[i, 0], slope[i, 1], sparsity[i, 0], sparsity[i, 1] = _fit_cell(
+            m, size, width)
         _shift(m, frame[1] + (left + middle) / width, frame[2] + (top + middle) / width,
                reference[left], moments[i])
         for k, column in enumerate((1, 2, 6)):
-            mean[i, k] = moments[i, column] / n
+            mean[i, k] = moments[i, column] / m[0]
     return moments, mean, slope, rms, usable, sparsity
 
 
-@kernel('void(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 2), float32[::1], '
+@kernel('Tuple((boolean, float64, float64, float64, float64, float64))'
+        '(float64[::1], int64, float64)')
+def _fit_cell(m, size, width):
+    """Return if a cell of moments m is usable, its rms, its slope and its sparsity."""
+    n, per, whole = m[0], 1 / m[0], (size**2 - 1) / 12 / width**2
+    mx, my, md = m[1] * per, m[2] * per, m[6] * per
+    xx, xy, yy = m[3] * per - mx * mx, m[4] * per - mx * my, m[5] * per - my * my
+    xd, yd, dd = m[7] * per - mx * md, m[8] * per - my * md, m[9] * per - md * md
+    determinant = xx * yy - xy * xy
+    is_usable = n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_SPREAD * whole**2
+    slope_x = slope_y = of_mean = of_slope = 0.0
+    if is_usable:
+        slope_x = (yy * xd - xy * yd) / determinant
+        slope_y = (xx * yd - xy * xd) / determinant
+        if n < size**2:
+            of_mean = per - 1 / size**2
+            of_slope = max((xx + yy) / (2 * n * determinant) - 1 / (size**2 * whole), 0.0)
+    rms = np.sqrt(max(dd - slope_x * xd - slope_y * yd, 0.0))
+    return is_usable, rms, slope_x, slope_y, of_mean, of_slope
+
+
+@kernel('void(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 4), float32[::1], '
         'float32[:, ::1])')
 def _sum_up_columns(disparity, valid, band, reference, sums):
     """
-    Sum up the columns of a row of cells.
+    Sum up the columns of some cells of a row, ``band``: its top, their side, the first, the last.
 
     Written are the sums of n, y, yy, d, yd and dd of each column, y in pixels from the middle of
     the cells, d from ``reference``, which is a value of the middle row of each cell.
     """
-    top, size = band
-    bottom, width = min(top + size, disparity.shape[0]), disparity.shape[1]
-    reference[:], sums[:] = 0, 0
-    for left in range(0, width, size):
-        for u in range(left, min(left + size, width)):
+    top, size, first, last = band
+    bottom, end = min(top + size, disparity.shape[0]), min((last + 1) * size, disparity.shape[1])
+    reference[first * size:(last + 1) * size], sums[:, first * size:(last + 1) * size] = 0, 0
+    for left in range(first * size, end, size):
+        for u in range(left, min(left + size, end)):
             if valid[(top + bottom) // 2, u]:
                 reference[left:left + size] = disparity[(top + bottom) // 2, u]
-    there, d = np.empty(width, np.float32), np.empty(width, np.float32)
+    n, d = np.empty(end - first * size, np.float32), np.empty(end - first * size, np.float32)
+    here = reference[first * size:end]
     for v in range(top, bottom):
-        row, is_valid = disparity[v], valid[v]
-        for u in range(width):
-            there[u] = np.float32(is_valid[u])
-            d[u] = (row[u] - reference[u]) * there[u]
-        _add_powers(there, d, np.float32(v - top - (size - 1) / 2), sums)
+        row, is_valid = disparity[v, first * size:end], valid[v, first * size:end]
+        for u in range(len(n)):
+            n[u] = np.float32(is_valid[u])
+            d[u] = (row[u] - here[u]) * n[u]
+        _add_powers(n, d, np.float32(v - top - (size - 1) / 2), sums, first * size)
 
 
-@kernel('void(float32[::1], float32[::1], float32, float32[:, ::1])')
-def _add_powers(n, d, y, sums):
+@kernel('void(float32[::1], float32[::1], float32, float32[:, ::1], int64)')
+def _add_powers(n, d, y, sums, first):
     """Add n, y n, y**2 n, d, y d and d**2 to the sums; so few arrays at once are vectorised."""
-    sum_n, sum_y, sum_yy = sums[0], sums[1], sums[2]
-    sum_d, sum_yd, sum_dd = sums[3], sums[4], sums[5]
+    end = first + len(n)
+    sum_n, sum_y, sum_yy = sums[0, first:end], sums[1, first:end], sums[2, first:end]
+    sum_d, sum_yd, sum_dd = sums[3, first:end], sums[4, first:end], sums[5, first:end]
     for u in range(len(n)):
         sum_n[u] += n[u]
         sum_y[u] += n[u] * y
@@ -219,27 +232,40 @@ def _add_powers(n, d, y, sums):
         sum_dd[u] += d[u] * d[u]
 
 
-@kernel('void(float32[:, :], float64, float64[::1])')
-def _sum_up_cell(sums, width, m):
+@kernel('void(float32[:, ::1], int64, int64, float64, float64[::1])')
+def _sum_up_cell(sums, left, right, width, m):
     """Write the moments of a cell about its middle from the sums of its columns."""
     m[:] = 0.0
-    for u in range(sums.shape[1]):
-        x = (u - (sums.shape[1] - 1) / 2) / width
-        n, d, dd = np.float64(sums[0, u]), np.float64(sums[3, u]), np.float64(sums[5, u])
-        y, yy, yd = sums[1, u] / width, sums[2, u] / width**2, sums[4, u] / width
-        for k, value in enumerate((n, n * x, y, n * x * x, x * y, yy, d, x * d, yd, dd)):
-            m[k] += value
+    middle = (left + right - 1) / 2
+    for u in range(left, right):
+        x = (u - middle) / width
+        m[0] += sums[0, u]
+        m[1] += sums[0, u] * x
+        m[2] += sums[1, u]
+        m[3] += sums[0, u] * x * x
+        m[4] += sums[1, u] * x
+        m[5] += sums[2, u]
+        m[6] += sums[3, u]
+        m[7] += sums[3, u] * x
+        m[8] += sums[4, u]
+        m[9] += sums[5, u]
+    for k in (2, 4, 8):
+        m[k] /= width
+    m[5] /= width**2
 
 
 @kernel('void(float64[::1], float64, float64, float64, float64[::1])')
 def _shift(m, x, y, d, out):
     """Write moments (10,) whose origin was at x, y, d with the origin at 0."""
     n, sum_x, sum_y = m[0], m[1] + m[0] * x, m[2] + m[0] * y
-    for k, value in enumerate((
-            n, sum_x, sum_y, m[3] + x * (m[1] + sum_x), m[4] + x * m[2] + y * sum_x,
-            m[5] + y * (m[2] + sum_y), m[6] + n * d, m[7] + x * m[6] + d * sum_x,
-            m[8] + y * m[6] + d * sum_y, m[9] + d * (2 * m[6] + n * d))):
-        out[k] = value
+    out[0], out[1], out[2] = n, sum_x, sum_y
+    out[3] = m[3] + x * (m[1] + sum_x)
+    out[4] = m[4] + x * m[2] + y * sum_x
+    out[5] = m[5] + y * (m[2] + sum_y)
+    out[6] = m[6] + n * d
+    out[7] = m[7] + x * m[6] + d * sum_x
+    out[8] = m[8] + y * m[6] + d * sum_y
+    out[9] = m[9] + d * (2 * m[6] + n * d)
 
 
 def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:

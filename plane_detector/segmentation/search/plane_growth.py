@@ -24,7 +24,7 @@ SETTLED_SHARE = 0.03
 
 @kernel('Tuple((float64[::1], int64[::1]))'
         '(float64[::1], int64, float64, float64[:, ::1], float64[:, ::1], '
-        'Tuple((boolean[:, ::1], int64[:, ::1], int64)))')
+        'Tuple((boolean[:, ::1], int64[:, ::1], int64, int64[:, ::1])))')
 def refine(plane, seed, threshold2, table, moments, near):
     """
     Refit a plane to its inliers until they settle.
@@ -37,8 +37,8 @@ def refine(plane, seed, threshold2, table, moments, near):
     threshold2 : float
         Squared threshold, in deviations.
     table, moments : (n, 7), (n, 10) float64
-    near : (R, C) bool, (m, 2) int64, int
-        Free cells, and the neighbourhood of a core cell.
+    near : (R, C) bool, (m, 2) int64, int, (n, 2) int64
+        Free cells, the neighbourhood of a core cell, and :func:`places` of the free cells.
 
     Returns
     -------
@@ -69,40 +69,60 @@ def refine(plane, seed, threshold2, table, moments, near):
 
 
 @kernel('int64[::1](float64[::1], int64[::1], float64, float64[:, ::1], '
-        'Tuple((boolean[:, ::1], int64[:, ::1], int64)))')
+        'Tuple((boolean[:, ::1], int64[:, ::1], int64, int64[:, ::1])))')
 def _cluster_of(plane, members, threshold2, table, near):
     """
     Return the cells of the density cluster of inliers that holds most members.
 
     If no member is in a cluster, the largest cluster is returned.
     """
-    (free, offsets, min_samples), reach = near, 0
-    for k in range(len(offsets)):
-        reach = max(reach, abs(offsets[k, 0]), abs(offsets[k, 1]))
+    free, offsets, min_samples, listed = near
+    reach = _reach(offsets)
     columns, stride = free.shape[1], free.shape[1] + 2 * reach
     # Per cell, with a margin: 0 outlier, 1 inlier, then the cluster.
     marks = np.zeros((free.shape[0] + 2 * reach) * stride, np.int32)
-    for row in range(free.shape[0]):
+    for n in range(len(listed)):
+        marks[listed[n, 1]] = chi_squared(table, listed[n, 0], plane[0], plane[1],
+                                          plane[2]) < threshold2
+    if len(offsets) > 0:
+        is_member, starts = np.zeros(len(marks), np.bool_), np.empty(len(members), np.int64)
+        for k, i in enumerate(members):
+            starts[k] = (i // columns + reach) * stride + i % columns + reach
+            is_member[starts[k]] = True
+        step = offsets[:, 0] * stride + offsets[:, 1]
+        best = _best_cluster(marks, starts, is_member, step, min_samples)
+        if best == 0:
+            is_member[:] = True
+            best = _best_cluster(marks, listed[:, 1].copy(), is_member, step, min_samples)
+    else:
+        best = 1
+    found, n = np.empty(len(listed), np.int64), 0
+    for k in range(len(listed) if best > 0 else 0):
+        if marks[listed[k, 1]] == best:
+            found[n] = listed[k, 0]
+            n += 1
+    return found[:n].copy()
+
+
+@kernel('int64(int64[:, ::1])')
+def _reach(offsets):
+    """Return how far a neighbourhood reaches in rows or columns."""
+    reach = 0
+    for k in range(len(offsets)):
+        reach = max(reach, abs(offsets[k, 0]), abs(offsets[k, 1]))
+    return reach
+
+
+@kernel('int64[:, ::1](boolean[:, ::1], int64[:, ::1])')
+def places(free, offsets):
+    """Return the free cells (n, 2) and their places in an array with a margin for the offsets."""
+    reach, (rows, columns) = _reach(offsets), free.shape
+    found, n = np.empty((free.size, 2), np.int64), 0
+    for row in range(rows):
         for column in range(columns):
-            if free[row, column] and chi_squared(table, row * columns + column, plane[0],
-                                                 plane[1], plane[2]) < threshold2:
-                marks[(row + reach) * stride + column + reach] = 1
-    if len(offsets) == 0:
-        return np.flatnonzero(marks)
-    is_member, places = np.zeros(len(marks), np.bool_), np.empty(len(members), np.int64)
-    for k, i in enumerate(members):
-        places[k] = (i // columns + reach) * stride + i % columns + reach
-        is_member[places[k]] = True
-    step = offsets[:, 0] * stride + offsets[:, 1]
-    best = _best_cluster(marks, places, is_member, step, min_samples)
-    if best == 0:
-        is_member[:] = True
-        best = _best_cluster(marks, np.arange(len(marks)), is_member, step, min_samples)
-    found, n = np.empty(free.size, np.int64), 0
-    for row in range(free.shape[0] if best > 0 else 0):
-        for column in range(columns):
-            if marks[(row + reach) * stride + column + reach] == best:
-                found[n] = row * columns + column
+            if free[row, column]:
+                found[n, 0] = row * columns + column
+                found[n, 1] = (row + reach) * (columns + 2 * reach) + column + reach
                 n += 1
     return found[:n].copy()
 

@@ -17,7 +17,7 @@ from plane_detector.config import RansacConfig
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 from plane_detector.segmentation.search.dbscan import Neighbourhood
-from plane_detector.segmentation.search.plane_growth import refine
+from plane_detector.segmentation.search.plane_growth import places, refine
 from plane_detector.stopping import raise_if_stopped
 
 # Rows and columns: small windows find small planes, long ones narrow planes, large ones planes
@@ -203,12 +203,13 @@ def _peel(batch, limits, sums, free, labels, near):
     (planes, seeds, gain), (table, moments) = batch, sums
     min_pixels, threshold2, most, first = limits
     found, count, failures = np.empty((int(most), 3)), 0, 0
+    listed = places(free, near[0])
     while count < most and failures < MAX_FAILURES and len(gain):
         best = np.argmax(gain)
         if gain[best] < min_pixels / 2:
             break
         plane, members = refine(planes[best], seeds[best], threshold2, table, moments,
-                                (free, near[0], near[1]))
+                                (free, near[0], near[1], listed))
         pixels = 0.0
         for i in members:
             pixels += moments[i, 0]
@@ -220,6 +221,7 @@ def _peel(batch, limits, sums, free, labels, near):
         for i in members:
             labels[i] = int(first) + count
             free[i // free.shape[1], i % free.shape[1]] = False
+        listed = places(free, near[0])
         add_support(gain, planes, table, moments, members, -1 / threshold2)
         found[count] = plane
         count += 1
