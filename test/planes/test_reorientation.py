@@ -10,8 +10,8 @@ import pytest
 from plane_detector.config import Config
 from plane_detector.directions.finder import find_in_image
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import hexagon_room, random_room
-from plane_detector.evaluation.scenes.textures import textured
+from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
+from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
 from plane_detector.planes.measurement import measure_planes
 from plane_detector.planes.reorientation import reorient
 from plane_detector.segmentation.segment import metric_noise_floor, segment
@@ -44,14 +44,16 @@ def before_and_after(make, seed, sigma):
     return scene, (planes, labels), measure_planes(turned, scene.intrinsics, 1000)
 
 
-@pytest.mark.parametrize('make', [random_room, hexagon_room])
-def test_planes_of_smoothly_wrong_depth_come_nearer_to_the_truth(make):
-    scene, before, after = before_and_after(make, 304, 0.02)
+@pytest.mark.parametrize(('make', 'seed'), [
+    (random_room, 304), (hexagon_room, 304), (attic, 305), (rolled_room, 302)])
+def test_planes_of_smoothly_wrong_depth_come_nearer_to_the_truth(make, seed):
+    scene, before, after = before_and_after(make, seed, 0.02)
     assert mean_error_deg(scene, *after) < 0.5 * mean_error_deg(scene, *before)
 
 
-def test_planes_of_nearly_right_depth_stay_right():
-    scene, before, after = before_and_after(hexagon_room, 305, 0.003)
+@pytest.mark.parametrize(('make', 'seed'), [(hexagon_room, 305), (attic, 306), (ramp_room, 300)])
+def test_planes_of_nearly_right_depth_stay_right(make, seed):
+    scene, before, after = before_and_after(make, seed, 0.003)
     assert mean_error_deg(scene, *after) <= mean_error_deg(scene, *before) + 0.1
 
 

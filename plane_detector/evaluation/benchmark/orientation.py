@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -22,6 +23,7 @@ from plane_detector.config import Config, DirectionsConfig
 from plane_detector.directions.finder import find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.orientation_figure import write_figure
 from plane_detector.evaluation.benchmark.real_images import load_network
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
@@ -217,6 +219,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--scenes', type=shared.at_least_one, default=20,
                         help='rendered scenes of each kind')
     parser.add_argument('--first-seed', type=int, default=HELD_OUT)
+    parser.add_argument('--figure', type=Path, help='write the worst answers and the refusals '
+                        'among the rendered scenes to this image')
     shared.add_data(parser)
     shared.add_model(parser)
 
@@ -237,5 +241,8 @@ def run(options: argparse.Namespace) -> None:
         report_cost(list(frames(options.data, INDOOR)), options.model)
     if 'rendered' in parts:
         report_rendered(options.scenes, options.first_seed)
+    if options.figure:
+        path = write_figure(options.figure, SCENES, options.scenes, options.first_seed)
+        emit(f'Figure: `{path}`')
     if not options.data.is_dir():
         emit(f'Real images: {options.data} is not there.')

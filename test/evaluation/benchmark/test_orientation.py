@@ -4,10 +4,12 @@
 
 import argparse
 
+import cv2
 import numpy as np
 import pytest
 
 from plane_detector.evaluation.benchmark import orientation
+from plane_detector.evaluation.benchmark.orientation_figure import write_figure
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
@@ -66,3 +68,12 @@ def test_options():
     parser = argparse.ArgumentParser()
     orientation.add_arguments(parser)
     assert parser.parse_args(['--only', 'gravity']).only == ['gravity']
+
+
+def test_the_figure_shows_answers_and_refusals(tmp_path):
+    path = write_figure(tmp_path / 'directions.png', {'rooms': random_room}, 1, 300)
+    image = cv2.imread(str(path))[..., ::-1].astype(int)
+    # One answer: its upright lines are red; and strokes, whose lines have no direction.
+    red, yellow = ((np.abs(image - colour).max(2) < 40).sum() for colour in (
+        (230, 40, 40), (240, 200, 60)))
+    assert red > 100 and yellow > 100
