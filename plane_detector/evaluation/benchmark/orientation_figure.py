@@ -18,7 +18,7 @@ from plane_detector.evaluation.scenes.rendering import Scene
 
 _PANEL_WIDTH_PX, _COLUMNS, _LINE_WIDTH_PX = 320, 3, 3
 # Grey levels of the image beneath, few and bright: noise makes large files.
-_GREY_STEP, _DARKEST = 48, 96
+_GREY_STEP, _DARKEST = 90, 120
 # Lines along the vertical, along the two level axes, and along none.
 _COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _OTHER = (240, 200, 60)
@@ -69,7 +69,7 @@ def _extremes(name: str, make: Callable, seeds: range) -> list[Panel]:
 
 def _panel(name: str, rgb: np.ndarray, found: ImageDirections, error_deg: float | None) -> Panel:
     """Return the image in grey with its lines, coloured by the direction that they are along."""
-    image = np.maximum(cv2.medianBlur(grey_of(rgb), 9) // _GREY_STEP * _GREY_STEP, _DARKEST)
+    image = np.maximum(cv2.medianBlur(grey_of(rgb), 15) // _GREY_STEP * _GREY_STEP, _DARKEST)
     along = np.full(len(found.segments), -1)
     if len(found.axes):
         sine = np.abs(misalignment(found.segments, found.axes))
