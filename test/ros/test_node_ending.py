@@ -109,47 +109,49 @@ def test_the_next_network_waits_for_the_one_that_is_still_at_work(robot, room):
 
 @pytest.fixture
 def started(tmp_path):
-    """Return a function: a node as a process with a network, and a robot that it hears."""
-    domain, begun = random_domain(), []
-    robot = Robot(outputs=('planes',), domain=domain)
+    """Return a function: two nodes side by side, each with a network and a robot it hears."""
+    begun, robots = [], []
 
     def begin(**kind):
-        values = parameters(write_slow_network(tmp_path / 'slow.onnx', **kind))
-        arguments = [part for name, value in values.items() for part in ('-p', f'{name}:={value}')]
-        begun.append(NodeProcess(arguments, domain, tmp_path / 'node.log'))
-        return begun[-1], robot
+        for deaf in (False, True):
+            domain, name = random_domain(), f'deaf_{deaf}'
+            values = parameters(write_slow_network(tmp_path / f'{name}.onnx', deaf=deaf, **kind))
+            arguments = [part for parameter, value in values.items()
+                         for part in ('-p', f'{parameter}:={value}')]
+            begun.append(NodeProcess(arguments, domain, tmp_path / f'{name}.log'))
+            robots.append(Robot(outputs=('planes',), domain=domain))
+        return zip(begun, robots, strict=True)
 
     yield begin
     for node in begun:
         node.process.kill()
         node.process.wait()
-    robot.shutdown()
+    for robot in robots:
+        robot.shutdown()
 
 
 def is_in_state(robot, label):
     return lambda: robot.received['diagnostics'] and robot.diagnosis()[1]['state'] == label
 
 
-@pytest.mark.parametrize('deaf', [False, True], ids=['endless', 'deaf'])
-def test_a_signal_ends_the_node_in_the_middle_of_a_warm_up(started, deaf):
-    node, robot = started(deaf=deaf, always=True)
-    assert robot.spin(is_in_state(robot, 'configuring'), STARTED_S), node.log()
-    assert node.end(signal.SIGTERM) == 0
-    assert 'Traceback' not in node.log()
+def test_a_signal_ends_the_node_in_the_middle_of_a_warm_up(started):
+    for node, robot in started(always=True):
+        assert robot.spin(is_in_state(robot, 'configuring'), STARTED_S), node.log()
+        assert node.end(signal.SIGTERM) == 0
+        assert 'Traceback' not in node.log()
 
 
-@pytest.mark.parametrize('deaf', [False, True], ids=['endless', 'deaf'])
-def test_a_signal_ends_the_node_in_the_middle_of_a_frame(started, deaf):
-    node, robot = started(deaf=deaf)
-    assert robot.spin(is_in_state(robot, 'active'), STARTED_S), node.log()
-    before = 0.0
-    for stamp_s in range(10):  # until both ends have found each other
-        robot.publish('camera_info', camera_info_msg(CAMERA, stamp_s))
-        robot.publish('image', image_msg(BRIGHT, 'rgb8', stamp_s))
-        robot.spin(timeout_s=0.2)
-        before = int(robot.diagnosis()[1]['frames_dropped'])
-        if before:
-            break
-    assert before, 'a frame is worked on, and those after it are dropped'
-    assert node.end(signal.SIGINT) == 0
-    assert 'Traceback' not in node.log()
+def test_a_signal_ends_the_node_in_the_middle_of_a_frame(started):
+    for node, robot in started():
+        assert robot.spin(is_in_state(robot, 'active'), STARTED_S), node.log()
+        dropped = 0
+        for stamp_s in range(10):  # until both ends have found each other
+            robot.publish('camera_info', camera_info_msg(CAMERA, stamp_s))
+            robot.publish('image', image_msg(BRIGHT, 'rgb8', stamp_s))
+            robot.spin(timeout_s=0.2)
+            dropped = int(robot.diagnosis()[1]['frames_dropped'])
+            if dropped:
+                break
+        assert dropped, 'a frame is worked on, and those after it are dropped'
+        assert node.end(signal.SIGINT) == 0
+        assert 'Traceback' not in node.log()
