@@ -19,13 +19,9 @@ from std_srvs.srv import Trigger
 
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros.allocator import freeze_loaded_objects
 from plane_detector.ros.autostart import Autostart
-from plane_detector.ros.diagnostics import (
-    DiagnosticsPublisher,
-    Report,
-    Statistics,
-    introduction,
-)
+from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
 from plane_detector.ros.fault_log import FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor, ObservedFrame
 from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
@@ -270,6 +266,7 @@ class PlaneDetectorNode(LifecycleNode):
         load_kernels(self._live.config, self.get_logger().info)
         detector = PlaneDetector(self._live.config, self._depth_model)
         fit_to_rate(detector)
+        freeze_loaded_objects()
         return detector
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:

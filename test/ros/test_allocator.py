@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node's process keeps the memory of a frame for the next one."""
 
+import gc
 import os
 import platform
 import subprocess
@@ -9,6 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from plane_detector.ros.allocator import freeze_loaded_objects
 
 ROOT = Path(__file__).resolve().parents[2]
 FRAMES, ARRAYS = 20, 30
@@ -56,3 +59,13 @@ def test_a_frame_is_worked_on_without_new_pages():
 
 def test_what_the_user_has_set_stands():
     assert outcome('keep', MALLOC_ARENA_MAX='2')[0] is False
+
+
+def test_objects_that_were_loaded_are_passed_over_by_the_garbage_collector():
+    gc.unfreeze()
+    freeze_loaded_objects()
+    try:
+        assert gc.get_freeze_count() > 10000
+        assert len(gc.get_objects()) < 1000
+    finally:
+        gc.unfreeze()

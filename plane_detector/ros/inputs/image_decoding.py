@@ -102,22 +102,26 @@ def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
     """
     data = bytes(msg.data)
     try:
-        width, height = compressed_size(data)
+        size = compressed_size(data)
     except ValueError as error:
         raise ValueError(f'the compressed image ({len(data)} bytes) cannot be decoded: '
                          f'{error}') from error
-    if any(expected) and (width, height) != expected:
-        raise ValueError(wrong_size((width, height), expected))
-    if width * height > most_pixels:
-        raise ValueError(f'the compressed image is {width} x {height}, more than '
+    if any(expected) and size != expected:
+        raise ValueError(wrong_size(size, expected))
+    if size[0] * size[1] > most_pixels:
+        raise ValueError(f'the compressed image is {size[0]} x {size[1]}, more than '
                          f'max_image_pixels, {most_pixels}')
+    return _decompressed(data, size)
+
+
+def _decompressed(data: bytes, size: tuple[int, int]) -> np.ndarray:
     try:
         bgr = cv2.imdecode(np.frombuffer(data, np.uint8),
                            cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         reason = ' '.join(error.err.split())
         raise ValueError(f'the compressed image cannot be decoded: {reason}') from error
-    if bgr is None or bgr.shape[:2] != (height, width):
+    if bgr is None or bgr.shape[1::-1] != size:
         raise ValueError(f'the compressed image ({len(data)} bytes) cannot be decoded: '
                          'it is damaged')
     return cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)

@@ -94,9 +94,9 @@ class FrameAssembler:
                  imu_to_camera: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)):
         self._depth_use = depth
         self.stamp_slop_s = stamp_slop_s
-        self._images = _StampedCache()
-        self._infos = _StampedCache()
-        self._depths = _StampedCache()
+        self._images = _MessageBuffer()
+        self._infos = _MessageBuffer()
+        self._depths = _MessageBuffer()
         self._gravity = GravityFilter(imu_to_camera)
         self._dropped = 0
         self.epoch = 0
@@ -144,7 +144,7 @@ class FrameAssembler:
         for stamp_ns, image in self._images.items() if self._infos.latest else ():
             decided, depth = self._depth_for(stamp_ns, at_end)
             info = self._infos.exact(stamp_ns) or self._infos.latest
-            if not decided or (not at_end and self._has_overtaken(image, info)):
+            if not decided or (not at_end and self._awaits_calibration(image, info)):
                 continue
             self._images.keep(lambda _, other, done=image: other is not done)
             if depth is None and self._depth_use == 'required':
@@ -154,11 +154,11 @@ class FrameAssembler:
             frames.append(Frame(image, info, depth, gravity, self.epoch))
         return frames
 
-    def _has_overtaken(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
+    def _awaits_calibration(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
         """Say whether an image does not fit its calibration and a later one may still come."""
         if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
             return False
-        can_come = (self._infos.is_alive(_stamp_ns(self._images.latest))
+        can_come = (self._infos.has_recent(_stamp_ns(self._images.latest))
                     and not self._infos.is_past(_stamp_ns(image)))
         return can_come and image_size(info) not in ((image.width, image.height), (0, 0))
 
@@ -168,14 +168,14 @@ class FrameAssembler:
         if exact is not None or self._depth_use == 'unused':
             return True, exact
         can_wait = not at_end and (self._depth_use == 'required' or (
-            self._depths.is_alive(stamp_ns) and not self._images.is_past(stamp_ns)))
+            self._depths.has_recent(stamp_ns) and not self._images.is_past(stamp_ns)))
         if can_wait and not self._depths.is_past(stamp_ns):
             return False, None
         return True, self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))
 
 
-class _StampedCache:
-    """The last messages of one topic by stamp; emptied when time jumps back."""
+class _MessageBuffer:
+    """The latest messages of one topic by stamp; emptied when time jumps back."""
 
     def __init__(self) -> None:
         self._messages: deque[tuple[int, Any]] = deque()
@@ -223,7 +223,7 @@ class _StampedCache:
         """Whether a later message has come, so that none with this stamp will."""
         return self._latest_ns > stamp_ns
 
-    def is_alive(self, stamp_ns: int) -> bool:
+    def has_recent(self, stamp_ns: int) -> bool:
         """Whether messages came shortly before a stamp."""
         return self.latest is not None and self._latest_ns > stamp_ns - _JUMP_NS
 

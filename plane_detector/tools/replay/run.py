@@ -8,23 +8,21 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
 from functools import partial
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from tqdm import tqdm
 
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.ros.frame_processor import FrameProcessor, Processed
 from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
+from plane_detector.ros.kernels import load_kernels
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Stopped
-from plane_detector.tools.replay.bag_reader import BagError, BagReader, to_message
+from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.bag_topics import (
     InputTopics,
     find_camera,
-    input_class,
     with_companions,
 )
 from plane_detector.tools.replay.bag_transforms import read_transforms
@@ -36,6 +34,7 @@ from plane_detector.tools.replay.depth_choice import (
     make_detector,
 )
 from plane_detector.tools.replay.exports import ReplayFiles
+from plane_detector.tools.replay.frame_reader import FrameReader, part_asked_for
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.part_folder import PartFolder
 from plane_detector.tools.replay.resume import Earlier, copy_earlier, read_earlier
@@ -67,45 +66,40 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
 
     Raises
     ------
-    FileNotFoundError, FileExistsError
-        There is no bag to read, or there is already one where the new one shall be.
-    OSError
-        The new bag or the files cannot be written.
-    BagError
-        The bag cannot be opened, or lacks a topic, with what is there; or no image is in the
-        part of it that is asked for.
-    ValueError
-        The network cannot be run as the settings say.
-    Stopped
-        It was told to stop before the first frame.
+    OSError, BagError, ValueError, Stopped
+        A bag cannot be opened or written, a topic is missing, the network cannot be run, stopped.
 
     """
-    with ExitStack() as opened:
-        bag = opened.enter_context(BagReader(options.source))
+    with BagReader(options.source) as bag:
         camera = find_camera(bag, options.topics)
-        part_ns = _part_asked_for(bag, camera.image, options)
-        folder = opened.enter_context(PartFolder(options.target, options.leftover))
-        choice = choose_depth(bag, camera, options)
-        detector = until_stopped(partial(make_detector, choice.config, depth_model,
-                                         threading.get_ident()), should_stop)
-        processor = FrameProcessor(detector, options.settings, camera.image,
-                                   read_transforms(bag, options.settings))
-        wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
-        topics = with_companions(bag, camera, wanted, depth_use(choice.config, processor.output),
-                                 options.settings.use_imu)
-        depth = choice.describe(detector)
-        if not quiet:
-            print(f'Reading {", ".join(topics.names)} of {options.source}\nDepth: {depth}',
-                  file=sys.stderr)
-        earlier = read_earlier(folder.before)
-        files = opened.enter_context(ReplayFiles(options.figures, options.ply, options.table,
-                                                 earlier.next_index,
-                                                 bool(choice.config.shapes.wanted)))
-        with BagWriter(folder.bag, options.storage, options.compressed) as writer:
-            run = _Run(options, bag, part_ns, topics, choice, processor, writer, files)
-            tally = run.to_end(earlier, should_stop, depth, quiet)
-        _keep(folder, tally)
-        return tally
+        part_ns = part_asked_for(bag, camera.image, options)
+        with PartFolder(options.target, options.leftover) as folder:
+            choice = choose_depth(bag, camera, options)
+            detector = until_stopped(partial(make_detector, choice.config, depth_model,
+                                             threading.get_ident()), should_stop)
+            processor = FrameProcessor(detector, options.settings, camera.image,
+                                       read_transforms(bag, options.settings))
+            reader = _open_frames(bag, camera, part_ns, choice, processor, options)
+            depth = choice.describe(detector)
+            if not quiet:
+                print(f'Reading {", ".join(reader.topics.names)} of {options.source}\n'
+                      f'Depth: {depth}', file=sys.stderr)
+                until_stopped(partial(load_kernels, choice.config,
+                                      partial(print, file=sys.stderr)), should_stop)
+            tally = _Run(options, reader, processor, depth).to_end(folder, should_stop, quiet)
+            _keep(folder, tally)
+            return tally
+
+
+def _open_frames(bag: BagReader, camera: InputTopics, part_ns: tuple[int, int],
+                 choice: DepthChoice, processor: FrameProcessor, options: ReplayOptions
+                 ) -> FrameReader:
+    """Return the frames that the settings require."""
+    use = depth_use(choice.config, processor.output)
+    wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
+    topics = with_companions(bag, camera, wanted, use, options.settings.use_imu)
+    return FrameReader(bag, topics, part_ns, FrameAssembler(
+        use, options.settings.stamp_slop, choice.config.scale.imu_to_camera))
 
 
 def _keep(folder: PartFolder, tally: Tally) -> None:
@@ -119,25 +113,25 @@ def _keep(folder: PartFolder, tally: Tally) -> None:
 class _Run:
     """The open parts of a replay, and its loop."""
 
-    def __init__(self, options: ReplayOptions, bag: BagReader, part_ns: tuple[int, int],
-                 topics: InputTopics, choice: DepthChoice, processor: FrameProcessor,
-                 writer: BagWriter, files: ReplayFiles):
-        self._options, self._bag, self._topics = options, bag, topics
-        self._start_ns, self._stop_ns = part_ns
-        self._processor, self._writer, self._files = processor, writer, files
-        self._source = choice.config.depth.source
-        self._assembler = FrameAssembler(
-            depth_use(choice.config, processor.output), options.settings.stamp_slop,
-            choice.config.scale.imu_to_camera)
-        self._tally = Tally()
+    def __init__(self, options: ReplayOptions, reader: FrameReader, processor: FrameProcessor,
+                 depth: str):
+        self._options, self._reader, self._processor = options, reader, processor
+        self._config = processor.detector.config
+        self._tally = Tally(depth=depth)
         self._uncommitted: list[int] = []
-        self._facts: dict[str, str] = {}
+        self._facts = {'depth': depth}
 
-    def to_end(self, earlier: Earlier, should_stop: ShouldStop, depth: str,
-               quiet: bool) -> Tally:
+    def to_end(self, folder: PartFolder, should_stop: ShouldStop, quiet: bool) -> Tally:
         """Process all frames; an error of a bag ends it, one of a frame or a message does not."""
-        tally = self._tally
-        tally.depth, self._facts = depth, {'depth': depth}
+        options, earlier = self._options, read_earlier(folder.before)
+        with (ReplayFiles(options.figures, options.ply, options.table, earlier.next_index,
+                          bool(self._config.shapes.wanted)) as self._files,
+              BagWriter(folder.bag, options.storage, options.compressed) as self._writer):
+            self._process(earlier, should_stop, quiet)
+        return self._tally
+
+    def _process(self, earlier: Earlier, should_stop: ShouldStop, quiet: bool) -> None:
+        tally, reader = self._tally, self._reader
         try:
             self._announce(earlier)
             self._process_all(should_stop, quiet)
@@ -145,27 +139,26 @@ class _Run:
             tally.interrupted = True
         except (BagError, OSError) as error:
             tally.failure = str(error)
-        tally.without_partner = self._assembler.take_dropped()
-        tally.damaged += self._bag.damaged
+        tally.without_partner = reader.take_dropped()
+        tally.damaged += reader.damaged + reader.bag.damaged
         if not (tally.processed or tally.interrupted or tally.failure):
-            tally.failure = f'no frame could be processed. {self._bag.describe()}'
+            tally.failure = f'no frame could be processed. {reader.bag.describe()}'
         self._close_books()
-        return tally
 
     def _announce(self, earlier: Earlier) -> None:
         """Announce the topics, and write what an earlier run did."""
         options, writer = self._options, self._writer
-        copied = () if options.copied is None else options.copied or self._topics.names
+        copied = () if options.copied is None else options.copied or self._reader.topics.names
         writer.add_outputs({
             **{_output_topic(name): OUTPUTS[name].msg_type for name in options.outputs},
             DIAGNOSTICS_TOPIC: DiagnosticArray})
-        writer.add_copies(self._bag, copied)
+        writer.add_copies(self._reader.bag, copied)
         done = copy_earlier(earlier, writer, self._tally)
-        self._copies = CopiedMessages(writer, copied, self._topics, options.every, done)
+        self._copies = CopiedMessages(writer, copied, self._reader.topics, options.every, done)
 
     def _process_all(self, should_stop: ShouldStop, quiet: bool) -> None:
         first = self._tally.resumed_at
-        with tqdm(total=self._expected_frames(), unit='frame',
+        with tqdm(total=self._reader.expected_frames(self._options.every), unit='frame',
                   disable=True if quiet else None) as progress:
             for index, (time_ns, frame) in enumerate(self._timed_frames()):
                 if should_stop():
@@ -213,7 +206,7 @@ class _Run:
         tally.processed += 1
         tally.planes += len(detection.planes)
         self._uncommitted.append(len(detection.planes))
-        scale = scale_of(self._source, detection)
+        scale = scale_of(self._config.depth.source, detection)
         tally.scales[scale] += 1
         self._facts.update(scale=scale, gravity=detection.gravity_source,
                            gravity_note=detection.gravity_note)
@@ -228,12 +221,12 @@ class _Run:
         if self._writer.is_full:
             tally.processed -= len(self._uncommitted)
             tally.planes -= sum(self._uncommitted)
-        self._writer.describe({**tally.to_fields(), 'replay.source': self._bag.path.name,
+        self._writer.describe({**tally.to_fields(), 'replay.source': self._reader.bag.path.name,
                                'replay.options': self._options.fingerprint})
 
     def _timed_frames(self) -> Iterator[tuple[int, Frame]]:
         """Yield the frames, the time that reading them takes on the tally."""
-        frames = self._frames()
+        frames = self._reader.frames(self._copies)
         while True:
             start_s = time.perf_counter()
             entry = next(frames, None)
@@ -241,52 +234,6 @@ class _Run:
             if entry is None:
                 return
             yield entry
-
-    def _frames(self) -> Iterator[tuple[int, Frame]]:
-        """Yield frames, with the time at which their last message was recorded."""
-        topics, assembler, time_ns = self._topics, self._assembler, self._start_ns
-        add = {topics.image: assembler.add_image, topics.camera_info: assembler.add_camera_info,
-               topics.depth: assembler.add_depth, topics.imu: assembler.add_imu}
-        classes = {name: input_class(self._bag, name) for name in topics.names}
-        self._add_first_calibration()
-        for recorded in self._bag.read({*topics.names, *self._copies.topics}, self._start_ns,
-                                       self._stop_ns):
-            time_ns, msg = recorded.time_ns, None
-            if recorded.topic in classes:
-                try:
-                    msg = to_message(recorded, classes[recorded.topic])
-                except BagError:
-                    self._tally.damaged += 1
-            self._copies.add(recorded, msg)
-            if msg is not None:
-                yield from ((time_ns, frame) for frame in add[recorded.topic](msg) or ())
-        yield from ((time_ns, frame) for frame in assembler.finish())
-
-    def _add_first_calibration(self) -> None:
-        """Let images from before the first CameraInfo have it, and those after a late start."""
-        topic = self._topics.camera_info
-        kind = input_class(self._bag, topic)
-        earlier = list(self._bag.messages(topic, kind, None, self._start_ns + 1))
-        self._assembler.add_camera_info(earlier[-1] if earlier else self._bag.first(topic, kind))
-
-    def _expected_frames(self) -> int:
-        count = {topic.name: topic.count for topic in self._bag.topics}[self._topics.image]
-        length_ns = max(self._bag.end_ns - self._bag.start_ns, 1)
-        share = np.clip((self._stop_ns - self._start_ns) / length_ns, 0, 1)
-        return int(np.ceil(count * share / self._options.every))
-
-
-def _part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
-    """Return start and end of the replay; raise if no image lies between them."""
-    length_ns = bag.end_ns - bag.start_ns
-    start_ns = bag.start_ns + round(min(options.start_s * 1e9, length_ns))
-    stop_ns = start_ns + round(min(options.duration_s * 1e9, bag.end_ns - start_ns))
-    if start_ns == stop_ns or not any(bag.read([image], start_ns, stop_ns)):
-        raise BagError(
-            f'{options.source} spans 0 to {length_ns * 1e-9:.3f} s, and in what is '
-            f'asked for, --start {options.start_s:g} --duration {options.duration_s:g}, there is '
-            f'no image on {image}')
-    return start_ns, stop_ns
 
 
 def _output_topic(name: str) -> str:
