@@ -22,9 +22,6 @@ from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions.adjacency import find_adjacency
 from plane_detector.segmentation.search.plane_search import sees_creases
 
-# Pixel noise above this many times the floor is smoothed before pixels are labelled.
-# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
-SMOOTHED_GRAIN = 2.0
 # derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
 MEDIAN_NOISE_SHARE = 0.41
 # derived: a border moves by one cell a sweep, and hardly any is farther off.
@@ -55,7 +52,7 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
 
     """
     grid, values, pixel_sigma = cells.grid, image.values, noise.pixel_sigma
-    if pixel_sigma > SMOOTHED_GRAIN * np.sqrt(noise.variance_floor(grid.typical_disparity)):
+    if pixel_sigma**2 > noise.variance_floor(grid.typical_disparity):
         values, pixel_sigma = image.smoothed, MEDIAN_NOISE_SHARE * pixel_sigma
     frame = np.array([grid.width_px, *grid.origin, threshold**2,
                       noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2,
@@ -108,7 +105,8 @@ def _label(disparity, valid, cells, planes, geometry):
                 label, place = labels[row, column], (row * size, column * size)
                 if is_open[row, column]:
                     count = _choose_plane(disparity, (labels, row, column), planes, geometry, work)
-                    winner = _write(found, valid, place, size, (work[3], work[0][:count]))
+                    asked = work[0][:count if sweeps > 1 else 0]
+                    winner = _write(found, valid, place, size, (work[3], asked))
                     if label >= 0 and winner >= 0 and winner != label:
                         chosen[row, column], is_settled = winner, False
                         is_next[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True

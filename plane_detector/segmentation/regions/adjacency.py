@@ -14,6 +14,10 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes, squared_erro
 
 # derived: cells this far apart still touch, as between them may lie one that straddles the border.
 BORDER_REACH_CELLS = 2
+# derived: one normal deviate in 370 is larger.
+MAX_DEVIATIONS = 3.0
+# derived: four cells for the three terms of a plane.
+MIN_PLANE_CELLS = 4
 # derived: one pair of cells may touch by chance.
 MIN_BORDER_PAIRS = 2
 # The mean of chi-squared of either piece about a joint plane is 1 if they are coplanar.

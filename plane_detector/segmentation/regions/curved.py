@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.segmentation.cells.grid import D
 from plane_detector.segmentation.cells.labels import remove_regions
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.regions.adjacency import (
+    MAX_DEVIATIONS,
+    MIN_PLANE_CELLS,
     RegionAdjacency,
     find_adjacency,
     sum_up_regions,
@@ -35,15 +35,13 @@ from plane_detector.segmentation.regions.quadrics import (
     sum_up_quadrics,
 )
 
-# derived: nine cells for the six terms of a quadric, four for the three of a plane.
-MIN_QUADRIC_CELLS, MIN_PLANE_CELLS = 9, 4
+# derived: nine cells for the six terms of a quadric.
+MIN_QUADRIC_CELLS = 9
 # Threshold of the F-statistic: improvement of the fit by the quadric over the noise.
 # tuned: evaluation.benchmark curved; flat from 5 to 15.
 MIN_F = 8.0
 # tuned: evaluation.benchmark curved, rooms; flat from 1 to 4.
 MIN_TURN_DEG = 2.0
-# A region a few cells wide that turns by the angle above deviates by more than this.
-MIN_RELATIVE_RMS = 1e-5
 # derived: rounding in float32, relative to the disparity.
 ROUNDING = 1e-6
 # derived: a uniform spread is this many standard deviations wide.
@@ -52,8 +50,6 @@ WIDTH_PER_DEVIATION = 12**0.5
 # they are two planes with an edge.
 # tuned: evaluation.benchmark curved, rooms; flat from 6 to 12, from 60 to 80.
 MIN_FOLD_DEG, MAX_FOLD_DEG = 10.0, 70.0
-# derived: a curved surface does not jump.
-MAX_GAP_DEVIATIONS = 3.0
 # One plane fits worse than the quadric by this many variances: strong bends, and weak ones.
 # tuned: evaluation.benchmark curved; flat from 0.7 to 1.5, half of it for the weak ones.
 HIGH_THRESHOLD, LOW_THRESHOLD = 1.0, 0.5
@@ -84,12 +80,9 @@ def remove_curved(cells: WeightedCells, regions: PlaneRegions,
     if not len(regions.coefficients):
         return regions
     sums = sum_up_regions(cells, regions)
-    error = squared_errors(regions.coefficients, sums.moments)
-    relative = error * sums.count / sums.moments[:, D] ** 2
     mean = sums.moments[:, [1, 2, 6]] / sums.count[:, None]
-    curved = ((sums.count >= MIN_QUADRIC_CELLS) & (relative > MIN_RELATIVE_RMS**2)
-              & _is_curved(quadric_products(cells, regions.labels, mean), mean[:, 2],
-                            noise_density))
+    curved = (sums.count >= MIN_QUADRIC_CELLS) & _is_curved(
+        quadric_products(cells, regions.labels, mean), mean[:, 2], noise_density)
     if not curved.any():
         return regions
     return PlaneRegions(*remove_regions(regions.labels, regions.coefficients,
@@ -142,7 +135,7 @@ def _may_be_curved(cells: WeightedCells, regions: PlaneRegions, adjacency: Regio
     count = np.bincount(labels, minlength=len(regions.coefficients))
     fold_deg, gap = folds(cells, regions, adjacency)
     return ((np.minimum(count[adjacency.first], count[adjacency.second]) >= MIN_PLANE_CELLS)
-            & (gap < MAX_GAP_DEVIATIONS) & (fold_deg < MAX_FOLD_DEG)
+            & (gap < MAX_DEVIATIONS) & (fold_deg < MAX_FOLD_DEG)
             & (fold_deg > (MIN_TURN_DEG if kind is DepthKind.EXACT else MIN_FOLD_DEG)))
 
 

@@ -22,6 +22,7 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells,
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import fit_planes
+from plane_detector.segmentation.regions.adjacency import MAX_DEVIATIONS
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 
 # Blocks of pixels along the side of a cell.
@@ -36,8 +37,6 @@ LOW_THRESHOLD, HIGH_THRESHOLD = 1.7, 4.0
 # A piece differs from the rest of its region by this many deviations of smooth noise.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_OFFSET_DEVIATIONS = 0.5
-# Residuals are clipped at this many deviations, so that outliers do not hide the steps.
-MAX_RESIDUAL = 6.0
 
 
 def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions,
@@ -83,7 +82,7 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
 def _residual(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions,
               noise: Noise) -> tuple[np.ndarray, np.ndarray]:
     """Return the residual of each block to its region's plane, and the region, -1 none."""
-    grid, limit = cells.grid, MAX_RESIDUAL * np.hypot(noise.mean_sigma, noise.pixel_sigma)
+    grid, limit = cells.grid, MAX_DEVIATIONS * np.hypot(noise.mean_sigma, noise.pixel_sigma)
     frame = np.array([grid.width_px, *grid.origin, limit])
     return _block_residuals(image.values, image.valid, np.ascontiguousarray(regions.labels),
                             regions.coefficients, grid.size_px, frame)

@@ -21,6 +21,7 @@ from plane_detector.segmentation.cells.model import (
     chi_squared,
     fit_regions,
 )
+from plane_detector.segmentation.regions.adjacency import BORDER_REACH_CELLS as REACH_CELLS
 from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
 
 # derived: later sweeps change next to no cell.
@@ -34,8 +35,6 @@ OUTLIER_COST = 1.6
 # What one neighbour's agreement is worth, in units of chi-squared.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 POTTS_WEIGHT = 1.5
-# A plane competes for cells up to this many cells away from its own.
-REACH_CELLS = 2
 
 
 def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: float,

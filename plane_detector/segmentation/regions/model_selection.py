@@ -17,6 +17,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
+from plane_detector.segmentation.regions.adjacency import MIN_PLANE_CELLS
 
 # Cells up to this far from the other region are used.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
@@ -24,8 +25,6 @@ REACH_CELLS = 3
 # Most cells used, nearest to the border first.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 MAX_CELLS = 256
-# A region of fewer cells is not tested.
-MIN_CELLS = 4
 # Twice the gain in log-likelihood that blurred noise hardly ever reaches, times its power, 2:
 # rougher noise contains more edges.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
@@ -60,7 +59,7 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
         return False
     pair = np.array([first, second])
     cell, is_small, is_cut = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
-    if min(np.count_nonzero(is_small), np.count_nonzero(~is_small)) < MIN_CELLS:
+    if min(np.count_nonzero(is_small), np.count_nonzero(~is_small)) < MIN_PLANE_CELLS:
         return False
     gain = _gain(cells.table, cell, is_small, is_cut, correlation.table(cells.grid.shape))
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)

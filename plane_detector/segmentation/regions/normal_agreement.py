@@ -14,12 +14,8 @@ import numpy as np
 
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.normal_slopes import LEAST_ANGLE_RAD
+from plane_detector.segmentation.regions.adjacency import MAX_DEVIATIONS, MIN_PLANE_CELLS
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
-
-# derived: 3 sigma; normal deviates in two dimensions are farther off once in 90.
-MAX_DEVIATIONS = 3.0
-# derived: with fewer the spread is not known.
-MIN_CELLS = 4
 
 
 def normals_differ(cells: WeightedCells, regions: PlaneRegions, first: np.ndarray,
@@ -53,5 +49,5 @@ def normals_differ(cells: WeightedCells, regions: PlaneRegions, first: np.ndarra
     least = LEAST_ANGLE_RAD * disparity[:, 0] / TYPICAL_FOCAL_SHARE
     variance = (square - mean**2).clip(0).mean(axis=1) + least**2
     apart = ((mean[first] - mean[second]) ** 2).sum(axis=1)
-    is_known = np.minimum(number[first], number[second]) >= MIN_CELLS
+    is_known = np.minimum(number[first], number[second]) >= MIN_PLANE_CELLS
     return is_known & (apart > MAX_DEVIATIONS**2 * (variance[first] + variance[second]))

@@ -15,14 +15,12 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, has_no_depth
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.regions.adjacency import joint_misfit, merge
+from plane_detector.segmentation.regions.adjacency import MAX_DEVIATIONS, joint_misfit, merge
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.normal_agreement import normals_differ
 
 # derived: as many as cells along the longer side of a piece, about.
 SIGHT_LINES, SAMPLES_PER_LINE = 24, 24
-# derived: one cell in 700 of their plane looks farther by chance.
-FARTHER_DEVIATIONS = 3.0
 # Of the cells between two pieces no more than this share may be farther than their plane.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 MAX_SEEN_THROUGH = 0.2
@@ -94,5 +92,5 @@ def _is_hidden_between(labels, table, is_planar, plane, pair):
             if is_planar[i]:  # a cell that straddles an edge is neither nearer nor farther
                 tested += 1
                 expected = plane[0] * table[i, 0] + plane[1] * table[i, 1] + plane[2]
-                farther += expected - table[i, 2] > FARTHER_DEVIATIONS / np.sqrt(table[i, 5])
+                farther += expected - table[i, 2] > MAX_DEVIATIONS / np.sqrt(table[i, 5])
     return between > 0 and farther <= MAX_SEEN_THROUGH * tested
