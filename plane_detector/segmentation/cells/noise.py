@@ -166,6 +166,8 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times.
     mean_sigma = _quantile(curvature) / NORMAL_QUANTILE / 6**0.5
     slope_sigma = (_quantile(bend) / CHI_SQUARED_QUANTILE / 2) ** 0.5
+    # Over the cells of a second difference no noise adds up to more than its slopes; a step does.
+    mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
     pixel_sigma = _quantile(grid.inner_rms[grid.usable]) / _inner_rms_quantile(grid.size_px**2 - 3)
     return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma),
                                   grid.sparsity[grid.usable])
