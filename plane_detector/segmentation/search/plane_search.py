@@ -74,15 +74,17 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
     noise = _start_noise(search.grid, noise_floor)
     cells = weigh_cells(search.grid, noise)
     start = _components(search, cells, noise)
-    ransac, most = _begin(search, cells, start), search.config.segmentation.max_planes
+    by_components, most = start is not None, search.config.segmentation.max_planes
     for _ in range(CALIBRATION_ROUNDS):
+        ransac = _begin(search, cells, start)
         largest = ransac.find(min(CALIBRATION_PLANES, most))
         shown = noise_from_planes(cells, largest, noise)
         if has_converged(cells, noise, shown):
             break
         noise, cells = shown, weigh_cells(search.grid, shown)
-        ransac = (ransac.reweighed(cells) if start is None
-                  else _begin(search, cells, _planar_components(search, cells)))
+        start = _planar_components(search, cells) if by_components else None
+    else:
+        ransac = _begin(search, cells, start)
     return cells, ransac.find(most), noise
 
 

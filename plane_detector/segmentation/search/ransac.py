@@ -66,15 +66,6 @@ class SequentialRansac:
         self._drawn, self._is_exhausted = 0, False
         self._batch: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
-    def reweighed(self, cells: WeightedCells) -> SequentialRansac:
-        """Return a search on the same cells with other weights; its first planes are these."""
-        other = SequentialRansac(cells, self._min_pixels, self._config, self._near, self._rng)
-        seeds, pixels = _seeds_and_pixels(self._labels, cells.grid.moments, len(self._planes))
-        other._batch, other._before_batch = (self._planes.copy(), seeds, pixels), 0
-        other._peel(len(self._planes))
-        other._batch = None
-        return other
-
     def find(self, most: int) -> PlaneRegions:
         """Return all planes found so far, at most ``most``; a later call continues the search."""
         while len(self._planes) < most and not self._is_exhausted:
@@ -119,17 +110,6 @@ class SequentialRansac:
                       self._free.reshape(cells.grid.shape), self._labels,
                       (self._near.offsets, self._near.min_samples))
         self._planes = np.vstack([self._planes, found])
-
-
-@kernel('Tuple((int64[::1], float32[::1]))(int32[::1], float64[:, ::1], int64)')
-def _seeds_and_pixels(labels, moments, count):
-    """Return a cell of each plane and the number of its pixels."""
-    seeds, pixels = np.zeros(count, np.int64), np.zeros(count, np.float32)
-    for i in range(len(labels)):
-        if labels[i] >= 0:
-            seeds[labels[i]] = i
-            pixels[labels[i]] += moments[i, 0]
-    return seeds, pixels
 
 
 @kernel('Tuple((float64[:, ::1], int64[::1]))'

@@ -9,11 +9,8 @@ from cell_helpers import EXACT, best_iou, disparity_image, view, wall
 from plane_detector.config import Config, SegmentationConfig
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.segmentation.cells.grid import build_cell_grid
-from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.search import plane_search as search
-from plane_detector.segmentation.search.dbscan import neighbourhood
-from plane_detector.segmentation.search.ransac import SequentialRansac
 
 ROOMS = (3, 7, 11)
 CONFIG = Config()
@@ -130,20 +127,3 @@ def test_slight_noise_is_estimated_too(room, seed, sigma):
     _, _, noise = found(noisy_m)
     assert sigma * PART / 1.5 < noise.mean_sigma < sigma * PART * 1.5
     assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
-
-
-def test_planes_are_grown_again_with_other_weights(room):
-    depth_m = with_disparity_noise(room(3).depth_m, 0.004, np.random.default_rng(3))
-    grid = build_cell_grid(disparity_image(depth_m))
-    noise = Noise(EXACT.depth_floor_m, mean_sigma=0.0014, slope_sigma=0.14, pixel_sigma=0.0028)
-    near = neighbourhood(CONFIG.dbscan)
-    strict = SequentialRansac(weigh_cells(grid, noise), 600, CONFIG.ransac, near,
-                              np.random.default_rng(0))
-    before = strict.find(3)
-    after = strict.reweighed(weigh_cells(grid, noise.with_smooth_part(0.0028, 0.14))).find(3)
-    for k in range(3):
-        cells, more = before.labels == k, after.labels[before.labels == k]
-        label = np.bincount(more[more >= 0]).argmax()
-        assert (more == label).sum() > 0.9 * cells.sum()
-        np.testing.assert_allclose(after.coefficients[label], before.coefficients[k], atol=0.01)
-    assert (after.labels >= 0).sum() > (before.labels >= 0).sum()
