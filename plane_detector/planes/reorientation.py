@@ -10,7 +10,6 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.directions.finder import ImageDirections
-from plane_detector.planes.axis_labelling import Hypotheses, label_along_axes
 from plane_detector.planes.line_evidence import collect_evidence
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import orient_planes
@@ -23,11 +22,6 @@ from plane_detector.types import CameraIntrinsics, Plane
 # radians and by this share of it, at most.
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 0.1 to 0.15.
 SAME_NORMAL_DEG, OFFSET_PER_RAD, MAX_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.5, 0.1, 5
-
-# Networks whose normals are better than this found the planes themselves.
-# tuned: as above, and hexagonal rooms with smooth errors of 8 degrees: 3.5 degrees if labelled
-# anew, 1.2 if not; fastdepth is off by 12 to 19.
-MIN_SIGMA_RAD = np.radians(10.0)
 
 
 def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
@@ -56,15 +50,12 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
     if lines is None or not len(lines.axes) or not planes:
         return planes, labels
-    turned, sigma_rad = reorient(replace(regions, labels=labels), planes, lines, intrinsics)
-    if len(lines.axes) > 1 and sigma_rad > MIN_SIGMA_RAD:
-        others = _across_none(turned, lines.axes, intrinsics)
-        turned = label_along_axes(turned, lines.axes, others, intrinsics)
+    turned = reorient(replace(regions, labels=labels), planes, lines, intrinsics)
     return measure_planes(turned, intrinsics, min_pixels)
 
 
 def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirections,
-             intrinsics: CameraIntrinsics) -> tuple[PixelRegions, float]:
+             intrinsics: CameraIntrinsics) -> PixelRegions:
     """
     Turn regions to their most likely orientation, and join those that are then one plane.
 
@@ -80,10 +71,8 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
 
     Returns
     -------
-    regions : PixelRegions
+    PixelRegions
         One region per plane; those joined to another have no pixels.
-    sigma_rad : float
-        Error of the network's normals, mean over the pixels.
 
     """
     evidence = collect_evidence(lines.segments, lines.all_axes, regions.labels, len(planes))
@@ -101,19 +90,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     grown = np.isfinite(again) & (np.bincount(group, minlength=len(group)) > 1)
     offsets[grown] = again[grown]
     coefficients = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T)
-    sigma_rad = np.average(found.sigmas_rad, weights=[plane.inlier_count for plane in planes])
-    return replace(joined, coefficients=coefficients.T), float(sigma_rad)
-
-
-def _across_none(regions: PixelRegions, axes: np.ndarray,
-                 intrinsics: CameraIntrinsics) -> Hypotheses:
-    """Return the planes of the regions that lie across none of the axes."""
-    seen = np.unique(regions.labels[regions.labels >= 0])
-    ray_planes = -regions.coefficients[seen] @ ray_plane_jacobian(intrinsics).T
-    length = np.linalg.norm(ray_planes, axis=1)
-    normals = ray_planes / length[:, None]
-    apart = np.abs(normals @ axes.T).max(1) < np.cos(np.radians(SAME_NORMAL_DEG))
-    return Hypotheses(normals[apart], -np.log(length[apart]))
+    return replace(joined, coefficients=coefficients.T)
 
 
 def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigmas_rad: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ def before_and_after(make, seed, sigma):
                       np.random.default_rng(0))
     planes, labels = measure_planes(regions, scene.intrinsics, 1000)
     lines = find_in_image(scene.rgb, scene.intrinsics, np.random.default_rng(0))
-    turned, _ = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
+    turned = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
     return scene, (planes, labels), measure_planes(turned, scene.intrinsics, 1000)
 
 
