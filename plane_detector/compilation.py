@@ -45,6 +45,11 @@ class Kernel:
         self.subject = function.__module__.split('.')[1]
         _KERNELS.append(self)
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether this process has its machine code already."""
+        return self._compiled is not None
+
     def __call__(self, *arguments: Any) -> Any:
         """Run the machine code."""
         return (self._compiled or self.compiled())(*arguments)
@@ -89,8 +94,8 @@ def compile_kernels(subject: str, on_compiling: Callable[[], None] = lambda: Non
 
     """
     is_told = False
-    for one in list(_KERNELS):
-        if one.subject == subject and one.compiled().stats.cache_misses and not is_told:
+    for one in [one for one in _KERNELS if one.subject == subject and not one.is_ready]:
+        if one.compiled().stats.cache_misses and not is_told:
             is_told = True
             on_compiling()
 

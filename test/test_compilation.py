@@ -39,7 +39,8 @@ def test_compiling_is_told_when_code_is_missing_not_when_it_is_loaded(tmp_path, 
         kernels = [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
         for one in kernels:
             one.subject = 'segmentation'
-        compilation.compile_kernels('segmentation', lambda: told.append('compiling'))
+        for _ in range(2):  # what this process compiled a moment ago is ready the second time
+            compilation.compile_kernels('segmentation', lambda: told.append('compiling'))
         assert told == expected
     assert kernels[1](3) == 6
 

@@ -22,6 +22,13 @@ def room():
     return small_room()
 
 
+@pytest.fixture
+def robot(robot, monkeypatch):
+    """Return it with statuses a second apart: each warns of what came since the one before."""
+    monkeypatch.setattr('plane_detector.ros.diagnostics._PERIOD_S', 1.0)
+    return robot
+
+
 def test_frames_before_the_first_camera_info_are_dropped_with_a_warning(robot, room):
     start(robot, lambda rgb: room.depth_m)
     for index in range(3):
