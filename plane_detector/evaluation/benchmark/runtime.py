@@ -18,7 +18,8 @@ from tqdm import tqdm
 
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, noisy_depth, room
 from plane_detector.evaluation.benchmark.tables import emit, table
-from plane_detector.evaluation.peers import Method, OpenCv, Ours, Paper
+from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.peers import Method, OpenCv, Ours
 from plane_detector.evaluation.scenes.rooms import (
     VGA,
     Rectangle,
@@ -33,18 +34,18 @@ from plane_detector.types import CameraIntrinsics
 SIZES = ((320, 240), (640, 480), (1280, 720))
 PLANES_A_SIDE = (1, 2, 3, 4, 5)
 SLOW_REPEATS = 3
-_ALL_POINTS = 640 * 480
 _MOSAIC_DISTANCE_M = 3.0
 
 Case = tuple[np.ndarray, CameraIntrinsics]
 
 
-def report_times(methods: Sequence[Method], repeats: int) -> None:
-    """Print the tables of times."""
+def report_times(methods: Sequence[Method], repeats: int, frames: Sequence[Frame]) -> None:
+    """Print the tables of times; the real frames have one if there are any."""
     present = [method for method in methods if not method.absent]
     with one_thread():
         _report_peers(present, repeats)
         _report_noise(present, repeats)
+        _report_real(present, repeats, frames)
         _report_sizes(present, repeats)
         _report_plane_counts(present, repeats)
 
@@ -84,7 +85,6 @@ def median_ms(methods: Sequence[Method], cases: Sequence[Case], repeats: int) ->
 
 def _report_peers(methods: Sequence[Method], repeats: int) -> None:
     scene = room(HELD_OUT)
-    methods = [*methods, *(one for one in [Paper(_ALL_POINTS)] if not one.absent)]
     ms = median_ms(methods, [(scene.depth_m, scene.intrinsics)], repeats)[:, 0]
     emit(f'### Time at 640 x 480, one thread, clean room {HELD_OUT}',
          table(('method', 'median (ms)', 'times ours'),
@@ -102,11 +102,25 @@ def _quick(methods: Sequence[Method]) -> list[Method]:
 def _report_noise(methods: Sequence[Method], repeats: int) -> None:
     seeds = range(HELD_OUT, HELD_OUT + 5)
     rows = []
-    for sigma in (0.0, 0.004, 0.01):
+    for sigma in (0.0, 0.0001, 0.0003, 0.001, 0.004, 0.01):
         cases = [(noisy_depth(room(seed), sigma, seed), VGA) for seed in seeds]
         rows.append([f'{sigma:g}', *_cells(median_ms(_quick(methods), cases, repeats))])
     emit(f'### Time by noise, 640 x 480, rooms {seeds[0]} to {seeds[-1]}',
          table(_header('noise (1/m)', methods), rows))
+
+
+def _report_real(methods: Sequence[Method], repeats: int, frames: Sequence[Frame]) -> None:
+    rows = []
+    for name in dict.fromkeys(frame.set_name for frame in frames):
+        cases = [(frame.depth_m, frame.intrinsics) for frame in frames if frame.set_name == name]
+        ms = median_ms(_quick(methods), cases, repeats)
+        rows.append([name, str(len(cases)), f'{np.median(ms[0]):.1f}', f'{ms[0].max():.1f}',
+                     *(f'{np.median(one):.1f}' for one in ms[1:]),
+                     *(f'{np.median(one) / np.median(ms[0]):.2f}' for one in ms[1:])])
+    if rows:
+        first, ours, *others = _header('frames', methods)
+        emit('### Time on real frames, depth of the sensor',
+             table([first, 'number', f'{ours}, median', 'worst', *others], rows))
 
 
 def _report_sizes(methods: Sequence[Method], repeats: int) -> None:

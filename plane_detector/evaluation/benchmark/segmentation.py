@@ -26,6 +26,7 @@ from plane_detector.evaluation.benchmark.real_images import (
 )
 from plane_detector.evaluation.benchmark.rooms import report_rooms, room, room_sets
 from plane_detector.evaluation.benchmark.runtime import report_times
+from plane_detector.evaluation.datasets import frames
 from plane_detector.evaluation.peers import all_methods
 
 SECTIONS = ('rooms', 'living', 'curved', 'living_room', 'real', 'time')
@@ -75,4 +76,5 @@ def run(options: argparse.Namespace) -> None:
         if 'real' in options.only:
             report_real(found, options.model, options.output)
     if 'time' in options.only:
-        report_times(methods, options.repeats)
+        have_data = options.data.is_dir()
+        report_times(methods, options.repeats, list(frames(options.data)) if have_data else [])

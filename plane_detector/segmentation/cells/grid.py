@@ -24,8 +24,7 @@ from plane_detector.geometry.robust import median
 CELLS_PER_IMAGE = 4800
 # A few lidar lines determine the plane of a cell, one line does not.
 # tuned: on rooms and sparse lidar; compiled in, so their ranges were not swept.
-MIN_VALID_SHARE = 0.15
-MIN_SPREAD = 0.01
+MIN_VALID_SHARE, MIN_SPREAD = 0.15, 0.01
 # Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.
 N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
 

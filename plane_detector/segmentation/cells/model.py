@@ -16,7 +16,7 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_INNER_VARIANCES = 4.0
-# Cells without depth have no variance at all.
+# derived: cells without depth have no variance at all; any number above 0 will do.
 MIN_VARIANCE = 1e-30
 # Rounding error of float32 sums, as a share of the variance that the slope causes in a cell.
 # derived: from the precision of float32, 1e-7, and some ten additions.

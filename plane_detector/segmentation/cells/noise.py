@@ -31,6 +31,7 @@ NORMAL_QUANTILE, CHI_SQUARED_QUANTILE = 0.3186, 0.5754
 # Disparity counts as quantised if it takes few, evenly spaced values that neighbours share.
 # tuned: on rooms rounded to 0.003 1/m; the ranges were not swept there.
 ROUNDING_LINES = 4
+# tuned: as above.
 MIN_VALUES, MAX_VALUES_SHARE, MIN_EVEN_SHARE, MIN_EQUAL_SHARE = 8, 0.3, 0.5, 0.2
 # Noise specified for a network tilts cells by about this much per unit of image width.
 # tuned: on networks; the range was not swept there.

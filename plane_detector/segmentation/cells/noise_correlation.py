@@ -26,7 +26,9 @@ MIN_REGION_CELLS = 100
 MAX_RESIDUAL = 3.0
 # derived: what differs from cell to cell is at least next to none and at most next to all.
 LEAST_SHARE = 1e-3
+# derived: likewise, of neighbouring cells.
 CORRELATION_RANGE = (0.02, 0.98)
+# derived: about 1, exponential, and 2, Gaussian.
 POWER_RANGE = (0.5, 2.0)
 # derived: noise that is alike over more of the image is a bend of it.
 MAX_LAG_CELLS = 20

@@ -30,7 +30,7 @@ LEAST_ANGLE_RAD = np.radians(2.0)
 SLOPE_PER_NOISE = 2.0
 # derived: of chi-squared with 2 degrees of freedom.
 CHI_SQUARED_MEDIAN = 1.386
-# Cosine between ray and normal below which a plane is seen edge-on.
+# derived: at 89 degrees between ray and normal a plane is seen edge-on.
 MIN_COSINE = 0.02
 
 

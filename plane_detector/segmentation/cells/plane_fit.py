@@ -10,7 +10,8 @@ from plane_detector.compilation import kernel
 
 # derived: pixels on a line have no plane; wider than a thousandth of their length they have.
 MIN_WIDTH_SQUARED = 1e-6
-# Relative size below which an eigenvalue counts as zero: too few cells for the fit.
+# derived: far above float64's rounding. A smaller eigenvalue, relative to the largest one,
+# counts as zero: too few cells for the fit.
 LEAST_EIGENVALUE = 1e-10
 
 

@@ -20,6 +20,7 @@ from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.regions.adjacency import RegionAdjacency, sum_up_regions
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
+# derived: coefficients of a plane and of a quadric over the image.
 PLANE_TERMS, QUADRIC_TERMS = 3, 6
 
 

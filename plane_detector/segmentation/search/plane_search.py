@@ -30,14 +30,14 @@ from plane_detector.segmentation.search.noise_from_planes import (
 from plane_detector.segmentation.search.ransac import SequentialRansac
 
 # Too high a start hides planes; too low a start is corrected from the planes.
-# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
+# tuned: benchmark sensitivity; 1.0 doubles what is taken for planes of curved things at 0.01.
 START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES, CALIBRATION_ROUNDS = 3, 5
 # derived: most of the depth. Components are the planes when so much of it lies on planar ones.
 MIN_COMPONENT_SHARE = 0.5
-# Focal length of a common lens over the image width, for angles where the camera is unknown.
+# derived: of a lens of 64 degrees, over the image width; for angles where the camera is unknown.
 TYPICAL_FOCAL_SHARE = 0.8
 # derived: the tangent of 30 degrees; neighbours on planes at this angle must not link.
 MIN_CREASE_SLOPE = 0.577

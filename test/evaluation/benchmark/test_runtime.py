@@ -8,6 +8,7 @@ import pytest
 
 from plane_detector.evaluation import peers
 from plane_detector.evaluation.benchmark import runtime
+from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.threads import one_thread
 from plane_detector.types import CameraIntrinsics
@@ -28,6 +29,19 @@ def test_times_are_taken_of_every_method_and_case():
     ms = runtime.median_ms([peers.Ours()], [case, case], repeats=2)
     assert ms.shape == (1, 2)
     assert (ms > 0).all()
+
+
+def test_every_table_is_printed_and_frames_have_one(monkeypatch, capsys):
+    monkeypatch.setattr(runtime, 'room', lambda seed: WALL)
+    monkeypatch.setattr(runtime, 'VGA', SMALL)
+    monkeypatch.setattr(runtime, 'mosaic', lambda side: WALL)
+    monkeypatch.setattr(runtime, 'SIZES', ((160, 120),))
+    frame = Frame('a_set', 'one', WALL.rgb, WALL.depth_m, SMALL)
+    runtime.report_times([peers.Ours(), peers.OpenCv(0.03)], 1, [frame])
+    titles = [line for line in capsys.readouterr().out.splitlines() if line.startswith('### ')]
+    assert [title.split(',')[0] for title in titles] == [
+        '### Time at 640 x 480', '### Time by noise', '### Time on real frames',
+        '### Time by resolution', '### Time by number of planes']
 
 
 def test_one_thread_is_put_back():
