@@ -55,11 +55,12 @@ def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> Disparity
     width = np.linalg.eigvalsh(products)[:, 0] / count
     kept = np.flatnonzero((pixels >= MIN_PIXELS) & (width > MIN_RAY_VARIANCE))
     correlated_px = max((CORRELATION_SHARE * regions.grid.width_px) ** 2, 1.0)
-    information = products / (correlated_px * _variances(regions, moments)[:, None, None])
+    variances = _variances(regions, moments)[kept]
     # The cells that lie on the border of the region tell as much for each pixel.
-    information *= (pixels / count)[:, None, None]
+    tells = (pixels / count)[kept] / (correlated_px * variances)
+    information = products[kept] * tells[:, None, None]
     middle = moments[:, [X, Y, N]] / count[:, None] @ to_rays.T
-    return DisparityPlanes(regions.coefficients[kept] @ jacobian.T, information[kept],
+    return DisparityPlanes(regions.coefficients[kept] @ jacobian.T, information,
                            middle[kept, :2], pixels[kept] / max(pixels[kept].sum(), 1.0), kept)
 
 
