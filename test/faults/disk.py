@@ -22,7 +22,7 @@ from plane_detector.evaluation.scenes.rooms import random_room
 COMMAND = [sys.executable, '-m', 'plane_detector.tools.replay']
 PLANES = '/plane_detector/planes'
 SCENES, REPEATS = 4, 60
-FULL_BYTES = 10_000_000
+FULL_BYTES = 20_000_000
 
 
 def replays(folder: Path) -> list[Row]:

@@ -135,7 +135,8 @@ class CommittingWriter(Writer):
         except (OSError, sqlite3.Error) as error:
             self.storage.discard()
             counts, self.min_timestamp, self.max_timestamp = self._sound
-            self.counts = dict(counts)
+            # Topics that came since then keep their entry, which closing asks for.
+            self.counts = dict.fromkeys(self.counts, 0) | counts
             raise OSError(f'{self.path} cannot be written: {error}') from error
         self._remember()
 

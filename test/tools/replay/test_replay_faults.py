@@ -173,6 +173,17 @@ def test_a_full_disk_leaves_the_frames_before(bag, tmp_path, storage):
     assert done == [0.0, 0.1, 0.2][:len(done)]
 
 
+@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
+def test_a_disk_too_full_for_the_first_frame_is_told_in_a_line(bag, tmp_path, storage):
+    run = subprocess.run(
+        [sys.executable, '-m', 'plane_detector.tools.replay', str(bag), str(tmp_path / 'planes'),
+         '--storage', storage], cwd=ROOT, capture_output=True, text=True, timeout=120,
+        preexec_fn=limit_file_size(1_200_000))
+    assert run.returncode == 1, run.stdout + run.stderr
+    assert 'Traceback' not in run.stderr
+    assert 'cannot be written: ' in run.stderr.splitlines()[-1]
+
+
 def test_figures_into_a_place_that_cannot_be_written(bag, replay, tmp_path):
     (tmp_path / 'file').write_text('')
     for place in (tmp_path / 'file', tmp_path / 'file' / 'folder', Path('/proc/figures')):
