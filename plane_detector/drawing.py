@@ -121,8 +121,8 @@ def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = No
     return result
 
 
-def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics, down_camera: np.ndarray | None,
-                    horizontal_axes: np.ndarray) -> np.ndarray:
+def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics,
+                    gravity_camera: np.ndarray | None, horizontal_axes: np.ndarray) -> np.ndarray:
     """
     Return the image with the horizon, and strokes towards the vanishing points of the axes.
 
@@ -132,7 +132,7 @@ def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics, down_camera: 
         It is not changed.
     intrinsics : CameraIntrinsics
         Of the image.
-    down_camera : (3,) float64 or None
+    gravity_camera : (3,) float64 or None
         Unit direction of gravity in the optical frame: blue strokes, and the yellow horizon,
         which is the image of all level directions. None: the image is returned as it is.
     horizontal_axes : (A, 3) float64
@@ -140,13 +140,13 @@ def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics, down_camera: 
 
     """
     drawn = rgb.copy()
-    if down_camera is None:
+    if gravity_camera is None:
         return drawn
     thickness_px = max(1, round(rgb.shape[0] / 300))
-    ends = _horizon(intrinsics, down_camera)
+    ends = _horizon(intrinsics, gravity_camera)
     if ends is not None:
         cv2.line(drawn, *ends, _HORIZON, thickness_px + 1, cv2.LINE_AA)
-    for direction, colour in zip((down_camera, *horizontal_axes), _AXIS_COLOURS, strict=False):
+    for direction, colour in zip((gravity_camera, *horizontal_axes), _AXIS_COLOURS, strict=False):
         for start, end in _strokes(intrinsics, direction):
             cv2.line(drawn, start, end, colour, thickness_px, cv2.LINE_AA)
     return drawn

@@ -73,7 +73,7 @@ class PlaneDetector:
         self._directions = DirectionFinder(self.config.ransac.seed)
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
-               depth_m: np.ndarray | None = None, down_camera: np.ndarray | None = None,
+               depth_m: np.ndarray | None = None, gravity_camera: np.ndarray | None = None,
                covered: np.ndarray | None = None) -> Detection:
         """
         Find the planes of an image.
@@ -87,7 +87,7 @@ class PlaneDetector:
         depth_m : (H, W) floating, optional
             Measured depth of the same image, NaN invalid. With ``config.depth.source`` ``topic``
             it is segmented, and must be given; with ``model`` it may fix the scale.
-        down_camera : (3,) floating, optional
+        gravity_camera : (3,) floating, optional
             Measured direction of gravity; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
             Where the image shows something: rectification leaves corners black.
@@ -102,7 +102,7 @@ class PlaneDetector:
             Image, depth and intrinsics do not fit together.
 
         """
-        return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), down_camera)
+        return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), gravity_camera)
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                 depth_m: np.ndarray | None = None,
@@ -121,7 +121,7 @@ class PlaneDetector:
             check_depth(seen.prediction.values, intrinsics)
         return replace(seen, depth_seconds=stages.seconds['depth'])
 
-    def find_planes(self, seen: Observation, down_camera: np.ndarray | None = None,
+    def find_planes(self, seen: Observation, gravity_camera: np.ndarray | None = None,
                     camera_height_m: float | None = None) -> Detection:
         """Take the second half of :meth:`detect`: the planes of an image with depth."""
         config, stages = seen.config.with_camera_height(camera_height_m), StageTimer()
@@ -129,7 +129,7 @@ class PlaneDetector:
         with stages('directions'):
             # 1. Gravity, and the lines of the image where they are of use.
             turns = config.directions.orient_planes and not seen.is_measured
-            around = self._directions.look(seen.rgb, seen.intrinsics, seen.covered, down_camera,
+            around = self._directions.look(seen.rgb, seen.intrinsics, seen.covered, gravity_camera,
                                            config, needs_lines=turns)
         with stages('segmentation'):
             # 2. The pixels of each plane, in the unit of the prediction.
@@ -158,7 +158,7 @@ class PlaneDetector:
                          scale_method=scale.unit_method, scale_note=str(scale),
                          scale_event=self._scale.event, classes=classes, shapes=shapes,
                          track_labels=track_labels, shape_labels=shape_labels,
-                         down_camera=around.gravity.down_camera,
+                         gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
                          horizontal_axes=around.level_axes, stage_seconds=stages.seconds)
 
@@ -271,7 +271,7 @@ def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRe
     """Return what fixes the unit of this image, given those before."""
     evidence = ScaleEvidence(
         seen.disparity, ray_planes(regions, seen.intrinsics), seen.output, seen.is_measured,
-        around.gravity.down_camera, around.gravity.tolerance_deg, around.level_axes,
+        around.gravity.gravity_camera, around.gravity.tolerance_deg, around.level_axes,
         seen.sensor_depth_m)
     return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
 

@@ -273,7 +273,7 @@ class Detection(PlaneSegmentation):
         Largest first; with N planes, ``labels`` are N + i where shape i is.
     shape_labels : tuple of int
         Label of each shape, above 0 and the same from image to image; empty when not tracked.
-    down_camera : (3,) float64 or None
+    gravity_camera : (3,) float64 or None
         Direction of gravity in the optical frame that the classes are by; None where unknown.
     gravity_source : str
         ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
@@ -293,7 +293,7 @@ class Detection(PlaneSegmentation):
     scale_event: str = ''
     shapes: tuple[Shape, ...] = ()
     shape_labels: tuple[int, ...] = ()
-    down_camera: np.ndarray | None = None
+    gravity_camera: np.ndarray | None = None
     gravity_source: str = 'none'
     gravity_note: str = ''
     horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))

@@ -164,6 +164,6 @@ def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, scale):
 
 
 def test_classes_without_a_unit_are_told_all_the_same(robot):
-    run(robot, ROOM, scale__gravity=ROOM.down_camera.tolist())
+    run(robot, ROOM, scale__gravity=ROOM.gravity_camera.tolist())
     kinds = {kind.name.lower() for kind in (PlaneClass.FLOOR, PlaneClass.WALL)}
     assert any(kind in text for text in captions(robot) for kind in kinds)

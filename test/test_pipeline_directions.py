@@ -16,7 +16,7 @@ from plane_detector.planes.classification import PlaneClass
 CAMERA = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 SCENE = textured(random_room, 300, CAMERA)
 WRONG_M = with_disparity_noise(SCENE.depth_m, 0.02, np.random.default_rng(0), 0.998, 90.0)
-GIVEN = ScaleConfig(gravity=tuple(SCENE.down_camera))
+GIVEN = ScaleConfig(gravity=tuple(SCENE.gravity_camera))
 OFF = DirectionsConfig(gravity=False, orient_planes=False)
 
 
@@ -43,13 +43,13 @@ def same_planes(first, second):
 def test_classes_need_nothing_but_the_image():
     found = detect()
     assert found.gravity_source == 'image'
-    assert np.degrees(np.arccos(found.down_camera @ SCENE.down_camera)) < 0.3
+    assert np.degrees(np.arccos(found.gravity_camera @ SCENE.gravity_camera)) < 0.3
     assert {PlaneClass.FLOOR, PlaneClass.WALL} <= set(found.classes)
     assert found.horizontal_axes.shape == (2, 3)
 
 
 @pytest.mark.parametrize(('scale', 'measured', 'source'), [
-    (GIVEN, {}, 'parameter'), (GIVEN, {'down_camera': SCENE.down_camera}, 'measured')])
+    (GIVEN, {}, 'parameter'), (GIVEN, {'gravity_camera': SCENE.gravity_camera}, 'measured')])
 def test_the_image_comes_last(scale, measured, source):
     assert detect(Config(scale=scale), **measured).gravity_source == source
 
@@ -69,7 +69,7 @@ def test_switched_off_nothing_is_looked_for():
 
 def test_floors_and_walls_of_a_network_are_turned_upright():
     def worst_deg(found):
-        level = [p.normal @ SCENE.down_camera for p, kind in zip(found.planes, found.classes,
+        level = [p.normal @ SCENE.gravity_camera for p, kind in zip(found.planes, found.classes,
                                                                 strict=True)
                  if kind == PlaneClass.FLOOR]
         return np.degrees(np.arccos(np.abs(level))).max()

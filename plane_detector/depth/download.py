@@ -33,10 +33,10 @@ ANSWER_TIMEOUT_S = 5.0
 """A host that does not answer within this time counts as out of reach."""
 GRACE_S = 60.0
 """A transfer may be as slow as it likes for this long."""
-LEAST_BYTES_PER_S = 32_000
+MIN_BYTES_PER_S = 32_000
 """
 After the grace, what has come must have come at this rate on the average, so that a file of n
-bytes takes at most ``GRACE_S + n / LEAST_BYTES_PER_S``: 53 minutes for 100 MB.
+bytes takes at most ``GRACE_S + n / MIN_BYTES_PER_S``: 53 minutes for 100 MB.
 """
 STALE_AFTER_S = 3600.0
 """
@@ -132,7 +132,7 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
     ------
     OSError
         The host is out of reach, has no such file, sends more than it should, or the transfer
-        broke off or is slower than `LEAST_BYTES_PER_S`.
+        broke off or is slower than `MIN_BYTES_PER_S`.
 
     """
     host = urllib.parse.urlsplit(url).netloc
@@ -162,7 +162,7 @@ def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[by
         if received_bytes > most_bytes:
             raise OSError('it sends more than the file has')
         elapsed_s = time.monotonic() - start_s
-        if elapsed_s > GRACE_S + received_bytes / LEAST_BYTES_PER_S:
+        if elapsed_s > GRACE_S + received_bytes / MIN_BYTES_PER_S:
             raise TimeoutError(f'it sent {received_bytes} bytes in {elapsed_s:.0f} s, too slow')
         yield chunk
 

@@ -21,12 +21,12 @@ FAR_DEVIATIONS = 3.0
 _SMALL_WIDTH_PX = 160
 # Of a small image with values of 0 to 255.
 _TEXTURE_WINDOW_PX, _MOST_TEXTURE = 5, 6.0
-_LEAST_GREY, _LEAST_BLUE_MINUS_RED = 110.0, 4.0
-_LEAST_SHARE = 0.02  # of the image: less is hardly a plane, and too few pixels for the colours
-_LEAST_FAR_SHARE = 0.6
+_MIN_GREY, _MIN_BLUE_MINUS_RED = 110.0, 4.0
+_MIN_SHARE = 0.02  # of the image: less is hardly a plane, and too few pixels for the colours
+_MIN_FAR_SHARE = 0.6
 # Of blue over red from the upper to the lower tenth of the region. Seen: 0.12 and 0.19 for skies
 # (KITTI, a photograph of a temple), 0.03 to 0.06 for a bluish wall in 60 images of a room.
-_LEAST_WHITENING = 0.09
+_MIN_WHITENING = 0.09
 _MOST_DARKENING = 5.0
 # The white above the horizon is hardly darker than the blue, and hardly redder than blue.
 _HORIZON_DARKER, _HORIZON_REDDER = 15.0, 5.0
@@ -79,11 +79,11 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     size = (_SMALL_WIDTH_PX, max(2, round(height * _SMALL_WIDTH_PX / width)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
     region = _even_region_at_the_top(small)
-    if region.mean() < _LEAST_SHARE or not _whitens_downwards(small, region):
+    if region.mean() < _MIN_SHARE or not _whitens_downwards(small, region):
         return None
     far = cv2.resize(np.nan_to_num(disparity, nan=0.0, posinf=0.0).astype(np.float32), size,
                      interpolation=cv2.INTER_NEAREST)
-    if np.mean(far[region] <= np.median(far)) < _LEAST_FAR_SHARE:
+    if np.mean(far[region] <= np.median(far)) < _MIN_FAR_SHARE:
         return None
     least_grey = float(np.quantile(small[region].mean(axis=-1), 0.1)) - _HORIZON_DARKER
     region = _touching(_is_even(small) & _is_bright(small, least_grey, -_HORIZON_REDDER), region)
@@ -105,7 +105,7 @@ def _is_even(small: np.ndarray) -> np.ndarray:
 
 def _even_region_at_the_top(small: np.ndarray) -> np.ndarray:
     """Return the even, bright and bluish pixels that are connected to the upper border."""
-    candidates = _is_even(small) & _is_bright(small, _LEAST_GREY, _LEAST_BLUE_MINUS_RED)
+    candidates = _is_even(small) & _is_bright(small, _MIN_GREY, _MIN_BLUE_MINUS_RED)
     top = np.zeros_like(candidates)
     top[0] = candidates[0]
     return _touching(candidates, top)
@@ -125,5 +125,5 @@ def _whitens_downwards(small: np.ndarray, region: np.ndarray) -> bool:
         rows <= np.quantile(rows, 0.1), rows >= np.quantile(rows, 0.9)))
     blue_over_red = [np.median((part[:, 2] + 1) / (part[:, 0] + 1)) for part in (upper, lower)]
     grey = [np.median(part.mean(axis=1)) for part in (upper, lower)]
-    return (blue_over_red[0] - blue_over_red[1] >= _LEAST_WHITENING
+    return (blue_over_red[0] - blue_over_red[1] >= _MIN_WHITENING
             and grey[0] - grey[1] <= _MOST_DARKENING)

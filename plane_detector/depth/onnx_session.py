@@ -23,7 +23,7 @@ _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
 # memory of the host and leaves them there.
 _DEVICES = {'CUDAExecutionProvider': 'cuda', 'TensorrtExecutionProvider': 'cuda'}
 # Smaller inputs of free size show a network nothing; none is tried.
-LEAST_SIDE_PX = 64
+MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
 
 
@@ -102,7 +102,7 @@ class OnnxSession:
         interface = self._interface
         if all(interface.input_size) or any(self._fixed_size):
             return ()
-        least = -(-LEAST_SIDE_PX // interface.side_multiple) * interface.side_multiple
+        least = -(-MIN_SIDE_PX // interface.side_multiple) * interface.side_multiple
         return (*range(least, interface.short_side, interface.side_multiple),
                 interface.short_side)
 

@@ -20,14 +20,14 @@ from plane_detector.types import CameraIntrinsics, Prediction
 MOST_NEGATIVE = 0.01
 # derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor, and what only
 # looks at the colour of a pixel 0.01.
-LEAST_OPPOSITE_CORRELATION = 0.4
+MIN_OPPOSITE_CORRELATION = 0.4
 # Below this contrast an image shows nothing, and constant depth is not an error.
-_LEAST_CONTRAST = 2.0
+_MIN_CONTRAST = 2.0
 _SAMPLED_SIDE = 96
 # Smaller inputs cannot show the checkerboard.
-LEAST_SIDE_PX = 64
+MIN_SIDE_PX = 64
 # A network that sees less of the corridor than this is not judged by it.
-_LEAST_SEEN = 0.5
+_MIN_SEEN = 0.5
 
 CORRIDOR_SIZE = (640, 480)
 CORRIDOR_LENS = CameraIntrinsics(384.0, 384.0, 319.5, 239.5, *CORRIDOR_SIZE)
@@ -94,7 +94,7 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     if high <= 0:
         what = 'zero everywhere' if low == high == 0 else 'nowhere positive'
         raise ImplausibleDepthError(f'its output is {what} ({low:g} to {high:g})')
-    if high - low <= 1e-6 * high and _sample(rgb).std(axis=(0, 1)).max() > _LEAST_CONTRAST:
+    if high - low <= 1e-6 * high and _sample(rgb).std(axis=(0, 1)).max() > _MIN_CONTRAST:
         raise ImplausibleDepthError(f'its output is {high:g} everywhere')
     negative = np.mean(finite < 0)
     if kind == 'metric_depth' and negative > MOST_NEGATIVE:
@@ -119,11 +119,11 @@ def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
     """
     values, truth = _sample(prediction.values), _sample(depth_m)
     seen = np.isfinite(values)
-    if seen.mean() < _LEAST_SEEN:
+    if seen.mean() < _MIN_SEEN:
         return
     sign = 1 if prediction.output == 'metric_depth' else -1
     correlation = sign * _rank_correlation(values[seen], truth[seen])
-    if correlation < -LEAST_OPPOSITE_CORRELATION:
+    if correlation < -MIN_OPPOSITE_CORRELATION:
         rises, other = (('falls', 'disparity') if sign > 0 else ('rises', 'depth'))
         raise ImplausibleDepthError(
             f'it is declared as {prediction.output}, but its output {rises} with distance on an '
@@ -141,7 +141,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 def shows_corridor(input_size: tuple[int, int]) -> bool:
     """Say whether an input of (width, height) is large enough for the corridor."""
-    return min(input_size) >= LEAST_SIDE_PX
+    return min(input_size) >= MIN_SIDE_PX
 
 
 def _sample(image: np.ndarray) -> np.ndarray:

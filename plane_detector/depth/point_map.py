@@ -24,7 +24,7 @@ import numpy as np
 _ROUNDS = 20
 _SETTLED = 1e-6  # of the depth: below the rounding of float32
 _SAMPLED_SIDE = 64  # derived: one unknown from 4096 pixels is as sure as it gets
-_LEAST_DEPTH_SHARE = 0.01  # of the typical depth: nearer, a weight would be all the weights
+_MIN_DEPTH_SHARE = 0.01  # of the typical depth: nearer, a weight would be all the weights
 
 
 def depth_from_point_map(points: np.ndarray, is_valid: np.ndarray,
@@ -65,7 +65,7 @@ def _shift(points: np.ndarray, rays: np.ndarray) -> float:
     for _ in range(_ROUNDS):
         depth = z + shift
         typical = np.median(np.abs(depth))
-        weight = 1 / np.maximum(depth, _LEAST_DEPTH_SHARE * typical + 1e-12) ** 2
+        weight = 1 / np.maximum(depth, _MIN_DEPTH_SHARE * typical + 1e-12) ** 2
         before, shift = shift, float((weight * difference).sum() / (weight * square).sum())
         if abs(shift - before) < _SETTLED * typical:
             break

@@ -20,7 +20,7 @@ from plane_detector.depth.point_map import depth_from_point_map
 from plane_detector.depth.preprocessing import finish_output
 from plane_detector.types import CameraIntrinsics, Prediction
 
-LEAST_MASK = 0.5
+MIN_MASK = 0.5
 """A validity mask, 0 to 1, calls a pixel valid from here on (the threshold of MoGe)."""
 
 
@@ -121,14 +121,14 @@ class PointMapReader:
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
         """Return the length of each point, which varies even on a wall seen face on."""
         length = np.linalg.norm(as_map(arrays[0], 3), axis=-1)
-        return np.where(as_map(arrays[2]) >= LEAST_MASK, length, np.nan)
+        return np.where(as_map(arrays[2]) >= MIN_MASK, length, np.nan)
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics) -> Prediction:
         """Return metres and normals, NaN where the mask says so; see `Reader`."""
         points, normals = (framing.crop(as_map(array, 3)).astype(np.float32)
                            for array in arrays[:2])
-        is_valid = framing.crop(as_map(arrays[2])) >= LEAST_MASK
+        is_valid = framing.crop(as_map(arrays[2])) >= MIN_MASK
         if arrays[3].size != 1:
             raise OutputError(f'its output {self.outputs[3]} is {arrays[3].shape}, not one number')
         depth = depth_from_point_map(points, is_valid, rays(intrinsics, points.shape[:2]))

@@ -36,9 +36,9 @@ class ImageDirections:
     @property
     def axes(self) -> np.ndarray:
         """The directions (A, 3): gravity, then the horizontal axes; (0, 3) where it refuses."""
-        if self.directions.down_camera is None:
+        if self.directions.gravity_camera is None:
             return np.zeros((0, 3))
-        return np.vstack([self.directions.down_camera[None],
+        return np.vstack([self.directions.gravity_camera[None],
                           *(pair.axes for pair in self.directions.pairs[:1])])
 
     @property
@@ -136,7 +136,7 @@ class DirectionFinder:
         if not needs_lines and (known.is_sure or not config.directions.gravity):
             return Surroundings(known, None)
         alone = find_in_image(rgb, intrinsics, np.random.default_rng(self._seed),
-                              known.down_camera, covered)
+                              known.gravity_camera, covered)
         self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
         lines = ImageDirections(alone.segments, self._tracked.directions)
         return Surroundings(choose(lines.directions) if config.directions.gravity else known,

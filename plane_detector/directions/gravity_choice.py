@@ -24,7 +24,7 @@ class Gravity:
 
     Attributes
     ----------
-    down_camera : (3,) float64 or None
+    gravity_camera : (3,) float64 or None
         Unit direction in the optical frame; None where nothing tells it.
     tolerance_deg : float
         How far it may be off.
@@ -35,7 +35,7 @@ class Gravity:
 
     """
 
-    down_camera: np.ndarray | None
+    gravity_camera: np.ndarray | None
     tolerance_deg: float
     source: str
     note: str = ''
@@ -43,7 +43,7 @@ class Gravity:
     @property
     def is_sure(self) -> bool:
         """Known, and well enough for angles."""
-        return self.down_camera is not None and self.tolerance_deg <= COARSE_DEG
+        return self.gravity_camera is not None and self.tolerance_deg <= COARSE_DEG
 
 
 def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,
@@ -65,7 +65,7 @@ def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolera
     """
     down = unit_direction(given if measured is None else measured)
     source = 'parameter' if measured is None else 'measured'
-    seen = None if directions is None else directions.down_camera
+    seen = None if directions is None else directions.gravity_camera
     if down is not None and (tolerance_deg <= COARSE_DEG or seen is None
                              or seen @ down < np.cos(np.radians(tolerance_deg))):
         return Gravity(down, tolerance_deg, source)

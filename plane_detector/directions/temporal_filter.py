@@ -77,7 +77,7 @@ def track_directions(previous: TrackedDirections | None, found: SceneDirections,
 
     """
     alone = TrackedDirections(found, segments, 1, 0)
-    if previous is None or previous.directions.down_camera is None:
+    if previous is None or previous.directions.gravity_camera is None:
         return alone
     turn = turn_between(previous.segments, segments)
     if turn is None:
@@ -86,13 +86,13 @@ def track_directions(previous: TrackedDirections | None, found: SceneDirections,
     doubt = (TURN_ERROR_RATIO * np.linalg.norm(turn) / RANDOM_RAD) ** 2
     if doubt > 1:
         before = replace(before, pairs=())  # their azimuth is not known any more
-    seen = found.down_camera
-    if seen is None or seen @ before.down_camera < np.cos(np.radians(JUMP_DEG)):
+    seen = found.gravity_camera
+    if seen is None or seen @ before.gravity_camera < np.cos(np.radians(JUMP_DEG)):
         most = HELD_IMAGES if seen is None else JUMPS_BELIEVED - 1
         if previous.held >= most:
             return alone
         added = np.radians(HELD_SIGMA_DEG) ** 2 * (
-            np.eye(3) - np.outer(before.down_camera, before.down_camera))
+            np.eye(3) - np.outer(before.gravity_camera, before.gravity_camera))
         held = replace(before, covariance=before.covariance + added)
         return TrackedDirections(held, segments, previous.images, previous.held + 1)
     gain = max(MIN_GAIN, 1.0 / (previous.images + 1), doubt / (doubt + 1.0))
@@ -140,18 +140,18 @@ def _plane_normals(segments: LineSegments) -> np.ndarray:
 
 def _turned(directions: SceneDirections, rotation: np.ndarray) -> SceneDirections:
     pairs = tuple(replace(pair, axes=pair.axes @ rotation.T) for pair in directions.pairs)
-    return replace(directions, down_camera=rotation @ directions.down_camera,
+    return replace(directions, gravity_camera=rotation @ directions.gravity_camera,
                    covariance=rotation @ directions.covariance @ rotation.T, pairs=pairs)
 
 
 def _averaged(before: SceneDirections, found: SceneDirections, gain: float) -> SceneDirections:
-    down = (1 - gain) * before.down_camera + gain * found.down_camera
+    down = (1 - gain) * before.gravity_camera + gain * found.gravity_camera
     down /= np.linalg.norm(down)
     pairs = found.pairs or before.pairs
     if found.pairs and before.pairs:
         pairs = (_averaged_pair(before.pairs[0], found.pairs[0], gain), *found.pairs[1:])
     pairs = tuple(replace(pair, axes=_level(pair.axes, down)) for pair in pairs)
-    return replace(found, down_camera=down, pairs=pairs,
+    return replace(found, gravity_camera=down, pairs=pairs,
                    pair_refusal='' if pairs else found.pair_refusal)
 
 

@@ -90,7 +90,7 @@ class SceneDirections:
 
     Attributes
     ----------
-    down_camera : (3,) float64 or None
+    gravity_camera : (3,) float64 or None
         Unit direction of gravity in the optical frame.
     covariance : (3, 3) float64
         Of that direction, rad^2; singular along it.
@@ -105,7 +105,7 @@ class SceneDirections:
 
     """
 
-    down_camera: np.ndarray | None
+    gravity_camera: np.ndarray | None
     covariance: np.ndarray
     support: float
     pairs: tuple[AxisPair, ...]

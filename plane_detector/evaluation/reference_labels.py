@@ -45,7 +45,7 @@ MIN_PIXELS = 300
 Pixel = tuple[int, int]
 _MOST_REFITS = 12
 _SETTLED_SHARE = 0.001  # of the region's pixels may still change
-_LEAST_TO_FIT = WINDOW_PX**2 // 2
+_MIN_TO_FIT = WINDOW_PX**2 // 2
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ def _grown(rays: _DepthRays, plane: np.ndarray, start: Pixel, free: np.ndarray
     """Grow the region around a pixel and fit its plane, by turns; return both."""
     region = _around(rays, plane, TOLERANCE_M, start, free)
     for _ in range(_MOST_REFITS):
-        if np.count_nonzero(region) < _LEAST_TO_FIT:
+        if np.count_nonzero(region) < _MIN_TO_FIT:
             break
         plane, before = rays.fit(region), region
         region = _around(rays, plane, TOLERANCE_M, start, free)

@@ -17,7 +17,7 @@ MIN_DEPTH_M = 1e-3
 RANGE_QUANTILES = (0.02, 0.98)
 # derived: below what rooms and streets have, 0.5 to 2.7 times their median disparity, so that it
 # only acts where one surface fills the image.
-LEAST_RANGE_OF_LEVEL = 0.25
+MIN_RANGE_OF_LEVEL = 0.25
 
 
 def valid_depth(depth_m: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def noise_reference(disparity: np.ndarray) -> float:
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
     level = abs(float(np.median(sample))) if sample.size else 0.0
-    return max(disparity_range(disparity), LEAST_RANGE_OF_LEVEL * level)
+    return max(disparity_range(disparity), MIN_RANGE_OF_LEVEL * level)
 
 
 def disparity_range(disparity: np.ndarray) -> float:

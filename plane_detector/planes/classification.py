@@ -33,7 +33,7 @@ class PlaneClass(IntEnum):
     OTHER = 5
 
 
-def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
+def classify_planes(planes: Sequence[Plane], gravity_camera: np.ndarray | None,
                     tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
     """
     Tell the planes of one image apart by gravity.
@@ -42,7 +42,7 @@ def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
     ----------
     planes : sequence of Plane
         With true angles; their unit does not matter.
-    down_camera : (3,) floating or None
+    gravity_camera : (3,) floating or None
         Unit direction of gravity in the optical frame.
     tolerance_deg : float
         How far from level or upright a plane may be.
@@ -62,9 +62,9 @@ def classify_planes(planes: Sequence[Plane], down_camera: np.ndarray | None,
     ['FLOOR', 'OTHER_HORIZONTAL', 'WALL']
 
     """
-    if down_camera is None or not planes:
+    if gravity_camera is None or not planes:
         return (PlaneClass.UNKNOWN,) * len(planes)
-    facing_down = np.array([plane.normal @ down_camera for plane in planes])
+    facing_down = np.array([plane.normal @ gravity_camera for plane in planes])
     offsets = np.array([plane.offset_m for plane in planes])
     level = np.cos(np.radians(tolerance_deg))
     upright = np.sin(np.radians(tolerance_deg))
@@ -85,13 +85,13 @@ def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity,
 
     Without true angles all are ``UNKNOWN``.
     """
-    down = gravity.down_camera if has_true_angles else None
+    down = gravity.gravity_camera if has_true_angles else None
     if down is not None and gravity.tolerance_deg > COARSE_DEG:
         down = refine_gravity(planes, down, gravity.tolerance_deg)
     return classify_planes(planes, down)
 
 
-def refine_gravity(planes: Sequence[Plane], coarse_down_camera: np.ndarray,
+def refine_gravity(planes: Sequence[Plane], coarse_gravity_camera: np.ndarray,
                    tolerance_deg: float) -> np.ndarray | None:
     """
     Make a coarse direction of gravity exact by the planes at right angles to each other.
@@ -100,7 +100,7 @@ def refine_gravity(planes: Sequence[Plane], coarse_down_camera: np.ndarray,
     ----------
     planes : sequence of Plane
         With true angles.
-    coarse_down_camera : (3,) floating
+    coarse_gravity_camera : (3,) floating
         Unit direction.
     tolerance_deg : float
         How far it may be off.
@@ -116,8 +116,8 @@ def refine_gravity(planes: Sequence[Plane], coarse_down_camera: np.ndarray,
         return None
     normals = np.stack([plane.normal for plane in planes])
     pixels = np.array([plane.inlier_count for plane in planes], float)
-    normals = normals * np.where(normals @ coarse_down_camera < 0, -1.0, 1.0)[:, None]
-    near = normals @ coarse_down_camera >= np.cos(np.radians(tolerance_deg))
+    normals = normals * np.where(normals @ coarse_gravity_camera < 0, -1.0, 1.0)[:, None]
+    near = normals @ coarse_gravity_camera >= np.cos(np.radians(tolerance_deg))
     cosine = np.abs(normals @ normals.T)
     level = cosine >= np.cos(np.radians(FRAME_TOLERANCE_DEG))
     upright = cosine <= np.sin(np.radians(FRAME_TOLERANCE_DEG))

@@ -24,10 +24,10 @@ CORRELATED_CELLS = 9.0
 # not noise, and regions that fit so loosely are rejected.
 MAX_NOISE_SHARE = 0.125
 # Below this the normal counts as exact.
-LEAST_TILT_RAD = 1e-4
+MIN_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
 # Eigenvalues below this share of the largest are rounding errors.
-LEAST_EIGENVALUE = 1e-15
+MIN_EIGENVALUE = 1e-15
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
@@ -110,7 +110,7 @@ def confidence_features(share: np.ndarray, covariance: np.ndarray) -> np.ndarray
     """Return 1 and the logarithms of share and of the normal's deviation in radians, (K, 3)."""
     deviation_rad = np.sqrt(np.einsum('kii->k', covariance[:, :3, :3]))
     return np.stack([np.ones(len(share)), np.log(np.maximum(share, 1e-9)),
-                     np.log(np.maximum(deviation_rad, LEAST_TILT_RAD))], axis=1)
+                     np.log(np.maximum(deviation_rad, MIN_TILT_RAD))], axis=1)
 
 
 def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -133,7 +133,7 @@ def _covariances(grid: CellGrid, m: np.ndarray, noise: Noise, ray_planes: np.nda
     """Propagate the noise through the fits of moments m to (normal, offset), (K, 4, 4)."""
     variance = (noise.pixel_sigma**2 + noise.variance_floor(m[D] / m[N])
                 + CORRELATED_CELLS * grid.size_px**2 * noise.mean_sigma**2)
-    fit = variance[:, None, None] * pseudo_inverse(normal_matrices(m), LEAST_EIGENVALUE)
+    fit = variance[:, None, None] * pseudo_inverse(normal_matrices(m), MIN_EIGENVALUE)
     length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
     unit = ray_planes[:, :, None] / length
     to_normal = (unit * unit.transpose(0, 2, 1) - np.eye(3)) / length

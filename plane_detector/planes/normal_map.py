@@ -30,7 +30,7 @@ STEP_PX = 3
 RAYLEIGH_MEDIAN = 1.1774
 # The best published normals are 10 degrees off on the average, of which a part is alike all over
 # a plane; no spread makes either source surer than this.
-LEAST_SPREAD_RAD = np.radians(2.0)
+MIN_SPREAD_RAD = np.radians(2.0)
 # Farther apart the two do not speak of one surface, or the map has other axes than it should.
 MOST_APART_DEG = 45.0
 MIN_SAMPLES = 20
@@ -85,7 +85,7 @@ def _average(own: np.ndarray, own_spread_rad: float, sample: np.ndarray) -> np.n
     mapped = _unit(np.median(sample, axis=0))
     if own @ mapped < np.cos(np.radians(MOST_APART_DEG)):
         return own
-    weight = [1 / (LEAST_SPREAD_RAD**2 + spread**2) for spread in (
+    weight = [1 / (MIN_SPREAD_RAD**2 + spread**2) for spread in (
         own_spread_rad, _spread_rad(sample, mapped))]
     return _unit(weight[0] * own + weight[1] * mapped)
 

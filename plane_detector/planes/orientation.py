@@ -119,7 +119,7 @@ def _variances(planes: tuple[Plane, ...], sigma_rad: float) -> np.ndarray:
 def _hypotheses(normals: np.ndarray, directions: SceneDirections,
                 evidence: LineEvidence) -> _Hypotheses:
     """Return all hypotheses; the last one is the network's own normal."""
-    down = directions.down_camera
+    down = directions.gravity_camera
     axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in directions.pairs)])
     points = np.vstack([down[None], axes])
     across = [normals - np.outer(normals @ axis, axis) for axis in points[:MAIN_AXES]]

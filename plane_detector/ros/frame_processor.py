@@ -19,13 +19,13 @@ from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.topics import OUTPUTS, Result
+from plane_detector.ros.outputs.topics import OUTPUTS, ProcessedFrame
 from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection
 
 
 @dataclass(frozen=True)
-class Processed:
+class FrameOutputs:
     """
     The results of a frame.
 
@@ -33,7 +33,7 @@ class Processed:
     ----------
     messages : mapping of str to message
         By the name of the output: the requested outputs that this frame has.
-    result : Result
+    result : ProcessedFrame
         The data that the messages are made of.
     stage_seconds : mapping of str to float
         Time of each stage, conversion and messages included.
@@ -41,7 +41,7 @@ class Processed:
     """
 
     messages: Mapping[str, Any]
-    result: Result
+    result: ProcessedFrame
     stage_seconds: Mapping[str, float]
 
 
@@ -114,7 +114,7 @@ class FrameProcessor:
         """The kind of depth that the source returns."""
         return self.detector.source.output
 
-    def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> Processed:
+    def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> FrameOutputs:
         """
         Find the planes of a frame and make the messages of the wanted outputs.
 
@@ -141,7 +141,7 @@ class FrameProcessor:
                              time.perf_counter())
 
     def finish(self, observed: ObservedFrame, wanted: Collection[str] = tuple(OUTPUTS)
-               ) -> Processed:
+               ) -> FrameOutputs:
         """Run the second half of :meth:`process`: planes and messages."""
         start_s, seen = time.perf_counter(), observed.seen
         header, settings = observed.frame.image.header, observed.settings
@@ -151,10 +151,10 @@ class FrameProcessor:
         detection = self.detector.find_planes(seen, _down(observed.frame, observed.pose),
                                               _height_m(observed.pose))
         if detection.gravity_source == 'measured':
-            by_imu = observed.frame.down_camera is not None
+            by_imu = observed.frame.gravity_camera is not None
             detection = replace(detection, gravity_source='imu' if by_imu else 'tf')
         detected_s = time.perf_counter()
-        result = Result(header, seen.rgb, seen.intrinsics, detection, settings,
+        result = ProcessedFrame(header, seen.rgb, seen.intrinsics, detection, settings,
                         self._shown, self._transforms.to_target(header, settings),
                         observed.converted.lens,
                         merged_labels(self._before, detection, seen.config.tracking))
@@ -162,7 +162,7 @@ class FrameProcessor:
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}
         self._remember_markers(detection, made)
-        return Processed(made, result, {
+        return FrameOutputs(made, result, {
             'convert': observed.converted_s - observed.start_s, **detection.stage_seconds,
             'wait': start_s - observed.end_s, 'messages': time.perf_counter() - detected_s})
 
@@ -178,9 +178,9 @@ class FrameProcessor:
 
 def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:
     """Return the direction of gravity by the IMU, which measures a slope, or else by TF."""
-    if frame.down_camera is not None or pose is None:
-        return frame.down_camera
-    return pose.down_camera
+    if frame.gravity_camera is not None or pose is None:
+        return frame.gravity_camera
+    return pose.gravity_camera
 
 
 def _height_m(pose: CameraPose | None) -> float | None:

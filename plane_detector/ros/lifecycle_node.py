@@ -27,7 +27,7 @@ from plane_detector.ros.frame_processor import FrameProcessor, ObservedFrame
 from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
-from plane_detector.ros.inputs.subscriptions import Inputs
+from plane_detector.ros.inputs.subscriptions import Subscriptions
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
@@ -81,7 +81,7 @@ class PlaneDetectorNode(LifecycleNode):
         self._processor: FrameProcessor | None = None
         self._worker: FrameWorker | None = None
         self._retired: FrameWorker | None = None
-        self._inputs: Inputs | None = None
+        self._inputs: Subscriptions | None = None
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
         self._requests = FrameRequests(self._wake)
@@ -138,7 +138,7 @@ class PlaneDetectorNode(LifecycleNode):
         """Subscribe."""
         try:
             processor = self._processor
-            self._inputs = Inputs(self, processor.detector.config, processor.settings,
+            self._inputs = Subscriptions(self, processor.detector.config, processor.settings,
                                   processor.output,
                                   self._accept, self._statistics.add_unpaired)
         except Exception as error:  # a wrong qos_overrides parameter

@@ -12,7 +12,7 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import qos
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.topics import Result
+from plane_detector.ros.outputs.topics import ProcessedFrame
 
 # derived: a click is a few pixels off; a plane that is farther away is another one.
 REACH_PX = 8
@@ -52,7 +52,7 @@ class PointQuery:
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_lifecycle_publisher(self._publisher)
 
-    def answer(self, result: Result) -> None:
+    def answer(self, result: ProcessedFrame) -> None:
         """Publish and log the plane at each click."""
         clicks, self._clicks = self._clicks, []
         for click in clicks:
@@ -70,7 +70,7 @@ class PointQuery:
         self._clicks = [*self._clicks, msg][-_MOST_CLICKS:]
 
 
-def point_in_camera(result: Result, click: PointStamped) -> np.ndarray:
+def point_in_camera(result: ProcessedFrame, click: PointStamped) -> np.ndarray:
     """
     Return a clicked point (3,) in the frame of the image.
 
@@ -91,7 +91,7 @@ def point_in_camera(result: Result, click: PointStamped) -> np.ndarray:
                      f'target_frame to {frame}')
 
 
-def plane_at(result: Result, point_m: np.ndarray) -> int:
+def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
     """
     Return the index of the plane of the pixel that shows a point, or of the nearest pixel.
 
@@ -117,7 +117,7 @@ def plane_at(result: Result, point_m: np.ndarray) -> int:
     return int(near[rows[nearest], columns[nearest]])
 
 
-def describe_plane(result: Result, index: int) -> str:
+def describe_plane(result: ProcessedFrame, index: int) -> str:
     """Return the row of a plane in words."""
     detection = result.detection
     plane, rectangle = detection.planes[index], result.rectangles[index]

@@ -53,7 +53,7 @@ class FloorFit:
     label: int
 
 
-def fit_floor(planes: DisparityPlanes, lowest_disparity: float, down_camera: np.ndarray,
+def fit_floor(planes: DisparityPlanes, lowest_disparity: float, gravity_camera: np.ndarray,
               height_m: float, down_tolerance_deg: float) -> FloorFit | None:
     """
     Find the floor by a direction of gravity that is known well, and fit scale and shift to it.
@@ -63,7 +63,7 @@ def fit_floor(planes: DisparityPlanes, lowest_disparity: float, down_camera: np.
     planes : DisparityPlanes
     lowest_disparity : float
         Disparity of the farthest pixels; depth must be positive there.
-    down_camera : (3,) floating
+    gravity_camera : (3,) floating
         Unit direction of gravity.
     height_m : float
         Of the camera above the floor.
@@ -78,34 +78,35 @@ def fit_floor(planes: DisparityPlanes, lowest_disparity: float, down_camera: np.
         is out of view cannot be told from it.
 
     """
-    fits = [_fit_as_floor(planes, k, lowest_disparity, down_camera, height_m, down_tolerance_deg)
+    fits = [_fit_as_floor(planes, k, lowest_disparity, gravity_camera, height_m,
+                          down_tolerance_deg)
             for k in range(len(planes))]
     return max((fit for fit in fits if fit), key=lambda fit: fit.upright_share, default=None)
 
 
 def _fit_as_floor(planes: DisparityPlanes, k: int, lowest_disparity: float,
-                  down_camera: np.ndarray, height_m: float,
+                  gravity_camera: np.ndarray, height_m: float,
                   down_tolerance_deg: float) -> FloorFit | None:
     """Assume that plane k is the floor, together with all planes found at its height."""
-    first = _solve(planes.take([k]), down_camera, height_m)
+    first = _solve(planes.take([k]), gravity_camera, height_m)
     if first is None:
         return None
     level_deg = LEVEL_DEG + down_tolerance_deg
-    level, height = _level_and_height(planes, first, down_camera, level_deg)
+    level, height = _level_and_height(planes, first, gravity_camera, level_deg)
     members = np.flatnonzero(level & _near(height / height_m))
     floor = planes.take(members)
-    solved = _solve(floor, down_camera, height_m) if k in members else None
+    solved = _solve(floor, gravity_camera, height_m) if k in members else None
     if solved is None or floor.pixel_share.sum() < MIN_FLOOR_SHARE:
         return None
     scale, shift, covariance = solved
-    level, height = _level_and_height(planes, solved, down_camera, level_deg)
+    level, height = _level_and_height(planes, solved, gravity_camera, level_deg)
     if (scale * lowest_disparity + shift <= 0
             or _anything_below(planes, level, height / height_m)):
         return None
     metric = planes.scaled(scale, shift)
-    covariance = covariance + _gravity_covariance(floor, down_camera, height_m,
+    covariance = covariance + _gravity_covariance(floor, gravity_camera, height_m,
                                                   down_tolerance_deg, (scale, shift))
-    return FloorFit(scale, shift, covariance, _upright_share(planes, metric, down_camera),
+    return FloorFit(scale, shift, covariance, _upright_share(planes, metric, gravity_camera),
                     int(planes.labels[k]))
 
 
@@ -113,9 +114,9 @@ def _near(ratio: np.ndarray) -> np.ndarray:
     return (ratio < SAME_HEIGHT) & (ratio > 1.0 / SAME_HEIGHT)
 
 
-def _solve(floor: DisparityPlanes, down_camera: np.ndarray, height_m: float):
+def _solve(floor: DisparityPlanes, gravity_camera: np.ndarray, height_m: float):
     """Return scale, shift and their covariance; None if the planes cannot fix them."""
-    design = np.stack([down_camera / height_m, [0.0, 0.0, 1.0]], axis=1)
+    design = np.stack([gravity_camera / height_m, [0.0, 0.0, 1.0]], axis=1)
     normal_matrix = design.T @ floor.information.sum(0) @ design
     if np.linalg.cond(normal_matrix) > 1e12:
         return None
@@ -128,12 +129,12 @@ def _solve(floor: DisparityPlanes, down_camera: np.ndarray, height_m: float):
     return 1.0 / alpha, -beta / alpha, jacobian @ covariance @ jacobian.T
 
 
-def _gravity_covariance(floor: DisparityPlanes, down_camera: np.ndarray, height_m: float,
+def _gravity_covariance(floor: DisparityPlanes, gravity_camera: np.ndarray, height_m: float,
                         tolerance_deg: float, solution: tuple[float, float]) -> np.ndarray:
     """Return what an error of gravity of one tolerance does to scale and shift, (2, 2)."""
     covariance = np.zeros((2, 2))
-    for direction in np.linalg.svd(down_camera[None])[2][1:]:
-        tilted = down_camera + np.tan(np.radians(tolerance_deg)) * direction
+    for direction in np.linalg.svd(gravity_camera[None])[2][1:]:
+        tilted = gravity_camera + np.tan(np.radians(tolerance_deg)) * direction
         solved = _solve(floor, tilted / np.linalg.norm(tilted), height_m)
         if solved is not None:
             change = np.array(solved[:2]) - solution
@@ -141,7 +142,7 @@ def _gravity_covariance(floor: DisparityPlanes, down_camera: np.ndarray, height_
     return covariance
 
 
-def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, down_camera: np.ndarray,
+def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, gravity_camera: np.ndarray,
                        height_m: float) -> FloorFit | None:
     """
     Find the floor by right angles and a coarse direction of gravity.
@@ -151,7 +152,7 @@ def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, down_camera
     planes : DisparityPlanes
     vote : ManhattanVote
         Shift and axes by the right angles.
-    down_camera : (3,) floating
+    gravity_camera : (3,) floating
         Coarse unit direction of gravity: picks the axis.
     height_m : float
 
@@ -161,7 +162,7 @@ def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, down_camera
         None where no plane is level and below the camera.
 
     """
-    cosines, tau = vote.axes @ down_camera, vote.tau
+    cosines, tau = vote.axes @ gravity_camera, vote.tau
     down = vote.axes[np.abs(cosines).argmax()] * np.sign(cosines[np.abs(cosines).argmax()])
     level, height = _level_and_height(planes, (1.0, tau), down, UPRIGHT_DEG)
     if not level.any():
@@ -209,14 +210,14 @@ def with_right_angles(fit: FloorFit, tau: float, tau_sigma: float) -> FloorFit:
     return replace(fit, scale=float(scale), shift=float(shift), covariance=covariance)
 
 
-def _level_and_height(planes: DisparityPlanes, solution: tuple, down_camera: np.ndarray,
+def _level_and_height(planes: DisparityPlanes, solution: tuple, gravity_camera: np.ndarray,
                       tolerance_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Return which planes are level below the camera, and how far below their middle is, (N,)."""
     metric = planes.scaled(*solution[:2])
     length = np.maximum(np.linalg.norm(metric, axis=1), 1e-30)
-    level = metric @ down_camera / length >= np.cos(np.radians(tolerance_deg))
+    level = metric @ gravity_camera / length >= np.cos(np.radians(tolerance_deg))
     rays = np.column_stack([planes.centers, np.ones(len(planes))])
-    height = rays @ down_camera / np.maximum((rays * metric).sum(1), 1e-30)
+    height = rays @ gravity_camera / np.maximum((rays * metric).sum(1), 1e-30)
     return level & (height > 0), height
 
 
@@ -226,8 +227,9 @@ def _anything_below(planes: DisparityPlanes, level: np.ndarray, ratio: np.ndarra
     return bool((level & below).any() or planes.pixel_share[below].sum() > MAX_SHARE_BELOW)
 
 
-def _upright_share(planes: DisparityPlanes, metric: np.ndarray, down_camera: np.ndarray) -> float:
-    cosine = np.abs(metric @ down_camera) / np.maximum(np.linalg.norm(metric, axis=1), 1e-30)
+def _upright_share(planes: DisparityPlanes, metric: np.ndarray,
+                   gravity_camera: np.ndarray) -> float:
+    cosine = np.abs(metric @ gravity_camera) / np.maximum(np.linalg.norm(metric, axis=1), 1e-30)
     upright = (cosine <= np.sin(np.radians(UPRIGHT_DEG))) | (
         cosine >= np.cos(np.radians(UPRIGHT_DEG)))
     return float(planes.pixel_share[upright].sum())

@@ -74,7 +74,7 @@ class _Frames:
 
 
 def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
-               down_camera: np.ndarray | None = None,
+               gravity_camera: np.ndarray | None = None,
                down_tolerance_deg: float = 0.0) -> ManhattanVote:
     """
     Find the shift that makes the planes lie along three perpendicular axes, or refuse.
@@ -84,7 +84,7 @@ def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
     planes : DisparityPlanes
     lowest_disparity : float
         Disparity of the farthest pixels; depth must be positive there.
-    down_camera : (3,) floating, optional
+    gravity_camera : (3,) floating, optional
         Unit direction of gravity; one of the axes must agree with it.
     down_tolerance_deg : float
         How well.
@@ -96,8 +96,8 @@ def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
     """
     planes = _largest(planes)
     tau, axes = _proposals(planes.coefficients, -lowest_disparity)
-    if down_camera is not None:
-        off_deg = np.degrees(np.arccos(np.abs(axes @ down_camera).max(1).clip(0, 1)))
+    if gravity_camera is not None:
+        off_deg = np.degrees(np.arccos(np.abs(axes @ gravity_camera).max(1).clip(0, 1)))
         upright = off_deg <= down_tolerance_deg + MAX_TOLERANCE_DEG
         tau, axes = tau[upright], axes[upright]
     if len(planes) < MIN_DISTINCT_PLANES or not len(tau):

@@ -47,7 +47,7 @@ class ScaleEvidence:
         Output of the network: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     is_measured : bool
         The disparity is that of a sensor, whose metres are not questioned.
-    down_camera : (3,) floating or None
+    gravity_camera : (3,) floating or None
         Direction of gravity in the optical frame, of any length; None or 0: not known.
     down_tolerance_deg : float
         How far it may be off.
@@ -62,7 +62,7 @@ class ScaleEvidence:
     planes: DisparityPlanes
     output: str = 'relative_disparity'
     is_measured: bool = False
-    down_camera: np.ndarray | None = None
+    gravity_camera: np.ndarray | None = None
     down_tolerance_deg: float = 0.0
     level_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     sensor_depth_m: np.ndarray | None = None
@@ -70,7 +70,7 @@ class ScaleEvidence:
     @cached_property
     def down(self) -> np.ndarray | None:
         """Unit direction of gravity, None if not known."""
-        return None if self.down_camera is None else unit_direction(self.down_camera)
+        return None if self.gravity_camera is None else unit_direction(self.gravity_camera)
 
     @property
     def knows_gravity_well(self) -> bool:

@@ -24,6 +24,6 @@ def test_the_upright_of_a_still_camera_does_not_flicker(make, seed):
         noise = rng.normal(0, GREY_LEVELS, scene.rgb.shape)
         rgb = np.clip(scene.rgb + noise, 0, 255).astype(np.uint8)
         around = finder.look(rgb, scene.intrinsics, None, None, Config(), needs_lines=True)
-        found.append(around.gravity.down_camera)
+        found.append(around.gravity.gravity_camera)
     cosine = np.array(found) @ np.array(found).T
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < FLICKER_DEG

@@ -23,7 +23,7 @@ def test_a_sensor_comes_before_the_parameter_and_that_before_the_image():
     assert choose_gravity(IMU, GIVEN, 2.0, of_image()).source == 'measured'
     given = choose_gravity(None, GIVEN, 2.0, of_image(30))
     assert given.source == 'parameter'
-    assert given.down_camera == pytest.approx([0, 1, 0])
+    assert given.gravity_camera == pytest.approx([0, 1, 0])
     assert choose_gravity(None, NONE, 2.0, of_image()).source == 'image'
 
 
@@ -38,6 +38,6 @@ def test_a_coarse_direction_gives_way_to_an_image_that_agrees(angle_deg, source)
 
 def test_why_there_is_none_is_told():
     found = choose_gravity(None, NONE, 2.0, of_image(refusal='only 3 straight lines'))
-    assert (found.down_camera, found.source, found.note) == (None, 'none',
+    assert (found.gravity_camera, found.source, found.note) == (None, 'none',
                                                              'only 3 straight lines')
     assert choose_gravity(None, NONE, 2.0, None).note == ''

@@ -76,11 +76,11 @@ def test_flicker_of_a_still_camera_is_averaged():
     for _ in range(40):
         found = rotated(turn(*rng.normal(0, 0.7, 3)))
         tracked = track_directions(tracked, found, lines())
-        alone.append(angle_deg(found.down_camera, AXES[0]))
-    assert angle_deg(tracked.directions.down_camera, AXES[0]) < 0.5 * np.mean(alone)
+        alone.append(angle_deg(found.gravity_camera, AXES[0]))
+    assert angle_deg(tracked.directions.gravity_camera, AXES[0]) < 0.5 * np.mean(alone)
     pair = tracked.directions.pairs[0].axes
-    assert np.vstack([tracked.directions.down_camera, pair]) @ np.vstack(
-        [tracked.directions.down_camera, pair]).T == pytest.approx(np.eye(3), abs=1e-9)
+    assert np.vstack([tracked.directions.gravity_camera, pair]) @ np.vstack(
+        [tracked.directions.gravity_camera, pair]).T == pytest.approx(np.eye(3), abs=1e-9)
 
 
 def test_a_turning_camera_does_not_lag():
@@ -88,17 +88,17 @@ def test_a_turning_camera_does_not_lag():
     for k in range(10):
         rotation = turn(1.5 * k, 0, 0)
         tracked = track_directions(tracked, rotated(rotation), lines(rotation))
-    assert angle_deg(tracked.directions.down_camera, rotation @ AXES[0]) < 0.3
+    assert angle_deg(tracked.directions.gravity_camera, rotation @ AXES[0]) < 0.3
 
 
 def test_what_an_image_refuses_is_held_for_a_while_and_turned():
     tracked = track_directions(None, rotated(np.eye(3)), lines())
     rotation = turn(0.3, 0, 0)
     tracked = track_directions(tracked, refused(), lines(rotation))
-    assert angle_deg(tracked.directions.down_camera, rotation @ AXES[0]) < 0.05
+    assert angle_deg(tracked.directions.gravity_camera, rotation @ AXES[0]) < 0.05
     for _ in range(HELD_IMAGES):
         tracked = track_directions(tracked, refused(), lines(rotation))
-    assert tracked.directions.down_camera is None
+    assert tracked.directions.gravity_camera is None
 
 
 def test_level_axes_are_not_held_while_the_camera_turns():
@@ -106,7 +106,7 @@ def test_level_axes_are_not_held_while_the_camera_turns():
     assert track_directions(tracked, refused(), lines()).directions.pairs
     rotation = turn(0, 1.0, 0)
     turning = track_directions(tracked, refused(), lines(rotation))
-    assert turning.directions.down_camera is not None
+    assert turning.directions.gravity_camera is not None
     assert not turning.directions.pairs
 
 
@@ -115,12 +115,12 @@ def test_another_answer_must_be_given_again():
     other = rotated(turn(0, 0, 20))
     for _ in range(JUMPS_BELIEVED - 1):
         tracked = track_directions(tracked, other, lines())
-        assert angle_deg(tracked.directions.down_camera, AXES[0]) < 0.1
+        assert angle_deg(tracked.directions.gravity_camera, AXES[0]) < 0.1
     tracked = track_directions(tracked, other, lines())
-    assert angle_deg(tracked.directions.down_camera, other.down_camera) < 0.1
+    assert angle_deg(tracked.directions.gravity_camera, other.gravity_camera) < 0.1
 
 
 def test_a_new_scene_stands_alone():
     tracked = track_directions(None, rotated(np.eye(3)), lines())
     nothing = segments_from_pixels(np.zeros((0, 2, 2)), CAMERA)
-    assert track_directions(tracked, refused(), nothing).directions.down_camera is None
+    assert track_directions(tracked, refused(), nothing).directions.gravity_camera is None

@@ -51,8 +51,8 @@ def tilted_frame():
 def test_exact_lines_give_exact_directions(rng):
     frame = tilted_frame()
     found = find_directions(lines_along(frame, 12, rng), rng)
-    assert angle_deg(found.down_camera, frame[0]) < 1e-3
-    assert found.down_camera @ frame[0] > 0
+    assert angle_deg(found.gravity_camera, frame[0]) < 1e-3
+    assert found.gravity_camera @ frame[0] > 0
     assert angle_deg(found.pairs[0].axes, frame[1]).min() < 1e-3
     assert not found.refusal and not found.pair_refusal
     assert found.support == pytest.approx(1 / 3, abs=0.15)
@@ -60,13 +60,14 @@ def test_exact_lines_give_exact_directions(rng):
 
 def test_the_covariance_is_across_the_direction_and_positive(rng):
     found = find_directions(lines_along(tilted_frame(), 12, rng), rng)
-    assert found.down_camera @ found.covariance @ found.down_camera == pytest.approx(0, abs=1e-12)
+    down = found.gravity_camera
+    assert down @ found.covariance @ down == pytest.approx(0, abs=1e-12)
     assert np.linalg.eigvalsh(found.covariance)[1] > 0
 
 
 def test_one_direction_alone_is_refused(rng):
     found = find_directions(lines_along(tilted_frame()[:1], 40, rng), rng)
-    assert found.down_camera is None and not found.pairs
+    assert found.gravity_camera is None and not found.pairs
     assert 'nothing at right angles' in found.refusal or 'upright' in found.refusal
 
 
@@ -77,14 +78,14 @@ def test_few_lines_are_refused(rng):
 
 def test_same_seed_same_answer():
     rgb = textured(random_room, 300).rgb
-    assert np.array_equal(directions_of(rgb).down_camera, directions_of(rgb).down_camera)
+    assert np.array_equal(directions_of(rgb).gravity_camera, directions_of(rgb).gravity_camera)
 
 
 def test_a_coarse_direction_tells_the_vertical_of_a_camera_on_its_side(rng):
     down, x, y = tilted_frame()
     segments = lines_along(np.stack([down, x, y]), 12, rng)
     found = find_directions(segments, rng, coarse_down=x)
-    assert angle_deg(found.down_camera, x) < 1e-3
+    assert angle_deg(found.gravity_camera, x) < 1e-3
 
 
 def test_two_pairs_about_one_vertical(rng):
@@ -104,8 +105,8 @@ def test_rendered_rooms(make, least):
     for seed in (300, 302, 305, 306):
         scene = textured(make, seed)
         found = directions_of(scene.rgb)
-        if found.down_camera is not None:
-            errors.append(angle_deg(found.down_camera, scene.down_camera))
+        if found.gravity_camera is not None:
+            errors.append(angle_deg(found.gravity_camera, scene.gravity_camera))
     assert len(errors) >= least
     assert max(errors) < AIM_DEG
 
@@ -113,13 +114,13 @@ def test_rendered_rooms(make, least):
 def test_a_sloped_floor_does_not_tilt_the_vertical():
     for seed in (300, 304):
         scene = textured(ramp_room, seed)
-        assert angle_deg(directions_of(scene.rgb).down_camera, scene.down_camera) < AIM_DEG
+        assert angle_deg(directions_of(scene.rgb).gravity_camera, scene.gravity_camera) < AIM_DEG
 
 
 @pytest.mark.parametrize('seed', range(3))
 def test_twigs_are_refused(seed):
     found = directions_of(clutter(np.random.default_rng(seed)))
-    assert found.down_camera is None and found.refusal
+    assert found.gravity_camera is None and found.refusal
 
 
 def test_a_flat_image_is_refused():

@@ -120,7 +120,7 @@ def test_a_wall_across_a_further_axis_shows_lines_along_its_partner(share, is_ac
 def test_covariance_of_the_axes_leaves_room_for_a_sure_network():
     near = plane(turned(-AXES[0], 2, AXES[1]), 0.1)
     loose = directions()
-    loose = SceneDirections(loose.down_camera, 25 * loose.covariance, 0.3, loose.pairs, '', '')
+    loose = SceneDirections(loose.gravity_camera, 25 * loose.covariance, 0.3, loose.pairs, '', '')
     turn = angle_deg(orient((near,), loose, NOTHING).normals[0], near.normal)
     assert turn < angle_deg(orient((near,), directions(), NOTHING).normals[0],
                             near.normal) - 0.3

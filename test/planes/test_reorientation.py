@@ -67,6 +67,6 @@ def test_labels_are_only_joined():
 
 def test_offsets_fit_the_depth():
     scene, _, (planes, _) = before_and_after(random_room, 300, 0.005)
-    level = [plane for plane in planes if plane.normal @ scene.down_camera < -0.999]
+    level = [plane for plane in planes if plane.normal @ scene.gravity_camera < -0.999]
     floor = max(level, key=lambda plane: plane.offset_m)
     assert floor.offset_m == pytest.approx(scene.height_m, rel=0.03)

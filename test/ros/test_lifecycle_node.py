@@ -145,13 +145,13 @@ def test_depth_of_unknown_unit_is_called_relative(robot, room):
 
 
 def test_with_gravity_the_floor_is_told_and_left_out(robot, room):
-    start(robot, lambda rgb: room.depth_m, scale__gravity=room.down_camera.tolist())
+    start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
     send(robot, room, 2.5)
     (obstacles,) = robot.wait_for('points_without_floor')
     table = cloud_array(robot.wait_for('planes')[0])[0]
     (floor,) = table[table['class'] == PlaneClass.FLOOR]
     normal = np.array([floor['normal_x'], floor['normal_y'], floor['normal_z']])
-    assert normal @ room.down_camera < -0.999
+    assert normal @ room.gravity_camera < -0.999
     assert PlaneClass.WALL in table['class']
     assert obstacles.header == header(2.5)
     points = cloud_array(obstacles)[0]
@@ -168,7 +168,7 @@ def test_gravity_from_the_imu(robot, room):
     start(robot, lambda rgb: room.depth_m, use_imu=True)
     imu = Imu(header=header(1.0))
     force = imu.linear_acceleration
-    force.x, force.y, force.z = (-9.81 * room.down_camera).tolist()
+    force.x, force.y, force.z = (-9.81 * room.gravity_camera).tolist()
     robot.publish('imu', imu)
     robot.spin(timeout_s=0.2)
     send(robot, room, 1.01)

@@ -16,7 +16,7 @@ ROOM = small_room()
 
 def standing_transforms(frame='base_footprint', stamp_s=0.0, is_static=True):
     """Return TF of a robot that stands on the floor of the room, with z up."""
-    up = -ROOM.down_camera
+    up = -ROOM.gravity_camera
     x_axis = np.cross(up, [1.0, 0.0, 0.0])
     x_axis /= np.linalg.norm(x_axis)
     to_base = np.stack([x_axis, np.cross(up, x_axis), up])

@@ -44,7 +44,7 @@ def estimate(scene, noise=0.0, known=None, **settings):
 
 
 def upright(scene, tolerance_deg=1.0):
-    return {'down_camera': scene.down_camera, 'down_tolerance_deg': tolerance_deg}
+    return {'gravity_camera': scene.gravity_camera, 'down_tolerance_deg': tolerance_deg}
 
 
 def worst_angle_error_deg(scene, scale):
@@ -176,7 +176,7 @@ def test_camera_height_needs_a_direction_known_well():
 
 def test_gravity_may_have_any_length():
     scene = room()
-    known = {**upright(scene), 'down_camera': 9.81 * scene.down_camera}
+    known = {**upright(scene), 'gravity_camera': 9.81 * scene.gravity_camera}
     scale = estimate(scene, known=known, camera_height=scene.height_m)
     assert scale.method == 'camera_height'
     assert median_depth_error(scene, scale) < 2e-3
@@ -192,8 +192,8 @@ def test_right_angles_fix_the_angles_but_claim_no_metres():
 
 def test_right_angles_coarse_gravity_and_height_give_metres():
     scene = room()
-    coarse = scene.down_camera + [0.15, 0.0, 0.1]
-    known = {'down_camera': coarse, 'down_tolerance_deg': 20.0}
+    coarse = scene.gravity_camera + [0.15, 0.0, 0.1]
+    known = {'gravity_camera': coarse, 'down_tolerance_deg': 20.0}
     scale = estimate(scene, known=known, camera_height=scene.height_m)
     assert scale.method == 'manhattan' and scale.is_metric
     assert median_depth_error(scene, scale) < 0.01
@@ -272,7 +272,7 @@ def test_auto_takes_the_first_that_gives_metres():
 def test_images_without_information_give_relative(disparity):
     planes = ray_planes(labelled_regions(disparity, np.zeros(disparity.shape, int)), SMALL)
     scale = estimate_scale(
-        ScaleEvidence(disparity, planes, down_camera=np.array([0.0, 1.0, 0.0]),
+        ScaleEvidence(disparity, planes, gravity_camera=np.array([0.0, 1.0, 0.0]),
                       sensor_depth_m=disparity), ScaleConfig(camera_height=1.0))
     assert scale.method == 'relative'
     assert apply_scale(disparity, scale).shape == disparity.shape

@@ -78,7 +78,7 @@ def test_what_is_no_such_shape_is_left_alone(name):
 def test_geometry_is_in_the_camera_frame():
     scene = scene_with('column')
     shape, = detect(scene).shapes
-    up_camera = -scene.down_camera
+    up_camera = -scene.gravity_camera
     assert abs(shape.axis @ up_camera) == pytest.approx(1.0, abs=1e-4)
     assert shape.length_m > 1.0
     ball, = detect(scene_with('ball')).shapes

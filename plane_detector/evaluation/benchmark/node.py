@@ -150,7 +150,7 @@ def report_messages() -> None:
 def _frame(with_depth: bool) -> Frame:
     sent = input_messages(Header(), room(HELD_OUT))
     depth = sent['depth'] if with_depth else None
-    return Frame(sent['image'], sent['camera_info'], depth, down_camera=None, epoch=0)
+    return Frame(sent['image'], sent['camera_info'], depth, gravity_camera=None, epoch=0)
 
 
 def _median_ms(call: Callable[[], object]) -> float:

@@ -88,10 +88,10 @@ def report_gravity(name: str, found: Sequence[Frame]) -> None:
     for frame in found:
         truth = true_down(segment_planes(frame.depth_m, frame.intrinsics))
         seen = _directions(frame.rgb, frame.intrinsics)
-        if truth is None or seen.down_camera is None:
+        if truth is None or seen.gravity_camera is None:
             rows.append([frame.name, seen.refusal or 'no floor in the sensor\'s depth', '-', '-'])
             continue
-        errors.append(angle_deg(seen.down_camera, truth))
+        errors.append(angle_deg(seen.gravity_camera, truth))
         rows.append([frame.name, f'{errors[-1]:.1f}', f'{seen.support:.2f}',
                      seen.pair_refusal or f'{seen.pairs[0].support:.2f}'])
     emit(f'### Gravity from lines, {name}: {_summary(errors, len(found))}',
@@ -116,14 +116,14 @@ def report_rendered(count: int, first_seed: int) -> None:
     for name, make in SCENES.items():
         scenes = [textures.textured(make, seed) for seed in range(first_seed, first_seed + count)]
         seen = [_directions(scene.rgb, scene.intrinsics) for scene in scenes]
-        gravity = [angle_deg(one.down_camera, scene.down_camera)
+        gravity = [angle_deg(one.gravity_camera, scene.gravity_camera)
                    for one, scene in zip(seen, scenes, strict=True)
-                   if one.down_camera is not None]
+                   if one.gravity_camera is not None]
         axes = [error for one, scene in zip(seen, scenes, strict=True) if one.pairs
                 for error in _axis_errors(one.pairs[0].axes, scene)]
         rows.append([name, _summary(gravity, count), _summary(axes, len(axes))])
     answers = sum(_directions(textures.clutter(np.random.default_rng(seed), textures.VGA),
-                              textures.VGA).down_camera is not None
+                              textures.VGA).gravity_camera is not None
                   for seed in range(first_seed, first_seed + count))
     rows.append(['strokes of all directions', f'{answers} of {count} answer', '-'])
     emit('### Directions of rendered rooms with lines',
@@ -132,7 +132,7 @@ def report_rendered(count: int, first_seed: int) -> None:
 
 def _axis_errors(axes: np.ndarray, scene) -> list[float]:
     """Return the angle of the first axis or its perpendicular to the nearest wall's normal."""
-    walls = scene.planes[np.abs(scene.planes[:, :3] @ scene.down_camera) < UPRIGHT_SINE, :3]
+    walls = scene.planes[np.abs(scene.planes[:, :3] @ scene.gravity_camera) < UPRIGHT_SINE, :3]
     if not len(walls):
         return []
     nearest = np.degrees(np.arccos(np.clip(np.abs(axes @ walls.T).max(), 0, 1)))

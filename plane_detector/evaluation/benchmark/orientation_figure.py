@@ -56,11 +56,11 @@ def _extremes(name: str, make: Callable, seeds: range) -> list[Panel]:
     for seed in seeds:
         scene = textures.textured(make, seed)
         found = find_in_image(scene.rgb, scene.intrinsics, np.random.default_rng(0))
-        if found.directions.down_camera is None:
+        if found.directions.gravity_camera is None:
             refused = refused or _panel(short, scene.rgb, found, None)
             continue
         error_deg = np.degrees(np.arccos(np.clip(
-            found.directions.down_camera @ scene.down_camera, -1, 1)))
+            found.directions.gravity_camera @ scene.gravity_camera, -1, 1)))
         if worst is None or error_deg > worst[0]:
             worst = error_deg, scene, found
     answered = [_panel(short, worst[1].rgb, worst[2], worst[0])] if worst else []

@@ -81,7 +81,8 @@ def measure(view: View, estimate: ScaleEstimate) -> Errors:
     true_deg = _angles_deg(want, want)
     bent = _rescaled(want, view.true_scale, estimate)
     bend_deg = np.abs(_angles_deg(bent, bent) - true_deg).max(initial=0.0)
-    return Errors(_wall_to_floor(np.abs(_angles_deg(got, got) - true_deg), want, view.down_camera),
+    angle_errors_deg = np.abs(_angles_deg(got, got) - true_deg)
+    return Errors(_wall_to_floor(angle_errors_deg, want, view.gravity_camera),
                   np.abs(1.0 / ratio - 1.0), float(bend_deg))
 
 
@@ -138,7 +139,7 @@ def _manhattan(view: View) -> ScaleEstimate:
 def _of_the_image(view: View, config: ScaleConfig) -> ScaleEstimate:
     """Give gravity and horizontal axes as the lines of the image tell them."""
     gravity = view.around.gravity
-    return view.estimate(config, down_camera=gravity.down_camera,
+    return view.estimate(config, gravity_camera=gravity.gravity_camera,
                          down_tolerance_deg=gravity.tolerance_deg,
                          level_axes=view.around.level_axes)
 
@@ -152,7 +153,7 @@ def _height(view: View, method: str, gravity_error_deg: float, tolerance_deg: fl
     sign = view.rng.choice([-1.0, 1.0])
     config = ScaleConfig(method=method, camera_height=view.height_m * (1 + sign * height_error))
     return view.estimate(config, down_tolerance_deg=tolerance_deg,
-                         down_camera=_tilted(view.down_camera, gravity_error_deg, view.rng))
+                         gravity_camera=_tilted(view.gravity_camera, gravity_error_deg, view.rng))
 
 
 WAYS: dict[str, Callable[[View], ScaleEstimate]] = {

@@ -41,7 +41,7 @@ class View:
     regions: PixelRegions
     true_depth_m: np.ndarray
     intrinsics: CameraIntrinsics
-    down_camera: np.ndarray
+    gravity_camera: np.ndarray
     height_m: float
     true_scale: ScaleConfig
     rng: np.random.Generator
@@ -59,7 +59,7 @@ class View:
             self.disparity, ray_planes(self.regions, self.intrinsics), **known), config)
 
 
-def look(scene: Scene | Frame, down_camera: np.ndarray, height_m: float,
+def look(scene: Scene | Frame, gravity_camera: np.ndarray, height_m: float,
          rng: np.random.Generator) -> View:
     """Return what a network of random scale and shift makes of an image, and its planes."""
     depth_m = scene.depth_m
@@ -69,23 +69,23 @@ def look(scene: Scene | Frame, down_camera: np.ndarray, height_m: float,
     disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
     truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
     regions = segment(disparity, unitless_noise_floor(disparity), Config())
-    return View(disparity, regions, depth_m, scene.intrinsics, down_camera, height_m, truth, rng,
-                scene.rgb)
+    return View(disparity, regions, depth_m, scene.intrinsics, gravity_camera, height_m, truth,
+                rng, scene.rgb)
 
 
 def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
     """Render scenes."""
     for seed in seeds:
         scene = textured(make, seed)
-        yield look(scene, scene.down_camera, scene.height_m, np.random.default_rng([seed, 2]))
+        yield look(scene, scene.gravity_camera, scene.height_m, np.random.default_rng([seed, 2]))
 
 
 def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
     """Read a set of real images; gravity and height are those of the sensor's floor."""
     for frame in frames(folder.parent, (folder.name,)):
         planes = segment_planes(frame.depth_m, frame.intrinsics).planes
-        down_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
-        floors = [plane for plane, kind in zip(planes, classify_planes(planes, down_camera),
+        gravity_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
+        floors = [plane for plane, kind in zip(planes, classify_planes(planes, gravity_camera),
                                                strict=True) if kind == PlaneClass.FLOOR]
         if not floors:
             print(f'{frame.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)

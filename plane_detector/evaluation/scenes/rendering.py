@@ -41,7 +41,7 @@ class Scene:
     planes : (N, 4) float64
         Unit normal towards the camera and offset of every visible plane, camera frame.
     intrinsics : CameraIntrinsics
-    down_camera : (3,) float64
+    gravity_camera : (3,) float64
         Direction of gravity in the camera frame.
     rectangles : (N,) int
         Index of each plane's rectangle in the list that was rendered: the same surface in
@@ -56,7 +56,7 @@ class Scene:
     labels: np.ndarray
     planes: np.ndarray
     intrinsics: CameraIntrinsics
-    down_camera: np.ndarray
+    gravity_camera: np.ndarray
     rectangles: np.ndarray
     height_m: float = 0.0
 

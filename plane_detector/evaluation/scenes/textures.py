@@ -96,10 +96,10 @@ def _paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
     for k, plane in enumerate(scene.planes):
         mask = scene.labels == k
         base = rng.uniform(70, 210)
-        along = _level_direction(plane[:3], scene.down_camera, upright)
+        along = _level_direction(plane[:3], scene.gravity_camera, upright)
         across = np.cross(plane[:3], along)
         u, v = points_m[mask] @ along, points_m[mask] @ across
-        is_level = abs(plane[:3] @ scene.down_camera) > _LEVEL_COSINE
+        is_level = abs(plane[:3] @ scene.gravity_camera) > _LEVEL_COSINE
         paint = _floor if is_level else _wall
         grey[mask] = base + (paint(u, v, rng) if mask.mean() > 0.03 else 0.0)
     return grey
@@ -107,7 +107,7 @@ def _paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
 
 def _upright_normal(scene: Scene) -> np.ndarray:
     """Return the normal of the largest upright plane, the one that floors are laid along."""
-    upright = np.abs(scene.planes[:, :3] @ scene.down_camera) < 0.05
+    upright = np.abs(scene.planes[:, :3] @ scene.gravity_camera) < 0.05
     pixels = np.bincount(scene.labels[scene.labels >= 0], minlength=len(scene.planes)) * upright
     return scene.planes[pixels.argmax(), :3]
 

@@ -44,6 +44,6 @@ class GravityFilter:
         self._down_camera = smooth_gravity(self._down_camera, reading, interval_s)
         self._stamp_s = stamp_s
 
-    def down_camera(self, stamp_s: float) -> np.ndarray | None:
+    def gravity_camera(self, stamp_s: float) -> np.ndarray | None:
         """Return the unit direction (3,) in the optical frame; None without recent readings."""
         return self._down_camera if stamp_s - self._stamp_s <= _SILENT_S else None

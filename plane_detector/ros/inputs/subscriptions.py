@@ -11,13 +11,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
+from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.topic_watch import TopicWatch
 from plane_detector.ros.qos import InputSubscription
 
 
-class Inputs:
+class Subscriptions:
     """
     Subscribes to the topics that the settings require.
 
@@ -44,14 +44,15 @@ class Inputs:
         self._on_frame, self._on_dropped = on_frame, on_dropped
         self._names = input_topics(node, settings.image_transport)
         depth = depth_use(config, output)
-        self._assembler = FrameAssembler(depth, settings.stamp_slop, config.scale.imu_to_camera)
+        self._synchronizer = FrameSynchronizer(depth, settings.stamp_slop,
+                                               config.scale.imu_to_camera)
         compressed = settings.image_transport == 'compressed'
         wanted = {'image': (CompressedImage if compressed else Image, self._on_image),
                   'camera_info': (CameraInfo, self._on_camera_info)}
         if depth != 'unused':
             wanted['depth'] = Image, self._on_depth
         if settings.use_imu:
-            wanted['imu'] = Imu, self._assembler.add_imu
+            wanted['imu'] = Imu, self._synchronizer.add_imu
         self._watch = TopicWatch(node)
         self._subscriptions: list[InputSubscription] = []
         try:
@@ -64,7 +65,7 @@ class Inputs:
 
     def set_stamp_slop(self, stamp_slop_s: float) -> None:
         """Change how far in time a depth image may be from its image."""
-        self._assembler.stamp_slop_s = stamp_slop_s
+        self._synchronizer.stamp_slop_s = stamp_slop_s
 
     def destroy(self) -> None:
         """End the subscriptions."""
@@ -89,19 +90,19 @@ class Inputs:
             self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info')
 
     def _on_image(self, msg: Any) -> None:
-        epoch = self._assembler.epoch
-        self._hand_over(self._assembler.add_image(msg))
-        if self._assembler.epoch != epoch:
+        epoch = self._synchronizer.epoch
+        self._hand_over(self._synchronizer.add_image(msg))
+        if self._synchronizer.epoch != epoch:
             self._node.get_logger().warning('time jumped back: caches and tracking start anew')
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
-        self._hand_over(self._assembler.add_camera_info(msg))
+        self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Image) -> None:
-        self._hand_over(self._assembler.add_depth(msg))
+        self._hand_over(self._synchronizer.add_depth(msg))
 
     def _hand_over(self, frames: list[Frame]) -> None:
-        dropped = self._assembler.take_dropped()
+        dropped = self._synchronizer.take_dropped()
         if dropped:
             self._on_dropped(dropped)
         for frame in frames:

@@ -39,7 +39,7 @@ class Frame:
         the next one while CameraInfo messages keep coming.
     depth : sensor_msgs.msg.Image or None
         Measured depth, if used.
-    down_camera : (3,) float64 or None
+    gravity_camera : (3,) float64 or None
         Direction of gravity in the optical frame, if there is an IMU.
     epoch : int
         Increases when time jumps back: frames of different epochs share no history.
@@ -49,7 +49,7 @@ class Frame:
     image: Image | CompressedImage
     camera_info: CameraInfo
     depth: Image | None
-    down_camera: np.ndarray | None
+    gravity_camera: np.ndarray | None
     epoch: int
 
 
@@ -73,7 +73,7 @@ def depth_use(config: Config, output: str) -> str:
     return 'optional' if relative and config.scale.method == 'auto' else 'unused'
 
 
-class FrameAssembler:
+class FrameSynchronizer:
     """
     Matches images, calibrations, depth images and gravity by their stamps.
 
@@ -150,7 +150,7 @@ class FrameAssembler:
             if depth is None and self._depth_use == 'required':
                 self._dropped += 1
                 continue
-            gravity = self._gravity.down_camera(stamp_ns * 1e-9)
+            gravity = self._gravity.gravity_camera(stamp_ns * 1e-9)
             frames.append(Frame(image, info, depth, gravity, self.epoch))
         return frames
 

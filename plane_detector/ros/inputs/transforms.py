@@ -34,14 +34,14 @@ class CameraPose:
 
     Attributes
     ----------
-    down_camera : (3,) float64
+    gravity_camera : (3,) float64
         Unit direction of gravity in the optical frame.
     height_m : float
         Of the camera above the origin of the base frame.
 
     """
 
-    down_camera: np.ndarray
+    gravity_camera: np.ndarray
     height_m: float
 
 

@@ -41,7 +41,7 @@ from plane_detector.types import CameraIntrinsics, Detection
 
 
 @dataclass(frozen=True)
-class Result:
+class ProcessedFrame:
     """
     A processed image.
 
@@ -148,10 +148,10 @@ class Output(NamedTuple):
     """Type of a topic's messages, and how one is made of a result; None: there is none now."""
 
     msg_type: Any
-    make: Callable[[Result], Any]
+    make: Callable[[ProcessedFrame], Any]
 
 
-def _points(result: Result) -> PointCloud2:
+def _points(result: ProcessedFrame) -> PointCloud2:
     thinned = result.thinned
     labels, rgb = result.labels[thinned], np.ascontiguousarray(result.rgb[thinned])
     if result.settings.points_color == 'label':
@@ -159,7 +159,7 @@ def _points(result: Result) -> PointCloud2:
     return messages.points_to_msg(result.target_header, result.points_m[thinned], rgb, labels)
 
 
-def _points_without_floor(result: Result) -> PointCloud2 | None:
+def _points_without_floor(result: ProcessedFrame) -> PointCloud2 | None:
     """Obstacles: nothing rather than all or no points while the floor or the unit is not known."""
     detection = result.detection
     if not any(detection.classes) or detection.scale_method == RELATIVE:
@@ -172,22 +172,22 @@ def _points_without_floor(result: Result) -> PointCloud2 | None:
     return messages.obstacles_to_msg(result.target_header, points_m, wanted)
 
 
-def _planes(result: Result) -> PointCloud2:
+def _planes(result: ProcessedFrame) -> PointCloud2:
     return planes_to_msg(result.target_header, result.target_detection.planes,
                          messages.plane_labels(result.detection), result.detection.classes,
                          result.rectangles, result.merged)
 
 
-def _boundaries(result: Result) -> PointCloud2:
+def _boundaries(result: ProcessedFrame) -> PointCloud2:
     return boundaries_to_msg(result.target_header, messages.plane_labels(result.detection),
                              result.polygons)
 
 
-def _poses(result: Result) -> PoseArray:
+def _poses(result: ProcessedFrame) -> PoseArray:
     return messages.poses_to_msg(result.target_header, result.target_detection.planes)
 
 
-def _markers(result: Result) -> MarkerArray:
+def _markers(result: ProcessedFrame) -> MarkerArray:
     found = result.detection
     captions = plane_captions(found, messages.plane_labels(found).tolist(), result.intrinsics,
                               result.label_places)
@@ -196,27 +196,27 @@ def _markers(result: Result) -> MarkerArray:
     return markers if result.to_target is None else moved(markers, result.to_target)
 
 
-def _labels(result: Result) -> Image:
+def _labels(result: ProcessedFrame) -> Image:
     return messages.labels_to_msg(result.header, result.labels)
 
 
-def _depth(result: Result) -> Image:
+def _depth(result: ProcessedFrame) -> Image:
     return messages.depth_to_msg(result.header, result.detection.depth_m)
 
 
-def _overlay(result: Result) -> Image:
+def _overlay(result: ProcessedFrame) -> Image:
     return messages.rgb_to_msg(result.header, result.overlay)
 
 
-def _compressed_overlay(result: Result) -> CompressedImage:
+def _compressed_overlay(result: ProcessedFrame) -> CompressedImage:
     return messages.jpeg_to_msg(result.header, result.overlay)
 
 
-def _shapes(result: Result) -> PointCloud2:
+def _shapes(result: ProcessedFrame) -> PointCloud2:
     return shapes_to_msg(result.target_header, result.target_detection)
 
 
-def _camera_info(result: Result) -> CameraInfo:
+def _camera_info(result: ProcessedFrame) -> CameraInfo:
     return messages.camera_info_to_msg(result.header, result.intrinsics, result.lens)
 
 

@@ -25,7 +25,7 @@ MIN_REGION_CELLS = 100
 # after: the usual three deviations of a normal distribution.
 MAX_RESIDUAL = 3.0
 # derived: what differs from cell to cell is at least next to none and at most next to all.
-LEAST_SHARE = 1e-3
+MIN_SHARE = 1e-3
 # derived: likewise, of neighbouring cells.
 CORRELATION_RANGE = (0.02, 0.98)
 # derived: about 1, exponential, and 2, Gaussian.
@@ -67,7 +67,7 @@ class Correlation:
         if square <= 0:
             return None
         own = square * np.clip((noise.pixel_sigma / model.grid.size_px) ** 2 / square,
-                               LEAST_SHARE, 1 - LEAST_SHARE)
+                               MIN_SHARE, 1 - MIN_SHARE)
         smooth = square - own
         decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, *CORRELATION_RANGE))
         power = np.clip(np.log2(at_two / decay), *POWER_RANGE)

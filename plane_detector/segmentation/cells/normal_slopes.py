@@ -23,7 +23,7 @@ from plane_detector.types import CameraIntrinsics, Prediction
 
 # derived: the best published normals are 10 degrees off on the average, of which neighbours share
 # the larger part; no difference between them makes normals surer than this.
-LEAST_ANGLE_RAD = np.radians(2.0)
+MIN_ANGLE_RAD = np.radians(2.0)
 # Least noise of the depth's slopes, per image width, for each unit of the noise of its source.
 # tuned: rooms of seeds 302, 303, 309, 310, normals with smooth errors of 5 and 10 degrees: mean SC
 # as without normals at 2, up to .1 less at 8.
@@ -85,7 +85,7 @@ def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> Cel
     is_usable = grid.usable & np.isfinite(slope).all(axis=1)
     measured = _neighbour_variance(grid, grid.slope, grid.usable)
     of_depth = max(measured, (SLOPE_PER_NOISE * source_sigma) ** 2)
-    least = LEAST_ANGLE_RAD * grid.mean[:, 2] * grid.width_px / normals.intrinsics.fx
+    least = MIN_ANGLE_RAD * grid.mean[:, 2] * grid.width_px / normals.intrinsics.fx
     of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + least**2,
                             _disagreement(grid, slope, is_usable) - measured)
     share = np.where(is_usable, of_depth / np.maximum(of_depth + of_normals, 1e-30), 0)[:, None]

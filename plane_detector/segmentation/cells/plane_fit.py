@@ -12,7 +12,7 @@ from plane_detector.compilation import kernel
 MIN_WIDTH_SQUARED = 1e-6
 # derived: far above float64's rounding. A smaller eigenvalue, relative to the largest one,
 # counts as zero: too few cells for the fit.
-LEAST_EIGENVALUE = 1e-10
+MIN_EIGENVALUE = 1e-10
 
 
 @kernel('UniTuple(float64, 3)(float64[::1])')
@@ -105,7 +105,7 @@ def solve_least_squares(products, terms, coefficients):
     work = products.copy()
     for k in range(terms):
         pivot = work[k, k]
-        is_open = pivot <= LEAST_EIGENVALUE * products[k, k]
+        is_open = pivot <= MIN_EIGENVALUE * products[k, k]
         for j in range(last + 1):
             work[k, j] = 0.0 if is_open else work[k, j] / pivot
         for i in range(last + 1):

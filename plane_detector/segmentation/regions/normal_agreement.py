@@ -13,7 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
-from plane_detector.segmentation.cells.normal_slopes import LEAST_ANGLE_RAD
+from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_RAD
 from plane_detector.segmentation.regions.adjacency import MAX_DEVIATIONS, MIN_PLANE_CELLS
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
@@ -46,7 +46,7 @@ def normals_differ(cells: WeightedCells, regions: PlaneRegions, first: np.ndarra
         np.stack([np.bincount(label, column, count) for column in columns.T], axis=1)
         / np.maximum(number, 1)[:, None]
         for columns in (slope, slope**2, cells.grid.mean[used, 2:]))
-    least = LEAST_ANGLE_RAD * disparity[:, 0] / TYPICAL_FOCAL_SHARE
+    least = MIN_ANGLE_RAD * disparity[:, 0] / TYPICAL_FOCAL_SHARE
     variance = (square - mean**2).clip(0).mean(axis=1) + least**2
     apart = ((mean[first] - mean[second]) ** 2).sum(axis=1)
     is_known = np.minimum(number[first], number[second]) >= MIN_PLANE_CELLS

@@ -122,8 +122,9 @@ def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
     """Return the image with the lines and the vertical found from them, as the node does."""
     found = _directions(photograph)
     axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in found.pairs[:1])])
-    drawn = drawing.draw_directions(photograph.rgb, photograph.intrinsics, found.down_camera, axes)
-    if found.down_camera is None:
+    drawn = drawing.draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera,
+                                    axes)
+    if found.gravity_camera is None:
         return 'image', drawn
     level = ', horizontal axes red and green' if len(axes) else ''
     horizon = ', horizon yellow' if _sees_horizon(photograph.intrinsics, found) else ''
@@ -134,7 +135,7 @@ def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
     """Whether corners of the image lie on both sides of it."""
     corners = np.array([((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
                         for u in (0, camera.width) for v in (0, camera.height)])
-    side = corners @ found.down_camera
+    side = corners @ found.gravity_camera
     return bool(side.min() < 0 < side.max())
 
 

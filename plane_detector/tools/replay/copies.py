@@ -12,7 +12,7 @@ from plane_detector.tools.replay.bag_reader import Recorded
 from plane_detector.tools.replay.bag_topics import InputTopics
 from plane_detector.tools.replay.bag_writer import BagWriter
 
-# derived: an image waits for its partners while at most 16 others do, see FrameAssembler.
+# derived: an image waits for its partners while at most 16 others do, see FrameSynchronizer.
 _WAITING = 64
 
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.ros.frame_processor import Processed
+from plane_detector.ros.frame_processor import FrameOutputs
 from plane_detector.ros.outputs.plane_table import PLANE_DTYPE
 from plane_detector.ros.outputs.shapes import SHAPE_DTYPE
-from plane_detector.ros.outputs.topics import Result
+from plane_detector.ros.outputs.topics import ProcessedFrame
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.ply import write_ply
 
@@ -83,7 +83,7 @@ class ReplayFiles:
         """Names of the outputs that these files are made of."""
         return tuple(self._tables)
 
-    def write(self, index: int, processed: Processed) -> None:
+    def write(self, index: int, processed: FrameOutputs) -> None:
         """Write the files of a frame, whose number is in their names."""
         result = processed.result
         if self._figures is not None:
@@ -116,7 +116,7 @@ def _rows_before(table: Path, first_index: int) -> list[list[str]]:
         return [row for row in list(csv.reader(file))[1:] if int(row[0]) < first_index]
 
 
-def _figure(result: Result) -> np.ndarray:
+def _figure(result: ProcessedFrame) -> np.ndarray:
     """Return image, depth and planes side by side."""
     detection = result.detection
     near, far = drawing.depth_range(detection.depth_m)
@@ -130,7 +130,7 @@ def _figure(result: Result) -> np.ndarray:
     ], columns=3)
 
 
-def _rows(index: int, processed: Processed, name: str,
+def _rows(index: int, processed: FrameOutputs, name: str,
           dtype: np.dtype) -> Iterator[list[object]]:
     """Yield the content of the message of planes or shapes, a row per point."""
     stamp = processed.result.header.stamp

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler
+from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, to_message
 from plane_detector.tools.replay.bag_topics import InputTopics, input_class
 from plane_detector.tools.replay.copies import CopiedMessages
@@ -26,7 +26,7 @@ class FrameReader:
         Of the messages that become frames.
     part_ns : (int, int)
         Times of recording: start, and end, which is not read.
-    assembler : FrameAssembler
+    synchronizer : FrameSynchronizer
         Brings messages of one time together.
 
     Attributes
@@ -37,16 +37,17 @@ class FrameReader:
     """
 
     def __init__(self, bag: BagReader, topics: InputTopics, part_ns: tuple[int, int],
-                 assembler: FrameAssembler):
+                 synchronizer: FrameSynchronizer):
         self.bag, self.topics, self.damaged = bag, topics, 0
         self._start_ns, self._stop_ns = part_ns
-        self._assembler = assembler
+        self._synchronizer = synchronizer
 
     def frames(self, copies: CopiedMessages) -> Iterator[tuple[int, Frame]]:
         """Yield frames, with the time at which their last message was recorded."""
-        topics, assembler, time_ns = self.topics, self._assembler, self._start_ns
-        add = {topics.image: assembler.add_image, topics.camera_info: assembler.add_camera_info,
-               topics.depth: assembler.add_depth, topics.imu: assembler.add_imu}
+        topics, synchronizer, time_ns = self.topics, self._synchronizer, self._start_ns
+        add = {topics.image: synchronizer.add_image,
+               topics.camera_info: synchronizer.add_camera_info,
+               topics.depth: synchronizer.add_depth, topics.imu: synchronizer.add_imu}
         classes = {name: input_class(self.bag, name) for name in topics.names}
         self._add_first_calibration()
         for recorded in self.bag.read({*topics.names, *copies.topics}, self._start_ns,
@@ -60,11 +61,11 @@ class FrameReader:
             copies.add(recorded, msg)
             if msg is not None:
                 yield from ((time_ns, frame) for frame in add[recorded.topic](msg) or ())
-        yield from ((time_ns, frame) for frame in assembler.finish())
+        yield from ((time_ns, frame) for frame in synchronizer.finish())
 
     def take_dropped(self) -> int:
         """Return how many images found no calibration or depth since the last call."""
-        return self._assembler.take_dropped()
+        return self._synchronizer.take_dropped()
 
     def expected_frames(self, every: int) -> int:
         """Return about how many frames there are if one of so many is taken."""
@@ -78,7 +79,7 @@ class FrameReader:
         topic = self.topics.camera_info
         kind = input_class(self.bag, topic)
         earlier = list(self.bag.messages(topic, kind, None, self._start_ns + 1))
-        self._assembler.add_camera_info(earlier[-1] if earlier else self.bag.first(topic, kind))
+        self._synchronizer.add_camera_info(earlier[-1] if earlier else self.bag.first(topic, kind))
 
 
 def part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:

@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from tqdm import tqdm
 
 from plane_detector.depth.observation import ModelOrFunction
-from plane_detector.ros.frame_processor import FrameProcessor, Processed
-from plane_detector.ros.inputs.synchronizer import Frame, FrameAssembler, depth_use
+from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
+from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
 from plane_detector.ros.kernels import load_kernels
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Stopped
@@ -98,7 +98,7 @@ def _open_frames(bag: BagReader, camera: InputTopics, part_ns: tuple[int, int],
     use = depth_use(choice.config, processor.output)
     wanted = {'depth': choice.topic, **options.topics} if choice.topic else options.topics
     topics = with_companions(bag, camera, wanted, use, options.settings.use_imu)
-    return FrameReader(bag, topics, part_ns, FrameAssembler(
+    return FrameReader(bag, topics, part_ns, FrameSynchronizer(
         use, options.settings.stamp_slop, choice.config.scale.imu_to_camera))
 
 
@@ -191,7 +191,7 @@ class _Run:
             self._uncommitted.clear()
         tally.stage_seconds['write'] += time.perf_counter() - start_s
 
-    def _write(self, index: int, time_ns: int, processed: Processed) -> None:
+    def _write(self, index: int, time_ns: int, processed: FrameOutputs) -> None:
         """Write files and outputs of a frame, and count it."""
         tally, detection = self._tally, processed.result.detection
         if self._files.is_wanted:

@@ -29,7 +29,7 @@ def frame(scene):
 
 def test_true_gravity_is_that_of_the_floor(scene):
     down = orientation.true_down(segment_planes(scene.depth_m, scene.intrinsics))
-    assert orientation.angle_deg(down, scene.down_camera) < 0.1
+    assert orientation.angle_deg(down, scene.gravity_camera) < 0.1
 
 
 def test_gravity_is_told_frame_by_frame(frame, capsys):

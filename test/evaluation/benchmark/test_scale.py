@@ -26,7 +26,7 @@ def test_camera_height_brings_real_images_to_metres(name, data_folder, monkeypat
     answered = 0
     for view in scale_views.real_views(data_folder / name, np.random.default_rng(5)):
         scale = view.estimate(ScaleConfig(camera_height=view.height_m), down_tolerance_deg=0.5,
-                              down_camera=view.down_camera)
+                              gravity_camera=view.gravity_camera)
         if scale.method != 'camera_height':  # where no floor was segmented it refuses
             assert not scale.is_metric
             continue

@@ -75,7 +75,7 @@ def test_planes_are_unit_look_at_the_camera_and_are_all_visible(seed):
                                   np.arange(len(scene.planes)))
     assert scene.rectangles.shape == (len(scene.planes),)
     assert 0.9 <= scene.height_m <= 1.8
-    assert scene.down_camera[1] > 0.8
+    assert scene.gravity_camera[1] > 0.8
 
 
 @pytest.mark.parametrize('seed', SEEDS)

@@ -87,8 +87,8 @@ def test_where_nothing_is_there_is_neither_depth_nor_label():
 
 def test_stairs_alternate_between_risers_and_treads():
     scene = staircase(SMALL, steps=4)
-    upright = np.abs(scene.planes[:, :3] @ scene.down_camera) < 1e-6
-    level = scene.planes[:, :3] @ scene.down_camera < -1 + 1e-6
+    upright = np.abs(scene.planes[:, :3] @ scene.gravity_camera) < 1e-6
+    level = scene.planes[:, :3] @ scene.gravity_camera < -1 + 1e-6
     assert (upright | level).all()
     assert upright.sum() == 4
     assert level.sum() == 5, 'four treads and the floor'
@@ -96,8 +96,8 @@ def test_stairs_alternate_between_risers_and_treads():
 
 def test_gravity_points_down_in_the_image():
     room = random_room(np.random.default_rng(5), SMALL)
-    assert room.down_camera[1] > 0.8
-    assert np.linalg.norm(room.down_camera) == pytest.approx(1)
+    assert room.gravity_camera[1] > 0.8
+    assert np.linalg.norm(room.gravity_camera) == pytest.approx(1)
 
 
 def test_rooms_repeat_with_the_seed_and_differ_without():

@@ -7,7 +7,7 @@ import pytest
 from ros_helpers import camera_info_msg, header, image_msg
 from sensor_msgs.msg import Imu
 
-from plane_detector.ros.inputs.synchronizer import FrameAssembler
+from plane_detector.ros.inputs.synchronizer import FrameSynchronizer
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(50.0, 50.0, 3.5, 2.5, 8, 6)
@@ -26,30 +26,30 @@ def info(stamp_s):
 
 
 def test_images_before_the_first_calibration_are_dropped():
-    assembler = FrameAssembler()
+    synchronizer = FrameSynchronizer()
     for stamp_s in (1.0, 1.1, 1.2):
-        assert assembler.add_image(image(stamp_s)) == []
-    assert assembler.add_camera_info(info(1.3)) == []
-    assert assembler.take_dropped() == 3
-    assert len(assembler.add_image(image(1.3))) == 1
+        assert synchronizer.add_image(image(stamp_s)) == []
+    assert synchronizer.add_camera_info(info(1.3)) == []
+    assert synchronizer.take_dropped() == 3
+    assert len(synchronizer.add_image(image(1.3))) == 1
 
 
 def test_the_first_image_waits_for_its_own_calibration():
-    assembler = FrameAssembler()
+    synchronizer = FrameSynchronizer()
     first = image(1.0)
-    assembler.add_image(first)
-    (frame,) = assembler.add_camera_info(info(1.0))
+    synchronizer.add_image(first)
+    (frame,) = synchronizer.add_camera_info(info(1.0))
     assert frame.image is first
-    assert assembler.take_dropped() == 0
+    assert synchronizer.take_dropped() == 0
 
 
 def test_calibration_of_the_same_stamp_comes_before_the_latest():
-    assembler = FrameAssembler()
+    synchronizer = FrameSynchronizer()
     own, latest = info(1.0), info(2.0)
-    assembler.add_camera_info(own)
-    assembler.add_camera_info(latest)
-    assert assembler.add_image(image(1.0))[0].camera_info is own
-    assert assembler.add_image(image(1.5))[0].camera_info is latest
+    synchronizer.add_camera_info(own)
+    synchronizer.add_camera_info(latest)
+    assert synchronizer.add_image(image(1.0))[0].camera_info is own
+    assert synchronizer.add_image(image(1.5))[0].camera_info is latest
 
 
 LARGE = CameraIntrinsics(100.0, 100.0, 7.5, 5.5, 16, 12)
@@ -62,127 +62,127 @@ def large_image(stamp_s):
 @pytest.mark.parametrize('depth_use', ['unused', 'optional'])
 @pytest.mark.parametrize('stamp_s', [1.1, 1.12])
 def test_an_image_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
-    assembler = FrameAssembler(depth_use)
-    assembler.add_camera_info(info(1.0))
-    assert len(assembler.add_image(image(1.0))) == 1
+    synchronizer = FrameSynchronizer(depth_use)
+    synchronizer.add_camera_info(info(1.0))
+    assert len(synchronizer.add_image(image(1.0))) == 1
     large, own = large_image(1.1), camera_info_msg(LARGE, stamp_s)
-    assert assembler.add_image(large) == []
-    assert assembler.add_camera_info(info(1.05)) == [], 'a late one of the old size'
-    (frame,) = assembler.add_camera_info(own)
+    assert synchronizer.add_image(large) == []
+    assert synchronizer.add_camera_info(info(1.05)) == [], 'a late one of the old size'
+    (frame,) = synchronizer.add_camera_info(own)
     assert (frame.image, frame.camera_info) == (large, own)
-    assert assembler.take_dropped() == 0
+    assert synchronizer.take_dropped() == 0
 
 
 def test_without_depth_only_the_newest_image_of_another_size_waits():
-    assembler = FrameAssembler()
-    assembler.add_camera_info(info(1.0))
+    synchronizer = FrameSynchronizer()
+    synchronizer.add_camera_info(info(1.0))
     for stamp_s in (1.1, 1.2, 1.3):
-        assert assembler.add_image(large_image(stamp_s)) == []
-    assert assembler.take_dropped() == 2
-    (frame,) = assembler.add_camera_info(camera_info_msg(LARGE, 1.2))
+        assert synchronizer.add_image(large_image(stamp_s)) == []
+    assert synchronizer.take_dropped() == 2
+    (frame,) = synchronizer.add_camera_info(camera_info_msg(LARGE, 1.2))
     assert frame.image.header == header(1.3)
 
 
 def test_with_depth_they_wait_together_and_are_refused_together():
-    assembler = FrameAssembler('optional')
-    assembler.add_camera_info(info(1.0))
+    synchronizer = FrameSynchronizer('optional')
+    synchronizer.add_camera_info(info(1.0))
     for stamp_s in (1.1, 1.2):
-        assert assembler.add_image(large_image(stamp_s)) == []
-    stamps = [frame.image.header for frame in assembler.add_image(large_image(2.0))]
+        assert synchronizer.add_image(large_image(stamp_s)) == []
+    stamps = [frame.image.header for frame in synchronizer.add_image(large_image(2.0))]
     assert stamps == [header(1.1), header(1.2), header(2.0)]
 
 
 def test_an_image_whose_calibration_does_not_come_is_handed_over_to_be_refused():
     for later in ('info', 'image', 'end'):
-        assembler = FrameAssembler()
-        assembler.add_camera_info(info(1.0))
-        assert assembler.add_image(large_image(1.1)) == []
-        (frame,) = {'info': lambda a=assembler: a.add_camera_info(info(1.2)),
-                    'image': lambda a=assembler: a.add_image(large_image(2.1)),
-                    'end': assembler.finish}[later]()
+        synchronizer = FrameSynchronizer()
+        synchronizer.add_camera_info(info(1.0))
+        assert synchronizer.add_image(large_image(1.1)) == []
+        (frame,) = {'info': lambda a=synchronizer: a.add_camera_info(info(1.2)),
+                    'image': lambda a=synchronizer: a.add_image(large_image(2.1)),
+                    'end': synchronizer.finish}[later]()
         assert (frame.image.width, frame.camera_info.width) == (16, 8), later
 
 
 @pytest.mark.parametrize('info_s, image_s', [(1.0, 1.0), (1.1, 1.0), (1.0, 3.0)])
 def test_an_image_of_another_size_does_not_wait_for_what_will_not_come(info_s, image_s):
     """It has its own, they are ahead in time, or they have come once, long ago."""
-    assembler = FrameAssembler()
-    assembler.add_camera_info(info(info_s))
-    assert len(assembler.add_image(large_image(image_s))) == 1
+    synchronizer = FrameSynchronizer()
+    synchronizer.add_camera_info(info(info_s))
+    assert len(synchronizer.add_image(large_image(image_s))) == 1
 
 
 def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
-    assembler = FrameAssembler(depth='required')
-    assembler.add_camera_info(info(0.0))
+    synchronizer = FrameSynchronizer(depth='required')
+    synchronizer.add_camera_info(info(0.0))
     first, second = depth(1.0), depth(2.0)
-    assert assembler.add_image(image(1.0)) == []
-    assert assembler.add_depth(first)[0].depth is first
-    assert assembler.add_depth(second) == []
-    assert assembler.add_image(image(2.0))[0].depth is second
+    assert synchronizer.add_image(image(1.0)) == []
+    assert synchronizer.add_depth(first)[0].depth is first
+    assert synchronizer.add_depth(second) == []
+    assert synchronizer.add_image(image(2.0))[0].depth is second
 
 
 def test_an_exact_match_comes_before_a_near_one():
-    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
-    assembler.add_camera_info(info(0.0))
-    assembler.add_depth(depth(0.98))
-    assert assembler.add_image(image(1.0)) == []
+    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
+    synchronizer.add_camera_info(info(0.0))
+    synchronizer.add_depth(depth(0.98))
+    assert synchronizer.add_image(image(1.0)) == []
     own = depth(1.0)
-    assert assembler.add_depth(own)[0].depth is own
+    assert synchronizer.add_depth(own)[0].depth is own
 
 
 def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
-    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
-    assembler.add_camera_info(info(0.0))
+    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
+    synchronizer.add_camera_info(info(0.0))
     near = depth(0.98)
-    assembler.add_depth(near)
-    assembler.add_image(image(1.0))
-    (frame,) = assembler.add_depth(depth(1.03))
+    synchronizer.add_depth(near)
+    synchronizer.add_image(image(1.0))
+    (frame,) = synchronizer.add_depth(depth(1.03))
     assert frame.depth is near
 
 
 def test_an_image_without_depth_within_the_slop_is_dropped():
-    assembler = FrameAssembler(depth='required', stamp_slop_s=0.01)
-    assembler.add_camera_info(info(0.0))
-    assembler.add_depth(depth(0.98))
-    assembler.add_image(image(1.0))
-    assert assembler.add_depth(depth(1.03)) == []
-    assert assembler.take_dropped() == 1
+    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.01)
+    synchronizer.add_camera_info(info(0.0))
+    synchronizer.add_depth(depth(0.98))
+    synchronizer.add_image(image(1.0))
+    assert synchronizer.add_depth(depth(1.03)) == []
+    assert synchronizer.take_dropped() == 1
 
 
 def test_images_do_not_pile_up_while_depth_is_missing():
-    assembler = FrameAssembler(depth='required')
-    assembler.add_camera_info(info(0.0))
+    synchronizer = FrameSynchronizer(depth='required')
+    synchronizer.add_camera_info(info(0.0))
     for index in range(100):
-        assembler.add_image(image(1 + index / 30))
-    assert 80 <= assembler.take_dropped() < 100
+        synchronizer.add_image(image(1 + index / 30))
+    assert 80 <= synchronizer.take_dropped() < 100
 
 
 def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
-    assembler = FrameAssembler(depth='required', stamp_slop_s=0.05)
-    assembler.add_camera_info(info(100.0))
-    assembler.add_depth(depth(100.0))
-    assert assembler.add_image(image(100.0))[0].epoch == 0
-    assert assembler.add_image(image(5.0)) == []
-    (frame,) = assembler.add_depth(depth(5.0))
+    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
+    synchronizer.add_camera_info(info(100.0))
+    synchronizer.add_depth(depth(100.0))
+    assert synchronizer.add_image(image(100.0))[0].epoch == 0
+    assert synchronizer.add_image(image(5.0)) == []
+    (frame,) = synchronizer.add_depth(depth(5.0))
     assert frame.epoch == 1
-    (frame,) = assembler.add_image(image(4.99))
+    (frame,) = synchronizer.add_image(image(4.99))
     assert frame.epoch == 1, 'an image that is only out of order is no jump'
 
 
 def test_optional_depth_is_taken_where_there_is_some():
-    assembler = FrameAssembler(depth='optional')
-    assembler.add_camera_info(info(0.0))
-    assert assembler.add_image(image(1.0))[0].depth is None, 'no depth at all: no waiting'
+    synchronizer = FrameSynchronizer(depth='optional')
+    synchronizer.add_camera_info(info(0.0))
+    assert synchronizer.add_image(image(1.0))[0].depth is None, 'no depth at all: no waiting'
     own = depth(2.0)
-    assembler.add_depth(own)
-    assert assembler.add_image(image(2.0))[0].depth is own
-    assert assembler.add_image(image(2.1)) == [], 'it may still come'
-    (frame,) = assembler.add_image(image(2.2))
+    synchronizer.add_depth(own)
+    assert synchronizer.add_image(image(2.0))[0].depth is own
+    assert synchronizer.add_image(image(2.1)) == [], 'it may still come'
+    (frame,) = synchronizer.add_image(image(2.2))
     assert (frame.image.header, frame.depth) == (image(2.1).header, None)
     late = depth(2.2)
-    assert assembler.add_depth(late)[0].depth is late
-    assert assembler.add_image(image(9.0))[0].depth is None, 'the depth topic has gone silent'
-    assert assembler.take_dropped() == 0
+    assert synchronizer.add_depth(late)[0].depth is late
+    assert synchronizer.add_image(image(9.0))[0].depth is None, 'the depth topic has gone silent'
+    assert synchronizer.take_dropped() == 0
 
 
 def imu(stamp_s, force):
@@ -193,34 +193,34 @@ def imu(stamp_s, force):
 
 def test_gravity_of_the_imu_goes_with_the_frames():
     turned = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # x of the IMU is y of the camera
-    assembler = FrameAssembler(imu_to_camera=turned)
-    assembler.add_camera_info(info(0.0))
-    assert assembler.add_image(image(1.0))[0].down_camera is None
-    assembler.add_imu(imu(1.0, (-9.81, 0.0, 0.0)))
-    np.testing.assert_allclose(assembler.add_image(image(1.01))[0].down_camera, [0, 1, 0],
+    synchronizer = FrameSynchronizer(imu_to_camera=turned)
+    synchronizer.add_camera_info(info(0.0))
+    assert synchronizer.add_image(image(1.0))[0].gravity_camera is None
+    synchronizer.add_imu(imu(1.0, (-9.81, 0.0, 0.0)))
+    np.testing.assert_allclose(synchronizer.add_image(image(1.01))[0].gravity_camera, [0, 1, 0],
                                atol=1e-9)
-    assembler.add_imu(imu(1.1, (0.0, 0.0, 30.0)))
-    np.testing.assert_allclose(assembler.add_image(image(1.11))[0].down_camera, [0, 1, 0],
+    synchronizer.add_imu(imu(1.1, (0.0, 0.0, 30.0)))
+    np.testing.assert_allclose(synchronizer.add_image(image(1.11))[0].gravity_camera, [0, 1, 0],
                                atol=1e-9, err_msg='a jolt is not gravity')
-    assert assembler.add_image(image(5.0))[0].down_camera is None, 'the IMU has gone silent'
+    assert synchronizer.add_image(image(5.0))[0].gravity_camera is None, 'the IMU has gone silent'
 
 
 def test_at_the_end_nothing_is_waited_for():
-    assembler = FrameAssembler('required', stamp_slop_s=0.05)
-    assembler.add_camera_info(info(0.0))
+    synchronizer = FrameSynchronizer('required', stamp_slop_s=0.05)
+    synchronizer.add_camera_info(info(0.0))
     near = depth(0.98)
-    assembler.add_depth(near)
-    assert assembler.add_image(image(1.0)) == []
-    assert assembler.add_image(image(2.0)) == []
-    (frame,) = assembler.finish()
+    synchronizer.add_depth(near)
+    assert synchronizer.add_image(image(1.0)) == []
+    assert synchronizer.add_image(image(2.0)) == []
+    (frame,) = synchronizer.finish()
     assert frame.depth is near
-    assert assembler.take_dropped() == 1
-    assert assembler.finish() == []
+    assert synchronizer.take_dropped() == 1
+    assert synchronizer.finish() == []
 
 
 def test_an_image_does_not_wait_for_a_calibration_with_a_size():
-    assembler = FrameAssembler()
+    synchronizer = FrameSynchronizer()
     bare = info(1.0)
     bare.width = bare.height = 0
-    assembler.add_camera_info(bare)
-    assert len(assembler.add_image(image(1.1))) == 1
+    synchronizer.add_camera_info(bare)
+    assert len(synchronizer.add_image(image(1.1))) == 1

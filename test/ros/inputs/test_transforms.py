@@ -68,10 +68,10 @@ def test_a_circle_of_frames_is_an_error_too():
 def test_gravity_and_height_of_the_camera():
     transforms = FrameTransforms(robot_buffer(height_m=0.9))
     pose = transforms.camera_pose(header(1.5), NodeConfig(base_frame='base_footprint'))
-    np.testing.assert_allclose(pose.down_camera, [0, 1, 0], atol=1e-9)
+    np.testing.assert_allclose(pose.gravity_camera, [0, 1, 0], atol=1e-9)
     assert pose.height_m == pytest.approx(0.9)
     sideways = NodeConfig(base_frame='base_footprint', base_up=(0.0, 2.0, 0.0))
-    np.testing.assert_allclose(transforms.camera_pose(header(1.5), sideways).down_camera,
+    np.testing.assert_allclose(transforms.camera_pose(header(1.5), sideways).gravity_camera,
                                [1, 0, 0], atol=1e-9)
 
 

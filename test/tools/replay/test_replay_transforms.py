@@ -18,9 +18,9 @@ TYPES = STORE.types
 HEIGHT_M = 1.4
 
 
-def tf_message(down_camera, stamp_ns):
+def tf_message(gravity_camera, stamp_ns):
     """Return where a camera is that is turned about its x axis only, HEIGHT_M above base_link."""
-    angle = -(np.pi / 2 + np.arctan2(down_camera[2], down_camera[1])) / 2
+    angle = -(np.pi / 2 + np.arctan2(gravity_camera[2], gravity_camera[1])) / 2
     make = {name: TYPES[f'geometry_msgs/msg/{name}'] for name in (
         'TransformStamped', 'Transform', 'Vector3', 'Quaternion')}
     transform = make['TransformStamped'](
