@@ -1,24 +1,24 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 #
-# make demo                      planes on real pictures, through the real node -> demo_output/
-# make demo IMAGES=folder FX=..  the same on your own (FX FY CX CY in pixels, or FOV in degrees)
+# make demo                      planes in photographs, through the real node -> demo_output/
+# make demo IMAGES=folder FX=..  the same for your images (FX FY CX CY in pixels, or FOV in degrees)
 # make test                      the tests
 # make lint                      ruff
-# make faults                    faults on purpose, as a table; SOAK_MINUTES=20 adds a long run
+# make faults                    fault injection, results as a table; SOAK_MINUTES=20 adds a long run
 # make benchmark                 the tables of docs/results.md (ARGS='segmentation --only rooms')
 # make lock                      .ci/requirements.lock, the hashes of all packages (needs uv)
 # make defaults                  config/plane_detector.yaml and docs/parameters.md from config.py
 #
-# ROS need not be installed: it comes as wheels into .venv, made on first use by the python3
-# on the path, or the one that PYTHON=... names.
+# ROS need not be installed: its wheels are installed into .venv, which is created on first use
+# with the python3 on the path, or with the one given by PYTHON=...
 
 VENV ?= .venv
 PYTHON ?=
 RUN := $(VENV)/bin/python
 STAMP := $(VENV)/installed
 
-# A sourced ROS or another environment of ROS wheels must not leak into this one.
+# Variables of a sourced ROS, or of another environment with ROS wheels, would break this one.
 unexport PYTHONPATH PYTHONHOME LD_LIBRARY_PATH AMENT_PREFIX_PATH RMW_IMPLEMENTATION
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
@@ -51,7 +51,7 @@ lock:
 clean:
 	rm -rf $(VENV) demo_output benchmark_output
 
-# --fx 525 when FX=525 is given to make, nothing otherwise: an OUTPUT of the shell is not ours.
+# --fx 525 if make was called with FX=525; a variable OUTPUT of the shell is ignored.
 option = $(if $(filter command%,$(origin $1)),--$(shell echo $1 | tr A-Z a-z) '$($1)')
 
 $(STAMP): .ci/requirements.lock
