@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.geometry.disparity import valid_depth
-from plane_detector.geometry.label_places import LabelPlace, label_edges, label_places
-from plane_detector.types import CameraIntrinsics
+from plane_detector.geometry.label_places import LabelPlace, label_places
 
 # Neighbours in the list, the largest planes of an image, are far apart in hue and lightness.
 PALETTE = np.array(
@@ -28,9 +28,6 @@ _FARTHEST_INDEX = 20  # of the colour map; below it is nearly the black of no de
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TITLE_SCALE, _TITLE_HEIGHT_PX = 0.6, 36
 _TEXT_HALF_HEIGHT = 0.012  # of a number, as a share of the image's height
-# Gravity blue, the level axes red and green, the horizon yellow.
-_AXIS_COLOURS, _HORIZON = ((40, 90, 255), (255, 50, 50), (40, 200, 60)), (255, 230, 0)
-_STROKES_PER_ROW = 12
 _WHITE, _BLACK = (255, 255, 255), (0, 0, 0)
 
 
@@ -92,11 +89,28 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
     """
     if rgb.shape[:2] != labels.shape:
         raise ValueError(f'the labels are {labels.shape}, the image {rgb.shape[:2]}')
-    on_plane = (labels > 0).astype(np.uint8)
-    result = rgb.copy()
-    coloured = label_image(labels) if colours is None else colours[labels]
-    cv2.copyTo(cv2.addWeighted(rgb, 1 - _COLOUR_SHARE, coloured, _COLOUR_SHARE, 0),
-               on_plane, result)
+    return _tinted(rgb, labels.astype(np.int32), PALETTE if colours is None else colours[1:])
+
+
+@kernel("uint8[:, :, ::1](Array(uint8, 3, 'A', readonly=True), int32[:, ::1], "
+        "Array(uint8, 2, 'C', readonly=True))")
+def _tinted(rgb, labels, colours):
+    """Return the image with label k mixed with colour k - 1; after the last they start anew."""
+    result = np.empty(rgb.shape, np.uint8)
+    of_colour = np.uint32(round(256 * _COLOUR_SHARE))
+    added, last = np.zeros(3, np.uint32), 0
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            k = labels[v, u]
+            if k > 0 and k != last:
+                last = k
+                for channel in range(3):
+                    added[channel] = 128 + of_colour * colours[(k - 1) % len(colours), channel]
+            for channel in range(3):
+                value = rgb[v, u, channel]
+                if k > 0:
+                    value = np.uint8(((256 - of_colour) * value + added[channel]) >> 8)
+                result[v, u, channel] = value
     return result
 
 
@@ -116,72 +130,9 @@ def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = No
 
     """
     result = tint(rgb, labels, colours)
-    _draw_outlines(result, labels)
+    _draw_outlines(result, labels.astype(np.int32), max(1, round(labels.shape[0] / 480)))
     _draw_numbers(result, label_places(labels) if places is None else places)
     return result
-
-
-def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics,
-                    gravity_camera: np.ndarray | None, horizontal_axes: np.ndarray) -> np.ndarray:
-    """
-    Return the image with the horizon, and strokes towards the vanishing points of the axes.
-
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-        It is not changed.
-    intrinsics : CameraIntrinsics
-        Of the image.
-    gravity_camera : (3,) float64 or None
-        Unit direction of gravity in the optical frame: blue strokes, and the yellow horizon,
-        which is the image of all level directions. None: the image is returned as it is.
-    horizontal_axes : (A, 3) float64
-        Level directions: red and green strokes.
-
-    """
-    drawn = rgb.copy()
-    if gravity_camera is None:
-        return drawn
-    thickness_px = max(1, round(rgb.shape[0] / 300))
-    ends = _horizon(intrinsics, gravity_camera)
-    if ends is not None:
-        cv2.line(drawn, *ends, _HORIZON, thickness_px + 1, cv2.LINE_AA)
-    for direction, colour in zip((gravity_camera, *horizontal_axes), _AXIS_COLOURS, strict=False):
-        for start, end in _strokes(intrinsics, direction):
-            cv2.line(drawn, start, end, colour, thickness_px, cv2.LINE_AA)
-    return drawn
-
-
-def _horizon(intrinsics: CameraIntrinsics,
-             down: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    """Return two points, beyond the image, of the pixels whose rays are level; None if upright."""
-    # The rays (u, v) of down . ((u - cx) / fx, (v - cy) / fy, 1) = 0 in pixels.
-    a, b = down[0] / intrinsics.fx, down[1] / intrinsics.fy
-    if np.hypot(a, b) * intrinsics.width < 1e-6:
-        return None
-    c = down[2] - a * intrinsics.cx - b * intrinsics.cy
-    nearest = -c * np.array([a, b]) / (a * a + b * b)
-    along = 2 * (intrinsics.width + intrinsics.height) * np.array([-b, a]) / np.hypot(a, b)
-    if np.abs(nearest).max() > 1e6:
-        return None
-    start, end = np.rint([nearest - along, nearest + along]).astype(int).tolist()
-    return tuple(start), tuple(end)
-
-
-def _strokes(intrinsics: CameraIntrinsics, direction: np.ndarray):
-    """Yield start and end, in pixels, of strokes on a grid towards the vanishing point."""
-    spacing = intrinsics.width / _STROKES_PER_ROW
-    length = 0.4 * spacing
-    for v in np.arange(spacing / 2, intrinsics.height, spacing):
-        for u in np.arange(spacing / 2, intrinsics.width, spacing):
-            x, y = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
-            along = np.array([intrinsics.fx * (direction[0] - x * direction[2]),
-                              intrinsics.fy * (direction[1] - y * direction[2])])
-            size = np.linalg.norm(along)
-            if size > 1e-6 * intrinsics.fx:
-                half = along / size * length / 2
-                yield tuple(np.rint([u - half[0], v - half[1]]).astype(int).tolist()), tuple(
-                    np.rint([u + half[0], v + half[1]]).astype(int).tolist())
 
 
 def colour_depth(depth_m: np.ndarray) -> np.ndarray:
@@ -250,12 +201,18 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
                       for start in range(0, len(framed), columns)])
 
 
-def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:
-    edge = label_edges(labels).astype(np.uint8)
-    thickness_px = max(1, round(labels.shape[0] / 480))
-    if thickness_px > 1:
-        edge = cv2.dilate(edge, np.ones((thickness_px, thickness_px), np.uint8))
-    rgb[edge > 0] = _WHITE
+@kernel('void(uint8[:, :, ::1], int32[:, ::1], int64)')
+def _draw_outlines(rgb, labels, thickness_px):
+    """Make white where the right or lower neighbour has another label, and so far around."""
+    height, width = labels.shape
+    before = thickness_px - 1 - thickness_px // 2
+    for v in range(height):
+        for u in range(width):
+            k = labels[v, u]
+            if ((u + 1 < width and labels[v, u + 1] != k)
+                    or (v + 1 < height and labels[v + 1, u] != k)):
+                rgb[max(v - before, 0):v + thickness_px // 2 + 1,
+                    max(u - before, 0):u + thickness_px // 2 + 1] = 255
 
 
 def _draw_numbers(rgb: np.ndarray, places: Mapping[int, LabelPlace]) -> None:

@@ -29,8 +29,10 @@ def compiled(request):
     """Compile all kernels once, into the cache that the processes of the tests share."""
     if {item.path.name for item in request.session.items} <= READERS:
         return
-    import plane_detector.pipeline  # noqa: F401 - brings the kernels
-    for subject in ('segmentation', 'directions', 'planes', 'shapes'):
+    import plane_detector.pipeline
+    import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
+    for subject in ('segmentation', 'directions', 'planes', 'geometry', 'drawing', 'ros',
+                    'shapes'):
         compile_kernels(subject)
 
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from plane_detector.directions.drawing import draw_directions
 from plane_detector.drawing import (
     PALETTE,
     colour_depth,
     depth_range,
-    draw_directions,
     figure,
     label_colours,
     overlay,

@@ -9,6 +9,8 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
+
 
 class LabelPlace(NamedTuple):
     """A pixel, and its distance from the border of its region."""
@@ -35,16 +37,27 @@ def label_places(labels: np.ndarray) -> dict[int, LabelPlace]:
 
     """
     step = 4 if min(labels.shape) >= 64 else 1  # a sixteenth of the pixels show where that is
-    small = np.ascontiguousarray(labels[::step, ::step])
+    small = labels[::step, ::step].astype(np.int32)
     inside = np.pad((~label_edges(small)).astype(np.uint8), 1)
-    half_width = cv2.distanceTransform(inside, cv2.DIST_L2, 3)[1:-1, 1:-1]
-    places = {}
-    for label in np.unique(small[small > 0]).tolist():
-        widest = np.argmax(np.where(small == label, half_width, -1))
-        row, column = np.unravel_index(widest, small.shape)
-        places[label] = LabelPlace(step * int(row), step * int(column),
-                                   step * float(half_width[row, column]))
-    return places
+    half_width = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
+    pixels, half_widths = _widest(small, half_width, int(small.max(initial=0)) + 1)
+    found = np.flatnonzero(pixels >= 0)
+    rows, columns = np.divmod(pixels[found], small.shape[1])
+    places = np.stack([rows, columns, half_widths[found]]) * step
+    return {label: LabelPlace(int(row), int(column), half_width_px) for label, row, column,
+            half_width_px in zip(found.tolist(), *places.tolist(), strict=True)}
+
+
+@kernel('Tuple((int64[::1], float32[::1]))(int32[:, ::1], float32[:, ::1], int64)')
+def _widest(labels, half_width, count):
+    """Return the pixel, row by row, of each label's largest value, -1 without one, and that."""
+    pixels, largest = np.full(count, -1, np.int64), np.full(count, -1, np.float32)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            k = labels[v, u]
+            if k > 0 and half_width[v + 1, u + 1] > largest[k]:
+                pixels[k], largest[k] = v * labels.shape[1] + u, half_width[v + 1, u + 1]
+    return pixels, largest
 
 
 def label_edges(labels: np.ndarray) -> np.ndarray:

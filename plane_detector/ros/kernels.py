@@ -13,7 +13,10 @@ from plane_detector.config import Config
 
 def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and report that to ``log``."""
-    for subject in ('segmentation', 'directions', 'planes',
-                    *(['shapes'] if config.shapes.wanted else [])):
-        compile_kernels(subject, partial(
+    subjects = {'segmentation': 'segmentation', 'directions': 'directions', 'planes': 'planes',
+                'geometry': 'geometry', 'drawing': 'overlay', 'ros': 'messages'}
+    if config.shapes.wanted:
+        subjects['shapes'] = 'shapes'
+    for folder, subject in subjects.items():
+        compile_kernels(folder, partial(
             log, f'compiling the loops of the {subject} for this machine, once'))

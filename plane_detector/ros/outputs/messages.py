@@ -122,57 +122,15 @@ def shape_labels(detection: Detection) -> np.ndarray:
     return np.array([FIRST_SHAPE_LABEL + number for number in numbers], np.uint32)
 
 
+def label_names(detection: Detection) -> np.ndarray:
+    """Return the label in messages of each index, (K + 1,) uint32; the last entry is of -1."""
+    return np.concatenate([plane_labels(detection), shape_labels(detection),
+                           np.zeros(1, np.uint32)])
+
+
 def pixel_labels(detection: Detection) -> np.ndarray:
-    """Return the label of each pixel, (H, W) uint32, 0 for no plane and no shape."""
-    lookup = np.concatenate([np.zeros(1, np.uint32), plane_labels(detection),
-                             shape_labels(detection)])
-    return np.take(lookup, detection.labels + 1)
-
-
-def points_to_msg(header: Header, points_m: np.ndarray, rgb: np.ndarray,
-                  labels: np.ndarray) -> PointCloud2:
-    """
-    Return the organised, coloured and labelled cloud.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    points_m : (H, W, 3) float32
-        Metres, optical frame, NaN where there is no depth.
-    rgb : (H, W, 3) uint8
-        The image; packed as PCL does, 0x00RRGGBB in the bits of a float.
-    labels : (H, W) uint32
-        0 for no plane.
-
-    """
-    height, width = labels.shape
-    data = array.array('B', [0]) * (height * width * POINT_DTYPE.itemsize)
-    channels = np.frombuffer(data, '<f4').reshape(height, width, -1)  # every field takes 4 bytes
-    cv2.merge([np.ascontiguousarray(points_m), _packed_colour(rgb),
-               np.ascontiguousarray(labels).view('<f4')], channels)
-    return cloud_msg(header, POINT_DTYPE, data, height, width)
-
-
-def obstacles_to_msg(header: Header, points_m: np.ndarray, wanted: np.ndarray) -> PointCloud2:
-    """
-    Return some points as an unorganised cloud with the fields x y z.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    points_m : (H, W, 3) float32
-        Metres.
-    wanted : (H, W) bool
-        Those of the cloud; they are valid.
-
-    """
-    # Rows of 12 bytes are copied in a fifth of the time of three numbers each.
-    rows = np.ascontiguousarray(points_m, '<f4').view(f'V{XYZ_DTYPE.itemsize}')[..., 0]
-    chosen = rows[wanted]
-    data = array.array('B', chosen.tobytes())
-    return cloud_msg(header, XYZ_DTYPE, data, 1, len(chosen))
+    """Return the label of each pixel, (H, W) uint16, 0 for no plane and no shape."""
+    return np.take(label_names(detection).astype(np.uint16), detection.labels)
 
 
 def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
@@ -197,7 +155,7 @@ def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
 
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
     """Return the label image (H, W) as 16UC1."""
-    return _image_msg(header, '16UC1', labels.astype('<u2'))
+    return _image_msg(header, '16UC1', labels.astype('<u2', copy=False))
 
 
 def depth_to_msg(header: Header, depth_m: np.ndarray) -> Image:
@@ -219,12 +177,6 @@ def jpeg_to_msg(header: Header, rgb: np.ndarray) -> CompressedImage:
 
 def _named(names: str, values: np.ndarray) -> dict[str, float]:
     return dict(zip(names, values.tolist(), strict=True))
-
-
-def _packed_colour(rgb: np.ndarray) -> np.ndarray:
-    """Return (H, W, 3) uint8 as (H, W) float32 with the bits 0x00RRGGBB."""
-    packed = cv2.cvtColor(rgb, cv2.COLOR_RGB2BGRA).view('<u4')[..., 0]
-    return np.bitwise_and(packed, 0x00FFFFFF, out=packed).view('<f4')
 
 
 def cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,

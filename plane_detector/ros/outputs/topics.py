@@ -22,7 +22,6 @@ from visualization_msgs.msg import MarkerArray
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import label_image, overlay
 from plane_detector.geometry.label_places import LabelPlace, label_places
-from plane_detector.geometry.projection import depth_to_points
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import (
@@ -33,6 +32,7 @@ from plane_detector.planes.outline import (
 )
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.captions import plane_captions
+from plane_detector.ros.outputs.clouds import PixelPoints, obstacles_to_msg, points_to_msg
 from plane_detector.ros.outputs.markers import markers_to_msg, moved
 from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
 from plane_detector.ros.outputs.shapes import shapes_to_msg
@@ -119,14 +119,15 @@ class ProcessedFrame:
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """The label of each pixel in the messages, (H, W) uint32, 0 for none."""
+        """The label of each pixel in the messages, (H, W) uint16, 0 for none."""
         return messages.pixel_labels(self.detection)
 
-    @cached_property
-    def points_m(self) -> np.ndarray:
-        """The point of each pixel in the target frame, (H, W, 3) float32."""
-        points_m = depth_to_points(self.detection.depth_m, self.intrinsics)
-        return points_m if self.to_target is None else self.to_target.points(points_m)
+    @property
+    def points(self) -> PixelPoints:
+        """The points of the clouds, in the target frame."""
+        found = self.detection
+        return PixelPoints(found.depth_m, found.labels, self.intrinsics, self.to_target,
+                           self.settings.points_decimation)
 
     @cached_property
     def label_places(self) -> dict[int, LabelPlace]:
@@ -138,11 +139,6 @@ class ProcessedFrame:
         """The image with its planes, (H, W, 3) uint8."""
         return overlay(self.rgb, self.labels, places=self.label_places)
 
-    @property
-    def thinned(self) -> tuple[slice, slice]:
-        """The rows and columns that the clouds hold."""
-        return (slice(None, None, self.settings.points_decimation),) * 2
-
 
 class Output(NamedTuple):
     """Type of a topic's messages, and how one is made of a result; None: there is none now."""
@@ -152,11 +148,11 @@ class Output(NamedTuple):
 
 
 def _points(result: ProcessedFrame) -> PointCloud2:
-    thinned = result.thinned
-    labels, rgb = result.labels[thinned], np.ascontiguousarray(result.rgb[thinned])
+    rgb = result.rgb
     if result.settings.points_color == 'label':
-        rgb = label_image(labels)
-    return messages.points_to_msg(result.target_header, result.points_m[thinned], rgb, labels)
+        rgb = label_image(result.labels)
+    return points_to_msg(result.target_header, result.points, rgb,
+                         messages.label_names(result.detection))
 
 
 def _points_without_floor(result: ProcessedFrame) -> PointCloud2 | None:
@@ -164,12 +160,10 @@ def _points_without_floor(result: ProcessedFrame) -> PointCloud2 | None:
     detection = result.detection
     if not any(detection.classes) or detection.scale_method == RELATIVE:
         return None
-    # The last entry serves the label -1; shapes stand on the floor.
-    is_floor = np.append([kind == PlaneClass.FLOOR for kind in detection.classes],
-                         np.zeros(len(detection.shapes) + 1, bool))
-    points_m, labels = result.points_m[result.thinned], detection.labels[result.thinned]
-    wanted = ~np.take(is_floor, labels, mode='wrap') & np.isfinite(points_m[..., 2])
-    return messages.obstacles_to_msg(result.target_header, points_m, wanted)
+    # Shapes stand on the floor; the last entry is that of no plane.
+    is_floor = np.array([kind == PlaneClass.FLOOR for kind in detection.classes]
+                        + [False] * (len(detection.shapes) + 1))
+    return obstacles_to_msg(result.target_header, result.points, is_floor)
 
 
 def _planes(result: ProcessedFrame) -> PointCloud2:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from plane_detector import drawing
+from plane_detector.directions.drawing import draw_directions
 from plane_detector.directions.finder import find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.tools.demo.node_client import Received, Timing
@@ -122,8 +123,7 @@ def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
     """Return the image with the lines and the vertical found from them, as the node does."""
     found = _directions(photograph)
     axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in found.pairs[:1])])
-    drawn = drawing.draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera,
-                                    axes)
+    drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
     if found.gravity_camera is None:
         return 'image', drawn
     level = ', horizontal axes red and green' if len(axes) else ''

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from ros_helpers import camera_info_msg, cloud_array, header, image_array
+from ros_helpers import camera_info_msg, header, image_array
 from scipy.spatial.transform import Rotation
 
 from plane_detector.ros.outputs import messages
@@ -65,25 +65,6 @@ def test_labels_in_messages_are_above_zero():
     tracked = replace(untracked, track_labels=(7, 3))
     np.testing.assert_array_equal(messages.plane_labels(tracked), [7, 3])
     np.testing.assert_array_equal(messages.pixel_labels(tracked), [[0, 7], [3, 7]])
-
-
-def test_points_are_organised_coloured_and_labelled():
-    rng = np.random.default_rng(1)
-    points_m = rng.normal(size=(4, 6, 3)).astype(np.float32)
-    points_m[0, 0] = np.nan
-    rgb = rng.integers(0, 256, (4, 6, 3), np.uint8)
-    labels = rng.integers(0, 3, (4, 6)).astype(np.uint32)
-    msg = messages.points_to_msg(header(1.5), points_m, rgb, labels)
-    assert [f.name for f in msg.fields] == ['x', 'y', 'z', 'rgb', 'label']
-    assert msg.header == header(1.5)
-    assert not msg.is_dense
-    cloud = cloud_array(msg)
-    assert cloud.shape == (4, 6)
-    np.testing.assert_array_equal(np.stack([cloud[a] for a in 'xyz'], -1), points_m)
-    np.testing.assert_array_equal(cloud['label'], labels)
-    packed = np.ascontiguousarray(cloud['rgb']).view(np.uint32)
-    np.testing.assert_array_equal(
-        packed, rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
 
 
 @pytest.mark.parametrize('normal', [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, -1, 0], [0.6, 0, -0.8]])

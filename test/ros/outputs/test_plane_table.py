@@ -16,10 +16,10 @@ from sensor_msgs.msg import PointCloud2
 
 from plane_detector.planes.outline import Polygon, Rectangle
 from plane_detector.ros.cloud_reading import read_cloud
-from plane_detector.ros.outputs.messages import points_to_msg
+from plane_detector.ros.outputs.clouds import PixelPoints, points_to_msg
 from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
 from plane_detector.tools.show import PlanePrinter, main, table_of
-from plane_detector.types import Plane
+from plane_detector.types import CameraIntrinsics, Plane
 
 TOPICS = Path(__file__).resolve().parents[3] / 'docs' / 'topics.md'
 TURNED = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
@@ -164,9 +164,11 @@ def snippet(monkeypatch):
 
 
 def test_the_snippet_joins_planes_to_points(snippet, capsys):
-    labels = np.array([[7, 7, 7], [0, 9, 9]], np.uint32)
-    points_msg = points_to_msg(header(2.0), np.ones((2, 3, 3), np.float32),
-                               np.zeros((2, 3, 3), np.uint8), labels)
+    points = PixelPoints(np.ones((2, 3), np.float32),
+                         np.array([[0, 0, 0], [-1, 1, 1]], np.int32),
+                         CameraIntrinsics(1.0, 1.0, 0.0, 0.0, 3, 2))
+    points_msg = points_to_msg(header(2.0), points, np.zeros((2, 3, 3), np.uint8),
+                               np.array([7, 9, 0], np.uint32))
     reader = snippet['PlaneReader']()
     reader.on_planes(two_planes()[0])
     reader.on_points(points_msg)

@@ -1,0 +1,160 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds of the pixels of an image, back-projected and packed in one pass over the depth."""
+
+from __future__ import annotations
+
+import array
+from dataclasses import dataclass
+
+import numpy as np
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import Header
+
+from plane_detector.compilation import kernel
+from plane_detector.geometry.disparity import MIN_DEPTH_M
+from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.ros.outputs.messages import POINT_DTYPE, XYZ_DTYPE, cloud_msg
+from plane_detector.types import CameraIntrinsics
+
+_STAY = RigidTransform.identity()
+
+
+@dataclass(frozen=True)
+class PixelPoints:
+    """
+    The points of an image.
+
+    Attributes
+    ----------
+    depth_m : (H, W) float32
+        Metres along the optical axis; invalid as in :func:`~plane_detector.geometry.disparity`.
+    labels : (H, W) int32
+        Index of a plane or shape, -1 for none.
+    intrinsics : CameraIntrinsics
+        Of these images.
+    to_target : RigidTransform or None
+        From the optical frame into that of the clouds; None: they are the same.
+    decimation : int
+        The clouds hold every so manieth row and column.
+
+    """
+
+    depth_m: np.ndarray
+    labels: np.ndarray
+    intrinsics: CameraIntrinsics
+    to_target: RigidTransform | None = None
+    decimation: int = 1
+
+    @property
+    def thinned(self) -> tuple[slice, slice]:
+        """The rows and columns that the clouds hold."""
+        return (slice(None, None, self.decimation),) * 2
+
+    @property
+    def thinned_labels(self) -> np.ndarray:
+        """The labels of the points in the clouds."""
+        return self.labels.astype(np.int32, copy=False)[self.thinned]
+
+    def geometry(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return depth, slopes of columns and of rows, and the transform (3, 4), all float32."""
+        ray_x, ray_y = pixel_rays(self.intrinsics)
+        turn = self.to_target or _STAY
+        moved = np.column_stack([turn.rotation, turn.translation_m]).astype(np.float32)
+        return (self.depth_m.astype(np.float32, copy=False)[self.thinned],
+                np.ascontiguousarray(ray_x[::self.decimation]),
+                np.ascontiguousarray(ray_y[::self.decimation]), moved)
+
+
+def points_to_msg(header: Header, points: PixelPoints, rgb: np.ndarray,
+                  names: np.ndarray) -> PointCloud2:
+    """
+    Return the organised, coloured and labelled cloud.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image, with the frame of the cloud.
+    points : PixelPoints
+        NaN where there is no depth.
+    rgb : (H, W, 3) uint8
+        The image; packed as PCL does, 0x00RRGGBB in the bits of a float.
+    names : (K + 1,) uint32
+        Label in the message of each index, the last entry that of no plane.
+
+    """
+    depth_m, ray_x, ray_y, moved = points.geometry()
+    height, width = depth_m.shape
+    data = array.array('B', [0]) * (height * width * POINT_DTYPE.itemsize)
+    shape = height, width, POINT_DTYPE.itemsize // 4  # every field takes 4 bytes
+    _pack_points((depth_m, ray_x, ray_y, moved), rgb[points.thinned],
+                 points.thinned_labels, names,
+                 np.frombuffer(data, '<f4').reshape(shape),
+                 np.frombuffer(data, '<u4').reshape(shape))
+    return cloud_msg(header, POINT_DTYPE, data, height, width)
+
+
+def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarray) -> PointCloud2:
+    """
+    Return the valid points off some planes as an unorganised cloud with the fields x y z.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image, with the frame of the cloud.
+    points : PixelPoints
+    is_left_out : (K + 1,) bool
+        Of each index, the last entry that of no plane.
+
+    """
+    depth_m, ray_x, ray_y, moved = points.geometry()
+    data = array.array('B', [0]) * (depth_m.size * XYZ_DTYPE.itemsize)
+    xyz_m = np.frombuffer(data, '<f4').reshape(-1, 3)
+    count = _pack_obstacles((depth_m, ray_x, ray_y, moved), points.thinned_labels, is_left_out,
+                            xyz_m)
+    del xyz_m  # an array whose memory is looked at cannot be cut
+    del data[count * XYZ_DTYPE.itemsize:]
+    return cloud_msg(header, XYZ_DTYPE, data, 1, count)
+
+
+# Any strides, for thinned images, and read-only, for those that are views of messages.
+_DEPTH, _LABELS, _RGB = (f"Array({kind}, 'A', readonly=True)"
+                         for kind in ('float32, 2', 'int32, 2', 'uint8, 3'))
+_GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
+
+
+@kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, uint32[::1], float32[:, :, ::1], '
+        'uint32[:, :, ::1])')
+def _pack_points(geometry, rgb, labels, names, numbers, bits):
+    """Fill (H, W, 5), seen as numbers and as bits: x y z, 0x00RRGGBB, label."""
+    depth_m, ray_x, ray_y, moved = geometry
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            z = depth_m[v, u]
+            if not (z >= MIN_DEPTH_M and z < np.inf):
+                z = np.float32(np.nan)
+            x, y = z * ray_x[u], z * ray_y[v]
+            for k in range(3):
+                numbers[v, u, k] = (moved[k, 0] * x + moved[k, 1] * y + moved[k, 2] * z
+                                    + moved[k, 3])
+            bits[v, u, 3] = ((np.uint32(rgb[v, u, 0]) << 16) | (np.uint32(rgb[v, u, 1]) << 8)
+                             | np.uint32(rgb[v, u, 2]))
+            bits[v, u, 4] = names[labels[v, u]]  # -1 is the last entry
+
+
+@kernel(f'int64({_GEOMETRY}, {_LABELS}, boolean[::1], float32[:, ::1])')
+def _pack_obstacles(geometry, labels, is_left_out, xyz_m):
+    """Fill the first rows of (N, 3); return how many."""
+    depth_m, ray_x, ray_y, moved = geometry
+    count = 0
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            z = depth_m[v, u]
+            if z >= MIN_DEPTH_M and z < np.inf and not is_left_out[labels[v, u]]:
+                x, y = z * ray_x[u], z * ray_y[v]
+                for k in range(3):
+                    xyz_m[count, k] = (moved[k, 0] * x + moved[k, 1] * y + moved[k, 2] * z
+                                       + moved[k, 3])
+                count += 1
+    return count
