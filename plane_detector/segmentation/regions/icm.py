@@ -10,7 +10,6 @@ conditional modes (Besag 1986) lower the energy: a truncated chi-squared per cel
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -21,11 +20,8 @@ from plane_detector.segmentation.cells.model import (
     chi_squared,
     fit_regions,
 )
-from plane_detector.segmentation.regions.adjacency import BORDER_REACH_CELLS as REACH_CELLS
 from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
 
-# derived: later sweeps change next to no cell.
-SWEEPS = 4
 # The misfit is truncated at this many squared thresholds.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
 TRUNCATION = 3.0
@@ -60,67 +56,71 @@ def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: fl
     """
     if len(regions.coefficients) == 0:
         return regions
-    around, square = regions.labels.astype(np.int16), np.ones((2 * REACH_CELLS + 1,) * 2, np.uint8)
-    is_open = cv2.dilate(around, square) != cv2.erode(around, square)
-    labels, model = np.ascontiguousarray(regions.labels, np.int32), (
-        regions.coefficients, cells.table, cells.is_planar)
-    for _ in range(SWEEPS):
-        labels, is_open = _sweep(labels, is_open, model, threshold**2)
+    labels = _compete(np.ascontiguousarray(regions.labels, np.int32),
+                      (regions.coefficients, cells.table, cells.is_planar), threshold**2)
     clusters, count = label_clusters(labels, neighbourhood(dbscan))
     return fit_regions(cells, clusters, count, min_pixels)
 
 
-@kernel('Tuple((int32[:, ::1], boolean[:, ::1]))(int32[:, ::1], boolean[:, ::1], '
-        'Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), float64)')
-def _sweep(labels, is_open, model, threshold2):
-    """Choose the labels of the open cells; return all and the cells around those that changed."""
-    (rows, columns), near = labels.shape, np.empty((2 * REACH_CELLS + 1) ** 2, np.int32)
-    chosen, is_next = labels.copy(), np.zeros(labels.shape, np.bool_)
-    for row in range(rows):
-        for column in range(columns):
-            if not is_open[row, column]:
-                continue
-            best = _best_label(labels, row, column, near, model, threshold2)
-            if best != labels[row, column]:
-                chosen[row, column] = best
-                is_next[max(row - REACH_CELLS, 0):row + REACH_CELLS + 1,
-                        max(column - REACH_CELLS, 0):column + REACH_CELLS + 1] = True
-    return chosen, is_next
+@kernel('int32[:, ::1](int32[:, ::1], Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), '
+        'float64)')
+def _compete(given, model, threshold2):
+    """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
+    labels, (rows, columns) = given.copy(), given.shape
+    near, votes = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
+    is_open, is_settled = np.ones(labels.shape, np.bool_), False
+    while not is_settled:
+        is_settled = True
+        for row in range(rows):
+            for column in range(columns):
+                if not is_open[row, column]:
+                    continue
+                is_open[row, column] = False
+                if _is_amid(labels, row, column):
+                    continue
+                best = _best_label(labels, row, column, (near, votes), model, threshold2)
+                if best == labels[row, column]:
+                    continue
+                labels[row, column], is_settled = best, False
+                for r in range(max(row - 1, 0), min(row + 2, rows)):
+                    for c in range(max(column - 1, 0), min(column + 2, columns)):
+                        is_open[r, c] = True
+    return labels
 
 
-@kernel('int32(int32[:, ::1], int64, int64, int32[::1], '
+@kernel('boolean(int32[:, ::1], int64, int64)')
+def _is_amid(labels, row, column):
+    """Say whether all neighbours of a cell have its label."""
+    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
+        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
+            if labels[r, c] != labels[row, column]:
+                return False
+    return True
+
+
+@kernel('int32(int32[:, ::1], int64, int64, Tuple((int32[::1], int64[::1])), '
         'Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), float64)')
-def _best_label(labels, row, column, near, model, threshold2):
-    """Return the label of lowest energy of a cell, given the others."""
-    (planes, table, is_planar), (rows, columns) = model, labels.shape
+def _best_label(labels, row, column, work, model, threshold2):
+    """Return the label of lowest energy of a cell, given the others; ``votes`` of it stay -1."""
+    (planes, table, is_planar), (near, votes), (rows, columns) = model, work, labels.shape
     i, count = row * columns + column, 0
-    for r in range(max(row - REACH_CELLS, 0), min(row + REACH_CELLS + 1, rows)):
-        for c in range(max(column - REACH_CELLS, 0), min(column + REACH_CELLS + 1, columns)):
-            label, is_known = labels[r, c], labels[r, c] < 0
-            for k in range(count):
-                is_known |= near[k] == label
-            if not is_known:
-                near[count] = label
+    for down in range(-1, 2):
+        r = min(max(row + down, 0), rows - 1)  # the grid's border is replicated
+        for right in range(-1, 2):
+            label = labels[r, min(max(column + right, 0), columns - 1)]
+            if votes[label] < 0:  # no plane is the last
+                near[count], votes[label] = label, 0
                 count += 1
+            votes[label] += 1
     best, lowest = np.int32(-1), OUTLIER_COST * threshold2 if is_planar[i] else 0.0
-    lowest -= POTTS_WEIGHT * _votes(labels, row, column, -1)
+    lowest -= POTTS_WEIGHT * max(votes[-1], 0)
     for k in range(count):
         cost, label = 0.0, near[k]
-        if is_planar[i]:  # a cell on an edge has no data term: its neighbours decide
+        if label >= 0 and is_planar[i]:  # a cell on an edge goes with its neighbours
             cost = min(chi_squared(table, i, planes[label, 0], planes[label, 1],
                                    planes[label, 2]), TRUNCATION * threshold2)
-        cost -= POTTS_WEIGHT * _votes(labels, row, column, label)
-        if cost < lowest or (cost == lowest and (best < 0 or label < best)):
+        cost -= POTTS_WEIGHT * votes[label]
+        votes[label] = -1
+        if label >= 0 and (cost < lowest or (cost == lowest and (best < 0 or label < best))):
             best, lowest = label, cost
     return best
-
-
-@kernel('int64(int32[:, ::1], int64, int64, int64)')
-def _votes(labels, row, column, label):
-    """Count a label in the 3 x 3 cells around one; the grid's border is replicated."""
-    rows, columns = labels.shape
-    votes = 0
-    for r in range(row - 1, row + 2):
-        for c in range(column - 1, column + 2):
-            votes += labels[min(max(r, 0), rows - 1), min(max(c, 0), columns - 1)] == label
-    return votes

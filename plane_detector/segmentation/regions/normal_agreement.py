@@ -37,7 +37,7 @@ def normals_differ(cells: WeightedCells, regions: PlaneRegions, first: np.ndarra
 
     """
     slope, label = cells.grid.normal_slope, regions.labels.ravel()
-    used = np.flatnonzero((label >= 0) & cells.is_planar & np.isfinite(slope).all(axis=1))
+    used = np.flatnonzero(np.isfinite(slope[:, 0]) & (label >= 0) & cells.is_planar)
     if not len(used):
         return np.zeros(len(first), bool)
     label, slope, count = label[used], slope[used], len(regions.coefficients)
