@@ -14,6 +14,8 @@ import traceback
 from typing import Any
 
 MOST_CHARACTERS = 400
+MOST_OF_FAILURE = 1000
+"""Of the one fault that ends a transition: it says from where to where to copy a network."""
 WARN_PERIOD_S = 5.0
 """A kind of fault is logged once in this time."""
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
 from plane_detector.depth.observation import ModelOrFunction
@@ -22,7 +22,7 @@ from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.allocator import freeze_loaded_objects
 from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
-from plane_detector.ros.fault_log import FaultLog, plain
+from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor, ObservedFrame
 from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
@@ -36,6 +36,7 @@ from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.network_pace import fit_to_rate, slow_network
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
+from plane_detector.ros.reloading import ReloadableNode
 from plane_detector.ros.transitions import Transitions
 from plane_detector.stopping import current_stop, raise_if_stopped
 
@@ -43,7 +44,7 @@ from plane_detector.stopping import current_stop, raise_if_stopped
 _HEEDING_S = 1.0
 
 
-class PlaneDetectorNode(LifecycleNode):
+class PlaneDetectorNode(ReloadableNode):
     """
     The node ``plane_detector``; docs/topics.md holds its contract.
 
@@ -270,7 +271,7 @@ class PlaneDetectorNode(LifecycleNode):
         return detector
 
     def _fail(self, reason: str, may_pass: bool = False) -> TransitionCallbackReturn:
-        reason = plain(reason)
+        reason = plain(reason, MOST_OF_FAILURE)
         self._health.failure, self._health.may_pass = reason, may_pass
         self._statistics.set_error(reason)
         self.get_logger().error(reason)

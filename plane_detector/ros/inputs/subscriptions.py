@@ -87,7 +87,8 @@ class Subscriptions:
                                          reliability)
         self._subscriptions.append(subscription)
         if is_watched:  # one CameraInfo is enough
-            self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info')
+            self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info',
+                            only_reliable=reliability == 'reliable')
 
     def _on_image(self, msg: Any) -> None:
         epoch = self._synchronizer.epoch

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rclpy.node import Node
+from rclpy.qos import ReliabilityPolicy
 
 # derived: discovery takes about a second on a busy machine; before this, silence means nothing.
 GRACE_S = 2.0
@@ -22,6 +23,7 @@ _FIRST_INTERVAL_S = 5.0
 _REMEMBERED = 6
 _LISTED = 8
 _COMPRESSED = '/compressed'
+_LOST = 'messages get lost between processes without config/fastdds_large_messages.xml'
 
 
 @dataclass
@@ -35,8 +37,12 @@ class _Topic:
         Resolved; as in ``sensor_msgs/msg/Image``.
     may_stop : bool
         Whether one message is enough.
+    only_reliable : bool
+        Whether the subscription refuses publishers that are best effort.
     heard_s : deque of float
         When the last messages arrived.
+    offered_s : float or None
+        When a publisher was first seen.
     problem : str
         What was logged last; empty while all is well.
 
@@ -45,7 +51,9 @@ class _Topic:
     name: str
     type_name: str
     may_stop: bool
+    only_reliable: bool
     heard_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
+    offered_s: float | None = None
     problem: str = ''
 
 
@@ -67,7 +75,8 @@ class TopicWatch:
         self._start_s = clock()
         self._topics: dict[str, _Topic] = {}
 
-    def add(self, role: str, topic: str, msg_type: Any, may_stop: bool = False) -> None:
+    def add(self, role: str, topic: str, msg_type: Any, may_stop: bool = False,
+            only_reliable: bool = False) -> None:
         """
         Watch a topic.
 
@@ -81,10 +90,13 @@ class TopicWatch:
             Of the messages.
         may_stop : bool
             One message is enough, as of a calibration.
+        only_reliable : bool
+            Publishers that are best effort are refused.
 
         """
         package = msg_type.__module__.split('.')[0]
-        self._topics[role] = _Topic(topic, f'{package}/msg/{msg_type.__name__}', may_stop)
+        self._topics[role] = _Topic(topic, f'{package}/msg/{msg_type.__name__}', may_stop,
+                                    only_reliable)
 
     def heard(self, role: str) -> None:
         """Note that a message has arrived."""
@@ -100,12 +112,32 @@ class TopicWatch:
 
     def _problem_of(self, role: str, topic: _Topic, now_s: float) -> str:
         if not topic.heard_s:
-            return self._explain(role, topic) if now_s - self._start_s >= GRACE_S else ''
+            return self._unheard(role, topic, now_s)
         interval_s = _interval_s(topic.heard_s)
         patience_s = max(GRACE_S, _STOPPED_INTERVALS * interval_s)
         if topic.may_stop or now_s - topic.heard_s[-1] < patience_s:
             return ''
-        return f'{topic.name} has stopped: no message for over {patience_s:.0f} s'
+        stopped = f'{topic.name} has stopped: no message for over {patience_s:.0f} s'
+        if topic.problem.startswith(stopped):  # said once, though its publisher may go later
+            return topic.problem
+        return stopped + _hint_of_loss(self._reliabilities(topic))
+
+    def _unheard(self, role: str, topic: _Topic, now_s: float) -> str:
+        """Return why no message has come yet; a new publisher gets time to send the first one."""
+        offered = self._reliabilities(topic)
+        if not offered:
+            topic.offered_s = None
+            return self._explain(role, topic) if now_s - self._start_s >= GRACE_S else ''
+        topic.offered_s = now_s if topic.offered_s is None else topic.offered_s
+        if now_s - max(topic.offered_s, self._start_s) < GRACE_S:
+            return topic.problem
+        return explain_loss(topic.name, offered, topic.only_reliable)
+
+    def _reliabilities(self, topic: _Topic) -> list[ReliabilityPolicy]:
+        """Return what the publishers of the right type offer."""
+        return [info.qos_profile.reliability
+                for info in self._node.get_publishers_info_by_topic(topic.name)
+                if info.topic_type == topic.type_name]
 
     def _explain(self, role: str, topic: _Topic) -> str:
         types = [info.topic_type for info in self._node.get_publishers_info_by_topic(topic.name)]
@@ -122,10 +154,38 @@ class TopicWatch:
         topic.problem = problem
 
 
+def explain_loss(topic: str, offered: Sequence[ReliabilityPolicy], only_reliable: bool) -> str:
+    """
+    Return why nothing has arrived on a topic that has publishers, and the remedy.
+
+    Parameters
+    ----------
+    topic : str
+        The resolved name.
+    offered : sequence of ReliabilityPolicy
+        Of its publishers.
+    only_reliable : bool
+        Publishers that are best effort are refused.
+
+    """
+    if only_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
+        return (f'nothing arrives on {topic}: the parameter input_reliability asks for reliable, '
+                'the publisher is best effort: set it to auto or best_effort')
+    return (f'nothing arrives on {topic}, though it has {len(offered)} publisher(s): it sends '
+            f'nothing, large {_LOST}, or the QoS does not fit')
+
+
+def _hint_of_loss(offered: Sequence[ReliabilityPolicy]) -> str:
+    """Return what else than a camera that has stopped may be the cause; empty for none."""
+    if ReliabilityPolicy.BEST_EFFORT not in offered:
+        return ''
+    return f'; if the camera still sends: large best-effort {_LOST}'
+
+
 def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str],
                     published: Mapping[str, str]) -> str:
     """
-    Return why nothing has arrived on a topic, and the remedy.
+    Return why a topic has no publisher of its type, and the remedy.
 
     Parameters
     ----------
@@ -134,15 +194,11 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
     topic, type_name : str
         The subscription.
     offered : sequence of str
-        Types of the publishers of that topic.
+        Types of the publishers of that topic, which are others.
     published : mapping of str to str
         Type of every topic that anybody else publishes.
 
     """
-    if type_name in offered:
-        return (f'nothing arrives on {topic}, though it has {offered.count(type_name)} '
-                'publisher(s): large messages get lost between processes without '
-                'config/fastdds_large_messages.xml, or the QoS does not fit')
     if offered:
         return (f'{topic} is published as {offered[0]}, not as {type_name}'
                 + _transport_hint(topic, offered[0]))

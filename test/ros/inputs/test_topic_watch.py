@@ -5,10 +5,12 @@
 from types import SimpleNamespace
 
 import pytest
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 
-from plane_detector.ros.inputs.topic_watch import TopicWatch, explain_silence
+from plane_detector.ros.inputs.topic_watch import TopicWatch, explain_loss, explain_silence
 
+RELIABLE, BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT
 IMAGE, COMPRESSED = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
 
 
@@ -17,6 +19,7 @@ class Graph:
 
     def __init__(self, **publishers):
         self.published = {f'/{name}': kind for name, kind in publishers.items()}
+        self.reliability = RELIABLE
         self.warnings, self.infos = [], []
 
     def get_logger(self):
@@ -26,8 +29,9 @@ class Graph:
         return '/plane_detector'
 
     def get_publishers_info_by_topic(self, topic):
-        return [SimpleNamespace(topic_type=kind) for name, kind in self.published.items()
-                if name == topic]
+        profile = QoSProfile(depth=1, reliability=self.reliability)
+        return [SimpleNamespace(topic_type=kind, qos_profile=profile)
+                for name, kind in self.published.items() if name == topic]
 
     def get_topic_names_and_types(self):
         return [(name, [kind]) for name, kind in self.published.items()]
@@ -123,7 +127,6 @@ def test_a_calibration_comes_once(clock):
      'compressed'),
     ('/image/compressed', COMPRESSED, [], {'/cam/image/compressed': COMPRESSED},
      '-r image:=/cam/image'),
-    ('/image', IMAGE, [IMAGE, IMAGE], {}, 'nothing arrives on /image, though it has 2 publisher'),
     ('/cam/compressed', IMAGE, [COMPRESSED], {}, 'set image_transport to compressed and remap '
                                                  'image to /cam'),
     ('/image/compressed', COMPRESSED, [IMAGE], {}, 'set image_transport to raw'),
@@ -131,6 +134,48 @@ def test_a_calibration_comes_once(clock):
                                                    'sensor_msgs/msg/Image')])
 def test_the_reason_is_told_with_the_remedy(topic, type_name, offered, published, told):
     assert told in explain_silence('image', topic, type_name, offered, published)
+
+
+@pytest.mark.parametrize('offered, only_reliable, told', [
+    ([RELIABLE, RELIABLE], True, 'nothing arrives on /image, though it has 2 publisher(s)'),
+    ([BEST_EFFORT], False, 'config/fastdds_large_messages.xml'),
+    ([BEST_EFFORT], True, 'the parameter input_reliability asks for reliable')])
+def test_messages_that_do_not_arrive_are_explained_by_what_the_publishers_offer(
+        offered, only_reliable, told):
+    assert told in explain_loss('/image', offered, only_reliable)
+
+
+def test_a_new_publisher_has_two_seconds_for_its_first_message(clock):
+    graph = Graph(camera_info='sensor_msgs/msg/CameraInfo')
+    watch = watch_of(graph, clock)
+    watch.heard('camera_info')
+    clock.now_s += 10.0
+    assert 'nobody publishes /image' in watch.problem()
+    graph.published['/image'] = IMAGE
+    watch.problem()
+    clock.now_s += 1.9
+    watch.problem()
+    assert len(graph.warnings) == 1
+    clock.now_s += 0.2
+    assert 'nothing arrives on /image, though it has 1 publisher' in watch.problem()
+    watch.heard('image')
+    assert watch.problem() == ''
+    assert graph.infos == ['messages arrive on /image']
+
+
+@pytest.mark.parametrize('reliability', [RELIABLE, BEST_EFFORT])
+def test_where_images_may_get_lost_a_camera_need_not_have_stopped(clock, reliability):
+    graph = Graph(image=IMAGE, camera_info='sensor_msgs/msg/CameraInfo')
+    graph.reliability = reliability
+    watch = watch_of(graph, clock)
+    watch.heard('camera_info')
+    watch.heard('image')
+    clock.now_s += 60.0
+    assert '/image has stopped: no message for over' in watch.problem()
+    assert ('fastdds_large_messages' in watch.problem()) == (reliability == BEST_EFFORT)
+    graph.published.clear()
+    watch.problem()
+    assert len(graph.warnings) == 1, 'also when the publisher goes later'
 
 
 def test_many_topics_are_not_all_listed():
