@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, change_state, send, small_room, start
 from onnx_models import millimetres_as_rgb, write_depth_network
+from rcl_interfaces.srv import SetParameters
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -139,11 +140,11 @@ def test_impossible_changes_are_refused_and_change_nothing(robot, name, value, r
 
 
 def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_path):
-    node = start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'),
+    node = start(robot, wait=False, depth__model=str(tmp_path / (200 * 'm') / 'missing.onnx'),
                  depth__output='metric_depth')
     status, values = robot.diagnosis()
     assert status.level == DiagnosticStatus.ERROR
-    assert 'missing.onnx' in values['last_error']
+    assert values['last_error'].endswith('metric3d_v2_small'), 'the whole reason'
     assert node.state == 'unconfigured'
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
 
@@ -161,6 +162,7 @@ def test_what_is_read_at_configure_can_be_set_before_it(robot, room, tmp_path):
     assert node.set_parameters([model])[0].successful, 'the same value again'
     assert node.set_parameters([Parameter('scale.camera_height', value=1)])[0].successful
     assert node.get_parameter('scale.camera_height').value == 1.0
+    check_that_a_dump_loads(robot, node)
     assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
     assert node.set_parameters([Parameter('depth.source', value='topic')])[0].successful
     assert change_state(robot, Transition.TRANSITION_ACTIVATE)
@@ -171,6 +173,21 @@ def test_what_is_read_at_configure_can_be_set_before_it(robot, room, tmp_path):
                        Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
         assert change_state(robot, transition)
     assert 'topic' in robot.diagnosis()[1]['depth_model']
+
+
+def check_that_a_dump_loads(robot, node):
+    """As `ros2 param load` does: all that there is, the read-only qos_overrides among it."""
+    names = list(node.get_parameters_by_prefix(''))
+    before = node.get_parameters(names)
+    request = SetParameters.Request(parameters=[value.to_parameter_msg() for value in before])
+    results = robot.call(SetParameters, 'plane_detector/set_parameters', request).results
+    assert any(name.startswith('qos_overrides') for name in names)
+    assert [result.reason for result in results if not result.successful] == []
+    after = node.get_parameters(names)
+    assert all(map(np.array_equal, [p.value for p in after], [p.value for p in before]))
+    fixed = next(value for value in before if value.name.endswith('.depth') and value.value == 2)
+    (result,) = node.set_parameters([Parameter(fixed.name, value=3)])
+    assert 'read-only' in result.reason, 'another value is refused as before'
 
 
 def test_lifecycle_without_autostart(robot, room):
