@@ -4,13 +4,15 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from scipy import ndimage
 
+from plane_detector.compilation import kernel
 from plane_detector.types import CameraIntrinsics, Plane
 
 _TOLERANCE_PX = 2.0
@@ -71,10 +73,11 @@ def all_polygons(labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
         Where the outlines are laid.
 
     """
-    boxes = ndimage.find_objects(labels + 1, len(planes))
-    return tuple(() if box is None else plane_polygons(
-        labels[box] == index, depth_m, intrinsics, plane, (box[0].start, box[1].start))
-        for index, (plane, box) in enumerate(zip(planes, boxes, strict=True)))
+    boxes = _bounding_boxes(labels.astype(np.int32, copy=False), len(planes)).tolist()
+    outlines = [_simple_outlines(labels[top:bottom, left:right] == index, (top, left))
+                if bottom > top else []
+                for index, (top, bottom, left, right) in enumerate(boxes)]
+    return _laid_onto(planes, outlines, depth_m, intrinsics)
 
 
 def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
@@ -112,13 +115,7 @@ def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
 
     """
     outlines = _simple_outlines(mask, first_pixel)
-    if not outlines:
-        return ()
-    corners_m = _corners_on_plane(np.concatenate([corners_px for corners_px, _ in outlines]),
-                                  depth_m, intrinsics, plane)
-    starts = np.cumsum([len(corners_px) for corners_px, _ in outlines])[:-1]
-    return tuple(Polygon(of_one, is_hole) for of_one, (_, is_hole) in zip(
-        np.split(corners_m, starts), outlines, strict=True))
+    return _laid_onto([plane], [outlines], depth_m, intrinsics)[0]
 
 
 def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
@@ -136,17 +133,30 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
         A point of the plane.
 
     """
-    helper = np.eye(3)[np.argmin(np.abs(normal))]
-    across = _cross(normal, helper)
-    across /= np.linalg.norm(across)
-    axes = np.stack([across, _cross(normal, across)])
+    across, along = _axes_across(normal.tolist())
+    axes = np.array([across, along])
     flat_m = ((corners_m - centroid_m) @ axes.T).astype(np.float32)
-    centre_m, (width_m, height_m), angle_deg = cv2.minAreaRect(flat_m)
-    turn = np.radians(angle_deg + (0.0 if width_m >= height_m else 90.0))
-    x_axis = np.array([np.cos(turn), np.sin(turn)]) @ axes
-    return Rectangle(centroid_m + np.asarray(centre_m) @ axes,
-                     np.stack([x_axis, _cross(normal, x_axis), normal], axis=1),
+    (x_m, y_m), (width_m, height_m), angle_deg = cv2.minAreaRect(flat_m)
+    turn = math.radians(angle_deg + (0.0 if width_m >= height_m else 90.0))
+    x_axis = [math.cos(turn) * a + math.sin(turn) * b for a, b in zip(across, along, strict=True)]
+    y_axis = _cross(normal.tolist(), x_axis)
+    return Rectangle(centroid_m + [x_m, y_m] @ axes, np.array([x_axis, y_axis, normal]).T,
                      max(width_m, height_m), min(width_m, height_m))
+
+
+@kernel('int64[:, ::1](int32[:, :], int64)')
+def _bounding_boxes(labels, count):
+    """Return the first row, the row after the last, and so the columns of 0 to count - 1."""
+    height, width = labels.shape
+    boxes = np.zeros((count, 4), np.int64)
+    boxes[:, 0], boxes[:, 2] = height, width
+    for v in range(height):
+        for u in range(width):
+            if 0 <= labels[v, u] < count:
+                box = boxes[labels[v, u]]
+                box[0], box[1] = min(box[0], v), v + 1
+                box[2], box[3] = min(box[2], u), max(box[3], u + 1)
+    return boxes
 
 
 def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
@@ -156,26 +166,50 @@ def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
         np.ascontiguousarray(mask).view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE,
         offset=first_pixel[::-1])
     parents = hierarchy[0, :, 3].tolist()
-    patches = [index for index, parent in enumerate(parents) if parent < 0]
-    patches.sort(key=lambda index: -cv2.contourArea(contours[index]))
-    order = [index for patch in patches for index in
-             (patch, *(hole for hole, parent in enumerate(parents) if parent == patch))]
+    families = {index: [index] for index, parent in enumerate(parents) if parent < 0}
+    for index, parent in enumerate(parents):
+        if parent >= 0:
+            families[parent].append(index)
+    patches = sorted(families, key=lambda index: -cv2.contourArea(contours[index]))
+    order = [index for patch in patches for index in families[patch]]
     simple = ((cv2.approxPolyDP(contours[index], _TOLERANCE_PX, True).reshape(-1, 2),
-               parents[index] >= 0) for index in order)
+               parents[index] >= 0) for index in order if len(contours[index]) > 2)
     return [(corners_px, is_hole) for corners_px, is_hole in simple if len(corners_px) > 2]
 
 
-def _cross(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _axes_across(normal: list[float]) -> tuple[list[float], list[float]]:
+    """Return two unit vectors that are perpendicular to a unit one and to each other."""
+    helper = [0.0, 0.0, 0.0]
+    helper[min(range(3), key=lambda axis: abs(normal[axis]))] = 1.0
+    across = _cross(normal, helper)
+    length = math.hypot(*across)
+    across = [value / length for value in across]
+    return across, _cross(normal, across)
+
+
+def _cross(first: list[float], second: list[float]) -> list[float]:
     """Return the cross product of two vectors (3,), without the overhead of numpy's."""
-    (a, b, c), (d, e, f) = first.tolist(), second.tolist()
-    return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
+    (a, b, c), (d, e, f) = first, second
+    return [b * f - c * e, c * d - a * f, a * e - b * d]
 
 
-def _corners_on_plane(corners_px: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                      plane: Plane) -> np.ndarray:
-    """Return pixels (N, 2), column and row, as points (N, 3) brought onto the plane."""
-    column, row = corners_px.T
+def _laid_onto(planes: Sequence[Plane], outlines: Sequence[Sequence[tuple[np.ndarray, bool]]],
+               depth_m: np.ndarray, intrinsics: CameraIntrinsics
+               ) -> tuple[tuple[Polygon, ...], ...]:
+    """Return the outlines of each plane in pixels, columns and rows, as polygons on the plane."""
+    flat = [corners_px for of_plane in outlines for corners_px, _ in of_plane]
+    if not flat:
+        return ((),) * len(planes)
+    counts = [sum(len(corners_px) for corners_px, _ in of_plane) for of_plane in outlines]
+    column, row = np.concatenate(flat).T
     z_m = depth_m[row, column].astype(float)
     points_m = np.stack([(column - intrinsics.cx) / intrinsics.fx * z_m,
                          (row - intrinsics.cy) / intrinsics.fy * z_m, z_m], axis=-1)
-    return points_m - np.outer(points_m @ plane.normal + plane.offset_m, plane.normal)
+    normals = np.repeat([plane.normal for plane in planes], counts, axis=0)
+    offsets_m = np.repeat([plane.offset_m for plane in planes], counts)
+    distances_m = (points_m * normals).sum(axis=1) + offsets_m
+    laid_m = points_m - distances_m[:, None] * normals
+    ends = itertools.accumulate(map(len, flat))
+    corners_m = iter([laid_m[end - len(one):end] for one, end in zip(flat, ends, strict=True)])
+    return tuple(tuple(Polygon(next(corners_m), is_hole) for _, is_hole in of_plane)
+                 for of_plane in outlines)
