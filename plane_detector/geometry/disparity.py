@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
+
 # derived: no camera sees nearer; the inverse of less drowns the rest in the rounding of float32.
 MIN_DEPTH_M = 1e-3
 # A range that a few stray pixels do not widen.
@@ -52,10 +54,19 @@ def to_disparity(depth_m: np.ndarray) -> np.ndarray:
     array([[0.5, nan]], dtype=float32)
 
     """
-    valid = valid_depth(depth_m)
-    with np.errstate(divide='ignore', invalid='ignore', over='ignore'):
-        disparity = np.reciprocal(depth_m, dtype=np.float32)
-    return disparity if valid.all() else np.where(valid, disparity, np.float32(np.nan))
+    with np.errstate(over='ignore'):  # beyond float32 is infinite
+        return _inverse(np.ascontiguousarray(depth_m, np.float32))
+
+
+@kernel('float32[:, ::1](float32[:, ::1])')
+def _inverse(depth_m):
+    disparity, least = np.empty_like(depth_m), np.float32(MIN_DEPTH_M)
+    for v in range(depth_m.shape[0]):
+        for u in range(depth_m.shape[1]):
+            is_valid = (depth_m[v, u] >= least) & (depth_m[v, u] < np.float32(np.inf))
+            disparity[v, u] = (np.float32(1) / depth_m[v, u] if is_valid
+                               else np.float32(np.nan))
+    return disparity
 
 
 def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
@@ -100,10 +111,17 @@ def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     valid : (H, W) bool
 
     """
-    valid = np.isfinite(disparity)
-    if not valid.all():
-        disparity = np.where(valid, disparity, 0)
-    return disparity.astype(np.float32, copy=False), valid
+    return _fill_with_zero(np.ascontiguousarray(disparity, np.float32))
+
+
+@kernel('Tuple((float32[:, ::1], boolean[:, ::1]))(float32[:, ::1])')
+def _fill_with_zero(disparity):
+    filled, valid = np.empty_like(disparity), np.empty(disparity.shape, np.bool_)
+    for v in range(disparity.shape[0]):
+        for u in range(disparity.shape[1]):
+            valid[v, u] = abs(disparity[v, u]) < np.float32(np.inf)
+            filled[v, u] = disparity[v, u] if valid[v, u] else np.float32(0)
+    return filled, valid
 
 
 def noise_reference(disparity: np.ndarray) -> float:

@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.planes.pixel_sums import sum_over_pixels
 from plane_detector.segmentation.cells.grid import XX, XY, YY, CellGrid, D, N, X, Y
-from plane_detector.segmentation.cells.labels import relabel_sequential, sum_over_pixels
+from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
@@ -51,7 +52,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
 
     """
     noise, typical = regions.noise, regions.grid.typical_disparity
-    sums = sum_over_pixels(regions.grid, regions.disparity, regions.labels, regions.coefficients)
+    sums = sum_over_pixels(regions)
     is_kept = sums[:, N] >= max(min_pixels, 1)
     if noise.mean_sigma > max(noise.source_sigma, MAX_NOISE_SHARE * typical):
         is_kept[:] = False

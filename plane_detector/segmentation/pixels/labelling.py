@@ -91,122 +91,147 @@ def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarra
         'Tuple((float64[:, ::1], int8[:, ::1])), Tuple((int64, float64[::1])))')
 def _label(disparity, valid, cells, planes, geometry):
     """Return the label of every pixel, given labels of cells and where pixels choose."""
-    (labels, is_open, sweeps), size = cells, geometry[0]
-    found, (rows, columns) = np.full(disparity.shape, np.int32(-1)), labels.shape
-    scratch = np.zeros((4, size**2), np.float32)
+    (labels, is_open, sweeps), (coefficients, signs), (size, frame) = cells, planes, geometry
+    found, near = np.empty(disparity.shape, np.int32), np.full(10, np.int32(-1))
+    local, pixels = np.empty((9, 3), np.float32), np.zeros((4, size**2), np.float32)
+    chosen, columns = np.empty(size**2, np.int32), labels.shape[1]
     for p in range(size**2):
-        scratch[0, p], scratch[1, p] = p % size, p // size
-    work = np.empty(9, np.int32), np.empty((9, 3), np.float32), scratch, np.empty(size**2,
-                                                                                  np.int32)
-    for sweep in range(sweeps):
-        chosen, is_next, is_settled = labels.copy(), np.zeros(labels.shape, np.bool_), True
-        for row in range(rows):
-            for column in range(columns):
-                label, place = labels[row, column], (row * size, column * size)
-                if is_open[row, column]:
-                    count = _choose_plane(disparity, (labels, row, column), planes, geometry, work)
-                    asked = work[0][:count if sweeps > 1 else 0]
-                    winner = _write(found, valid, place, size, (work[3], asked))
-                    if label >= 0 and winner >= 0 and winner != label:
-                        chosen[row, column], is_settled = winner, False
-                        is_next[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True
-                elif sweep == 0 and label >= 0:
-                    work[3][:] = label
-                    _write(found, valid, place, size, (work[3], work[0][:0]))
-        labels, is_open = chosen, is_next
+        pixels[0, p], pixels[1, p] = p % size, p // size
+    _fill_cells(found, valid, labels, is_open, size)
+    for _ in range(sweeps):
+        settled, is_next, is_settled = labels.copy(), np.zeros(labels.shape, np.bool_), True
+        for cell in np.flatnonzero(is_open):
+            row, column = cell // columns, cell % columns
+            if not _find_labels_around(labels, row, column, near):
+                continue
+            corner, label = (row * size, column * size, size), labels[row, column]
+            _load(disparity, corner, pixels)
+            _move_planes(coefficients, near, corner, frame, local)
+            _choose_nearest(pixels, chosen, near, local, frame)
+            _choose_sides(pixels, chosen, near, local, signs, frame)
+            _store(found, valid, corner, chosen)
+            winner = _majority(chosen, near) if sweeps > 1 and label >= 0 else label
+            if winner >= 0 and winner != label:
+                settled[row, column], is_settled = winner, False
+                is_next[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True
+        labels, is_open = settled, is_next
         if is_settled:
             break
     return found
 
 
-@kernel('int32(int32[:, ::1], boolean[:, ::1], UniTuple(int64, 2), int64, '
-        'UniTuple(int32[::1], 2))')
-def _write(found, valid, corner, size, choice):
-    """Write the labels of a cell's pixels; return the one that most of them have, or -1."""
-    (top, left), (chosen, near) = corner, choice
+@kernel('void(int32[:, ::1], boolean[:, ::1], int32[:, ::1], boolean[:, ::1], int64)')
+def _fill_cells(found, valid, labels, is_open, size):
+    """Write the labels of cells that are not open to their pixels, -1 to all others."""
+    line = np.empty(labels.shape[1] * size, np.int32)
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            label = np.int32(-1) if is_open[row, column] else labels[row, column]
+            for u in range(column * size, column * size + size):
+                line[u] = label
+        for v in range(row * size, min(row * size + size, found.shape[0])):
+            for u in range(found.shape[1]):
+                found[v, u] = line[u] if valid[v, u] else np.int32(-1)
+
+
+@kernel('boolean(int32[:, ::1], int64, int64, int32[::1])')
+def _find_labels_around(labels, row, column, near):
+    """Write the labels of the 3 x 3 cells around one, and -1 after them; say if there are any."""
+    count, last = 0, np.int32(-1)
+    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
+        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
+            if labels[r, c] == last or labels[r, c] < 0:
+                continue
+            last, is_new = labels[r, c], True
+            for k in range(count):
+                is_new &= near[k] != last
+            if is_new:
+                near[count] = last
+                count += 1
+    near[count] = -1
+    return count > 0
+
+
+@kernel('void(float32[:, ::1], UniTuple(int64, 3), float32[:, ::1])')
+def _load(disparity, corner, pixels):
+    """Copy the disparity of a cell to the third row of its pixels, behind their u and v."""
+    top, left, size = corner
+    for i in range(min(size, disparity.shape[0] - top)):
+        for j in range(min(size, disparity.shape[1] - left)):
+            pixels[2, i * size + j] = disparity[top + i, left + j]
+
+
+@kernel('void(int32[:, ::1], boolean[:, ::1], UniTuple(int64, 3), int32[::1])')
+def _store(found, valid, corner, chosen):
+    """Write the labels of a cell's pixels."""
+    top, left, size = corner
     for i in range(min(size, found.shape[0] - top)):
         for j in range(min(size, found.shape[1] - left)):
             found[top + i, left + j] = (chosen[i * size + j] if valid[top + i, left + j]
                                         else np.int32(-1))
+
+
+@kernel('int32(int32[::1], int32[::1])')
+def _majority(chosen, near):
+    """Return the label that most of a cell's pixels have, or -1."""
     for label in near:
         votes = 0
         for p in range(len(chosen)):
             votes += chosen[p] == label
-        if 2 * votes > len(chosen):
-            return label
-    return np.int32(-1)
+        if label < 0 or 2 * votes > len(chosen):
+            break
+    return label
 
 
-@kernel('int64(float32[:, ::1], Tuple((int32[:, ::1], int64, int64)), '
-        'Tuple((float64[:, ::1], int8[:, ::1])), Tuple((int64, float64[::1])), '
-        'Tuple((int32[::1], float32[:, ::1], float32[:, ::1], int32[::1])))')
-def _choose_plane(disparity, cell, planes, geometry, work):
-    """Choose among the planes around a cell for each of its pixels; return their number."""
-    (labels, row, column), (coefficients, signs), (size, frame) = cell, planes, geometry
-    near, local, scratch, chosen = work
-    count = _labels_around(labels, row, column, near)
-    top, left = row * size, column * size
-    for i in range(min(size, disparity.shape[0] - top)):
-        for j in range(min(size, disparity.shape[1] - left)):
-            scratch[2, i * size + j] = disparity[top + i, left + j]
-    for k in range(count):
-        a, b, c = coefficients[near[k], 0], coefficients[near[k], 1], coefficients[near[k], 2]
+@kernel('void(float64[:, ::1], int32[::1], UniTuple(int64, 3), float64[::1], float32[:, ::1])')
+def _move_planes(coefficients, near, corner, frame, local):
+    """Write the planes in pixels from the corner of a cell."""
+    for k, label in enumerate(near):
+        if label < 0:
+            break
+        a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
         local[k, 0], local[k, 1] = a / frame[0], b / frame[0]
-        local[k, 2] = a * (frame[1] + left / frame[0]) + b * (frame[2] + top / frame[0]) + c
-    _choose_nearest(scratch, local, near[:count], frame, chosen)
-    for k in range(count):
-        for m in range(count):
-            if near[k] < near[m] and signs[near[k], near[m]] != 0:
-                _choose_side(scratch, local, (near, k, m), (frame, signs[near[k], near[m]]),
-                             chosen)
-    return count
+        local[k, 2] = (a * (frame[1] + corner[1] / frame[0])
+                       + b * (frame[2] + corner[0] / frame[0]) + c)
 
 
-@kernel('int64(int32[:, ::1], int64, int64, int32[::1])')
-def _labels_around(labels, row, column, near):
-    """Write the labels of the 3 x 3 cells around one; return their number."""
-    count = 0
-    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
-        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
-            is_new = labels[r, c] >= 0
-            for k in range(count):
-                is_new &= near[k] != labels[r, c]
-            if is_new:
-                near[count] = labels[r, c]
-                count += 1
-    return count
-
-
-@kernel('void(float32[:, ::1], float32[:, ::1], int32[::1], float64[::1], int32[::1])')
-def _choose_nearest(scratch, local, near, frame, chosen):
+@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], float64[::1])')
+def _choose_nearest(pixels, chosen, near, local, frame):
     """Write the plane of smallest residual of each pixel, -1 where all are too far."""
-    u, v, values, error = scratch[0], scratch[1], scratch[2], scratch[3]
     tolerance2 = np.float32(frame[3] * PIXEL_TOLERANCE**2)
     variance, depth_floor2 = np.float32(frame[4]), np.float32(frame[5])
     for p in range(len(chosen)):
-        square = values[p] * values[p]
-        error[p] = tolerance2 * (variance + depth_floor2 * square * square)
+        square = pixels[2, p] * pixels[2, p]
+        pixels[3, p] = tolerance2 * (variance + depth_floor2 * square * square)
         chosen[p] = -1
-    for k in range(len(near)):
-        a, b, c, label = local[k, 0], local[k, 1], local[k, 2], near[k]
+    for k, label in enumerate(near):
+        if label < 0:
+            break
+        a, b, c = local[k, 0], local[k, 1], local[k, 2]
         for p in range(len(chosen)):
-            residual = values[p] - (a * u[p] + b * v[p] + c)
-            chosen[p] = label if residual * residual <= error[p] else chosen[p]
-            error[p] = min(error[p], residual * residual)
+            residual = pixels[2, p] - (a * pixels[0, p] + b * pixels[1, p] + c)
+            chosen[p] = label if residual * residual <= pixels[3, p] else chosen[p]
+            pixels[3, p] = min(pixels[3, p], residual * residual)
 
 
-@kernel('void(float32[:, ::1], float32[:, ::1], Tuple((int32[::1], int64, int64)), '
-        'Tuple((float64[::1], int8)), int32[::1])')
-def _choose_side(scratch, local, pair, limits, chosen):
+@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], int8[:, ::1], '
+        'float64[::1])')
+def _choose_sides(pixels, chosen, near, local, signs, frame):
     """Relabel the pixels close to an intersection, where residuals are alike, by their side."""
-    (near, k, m), (frame, sign) = pair, limits
-    u, v, values = scratch[0], scratch[1], scratch[2]
     threshold2, variance = np.float32(frame[3]), np.float32(frame[4])
-    depth_floor2 = np.float32(frame[5])
-    a, b, c = local[k, 0] - local[m, 0], local[k, 1] - local[m, 1], local[k, 2] - local[m, 2]
-    for p in range(len(chosen)):
-        square = values[p] * values[p]
-        limit = threshold2 * (variance + depth_floor2 * square * square)
-        difference = a * u[p] + b * v[p] + c
-        if (chosen[p] == near[k] or chosen[p] == near[m]) and difference * difference < limit:
-            chosen[p] = near[k] if sign * difference > 0 else near[m]
+    depth_floor2, count = np.float32(frame[5]), 0
+    while near[count] >= 0:
+        count += 1
+    for k in range(count):
+        for m in range(count):
+            one, other, sign = near[k], near[m], signs[near[k], near[m]]
+            if one >= other or sign == 0:
+                continue
+            a, b, c = (local[k, 0] - local[m, 0], local[k, 1] - local[m, 1],
+                       local[k, 2] - local[m, 2])
+            for p in range(len(chosen)):
+                square = pixels[2, p] * pixels[2, p]
+                limit = threshold2 * (variance + depth_floor2 * square * square)
+                difference = a * pixels[0, p] + b * pixels[1, p] + c
+                if (chosen[p] == one or chosen[p] == other) and difference * difference < limit:
+                    chosen[p] = one if sign * difference > 0 else other
