@@ -4,7 +4,7 @@
 The orientation of planes from networks, by their depth, the axes of the scene and its lines.
 
 A network's normal is the true one plus an error of unknown size sigma, smooth over the image, far
-larger than the noise of the fit. The true one is a mixture: level; across a horizontal axis;
+larger than the noise of the fit; of a few pieces it knows nothing. The true one is a mixture: level; across a horizontal axis;
 upright with any azimuth; level along a horizontal axis (a roof); or anything.
 
 1. Each hypothesis of each plane gets its marginal likelihood: a density of the sphere for a point,
@@ -31,9 +31,12 @@ from plane_detector.types import Plane
 # tuned: python -m plane_detector.evaluation.benchmark orientation: the results stay within one
 # degree when any of these is doubled or halved.
 LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2, 0.05, 0.1
-# Log likelihood that is lost when all lines in a plane contradict. tuned: as above, flat from 6
-# to 10; without it living rooms are 5 degrees worse.
-LINE_WEIGHT = 6.0
+# Log likelihood that is lost when all lines in a plane contradict. tuned: as above, flat from 12
+# to 14; at half of it pictures on walls, which networks see as windows, are turned across the wall.
+LINE_WEIGHT = 12.0
+# Share of the pieces of which a network has no idea: any normal is as likely. It bounds what the
+# angle says, so that lines can say more. tuned: as above, flat from 0.03 to 0.1.
+OUTLIER_SHARE = 0.05
 # Error of a network's normals: possible values, expected value and its factor of spread.
 SIGMAS_RAD = np.radians([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0])
 EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
@@ -141,10 +144,12 @@ def _hypotheses(normals: np.ndarray, directions: SceneDirections,
 def _log_likelihood(hypotheses: _Hypotheses, variance: np.ndarray) -> np.ndarray:
     """Return the log of prior and marginal likelihood (K, C) for variances (K,), rad^2."""
     variance = variance[:, None]
-    misfit = -0.5 * hypotheses.angle_rad**2 / variance
-    point = misfit - np.log(2 * np.pi * variance)
-    circle = misfit - 0.5 * np.log(2 * np.pi * variance) - np.log(np.pi)
-    sphere = np.full_like(point, -np.log(2 * np.pi))
+    misfit = np.log1p(-OUTLIER_SHARE) - 0.5 * hypotheses.angle_rad**2 / variance
+    anywhere = -np.log(2 * np.pi)
+    point = np.logaddexp(misfit - np.log(2 * np.pi * variance), np.log(OUTLIER_SHARE) + anywhere)
+    circle = np.logaddexp(misfit - 0.5 * np.log(2 * np.pi * variance) - np.log(np.pi),
+                          np.log(OUTLIER_SHARE) + anywhere)
+    sphere = np.full_like(point, anywhere)
     return hypotheses.log_prior + np.choose(hypotheses.freedoms, [point, circle, sphere])
 
 
