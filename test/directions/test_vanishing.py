@@ -117,6 +117,18 @@ def test_a_sloped_floor_does_not_tilt_the_vertical():
         assert angle_deg(directions_of(scene.rgb).gravity_camera, scene.gravity_camera) < AIM_DEG
 
 
+def test_upright_edges_outvote_the_tiles_of_a_sloped_floor():
+    scene = textured(ramp_room, 320)
+    found = directions_of(scene.rgb)
+    assert angle_deg(found.gravity_camera, scene.gravity_camera) < 1.0
+    assert not found.pairs and 'right angles' in found.pair_refusal
+
+
+def test_a_roof_is_no_wall_of_a_camera_that_looks_down():
+    found = directions_of(textured(attic, 323).rgb)
+    assert found.gravity_camera is None and found.refusal
+
+
 @pytest.mark.parametrize('seed', range(3))
 def test_twigs_are_refused(seed):
     found = directions_of(clutter(np.random.default_rng(seed)))

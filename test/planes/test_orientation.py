@@ -106,6 +106,15 @@ def test_lines_along_an_axis_are_in_no_plane_across_it(line, expected):
     assert abs(found.normals[0] @ AXES[expected]) > 0.999
 
 
+def test_lines_outvote_a_normal_that_is_plainly_wrong():
+    wrong = turned(turned(-AXES[2], 68, -AXES[0]), 35, AXES[2])
+    if wrong @ AXES[1] < 0:
+        wrong = turned(turned(-AXES[2], 68, AXES[0]), 35, AXES[2])
+    evidence = LineEvidence(AXES, np.array([[0.45, 0.3, 0.0]]))
+    found = orient((plane(wrong, 20.0),), directions(), evidence)
+    assert abs(found.normals[0] @ AXES[2]) > 0.999
+
+
 @pytest.mark.parametrize(('share', 'is_across'), [(0.0, False), (0.3, True)])
 def test_a_wall_across_a_further_axis_shows_lines_along_its_partner(share, is_across):
     further = np.stack([turned(axis, 40, AXES[0]) for axis in AXES[1:]])

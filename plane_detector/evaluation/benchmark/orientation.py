@@ -127,15 +127,19 @@ def report_rendered(count: int, first_seed: int) -> None:
                   for seed in range(first_seed, first_seed + count))
     rows.append(['strokes of all directions', f'{answers} of {count} answer', '-'])
     emit('### Directions of rendered rooms with lines',
-         table(('scene', 'gravity', 'level axes, where the nearest wall is within 10 deg'), rows))
+         table(('scene', 'gravity', 'level axes, where those of a wall or slope are within 10 deg'), rows))
 
 
 def _axis_errors(axes: np.ndarray, scene) -> list[float]:
-    """Return the angle of the first axis or its perpendicular to the nearest wall's normal."""
-    walls = scene.planes[np.abs(scene.planes[:, :3] @ scene.gravity_camera) < UPRIGHT_SINE, :3]
-    if not len(walls):
+    """Return the angle to the level axes of the nearest plane, a wall or a floor that rises."""
+    normals, down = scene.planes[:, :3], scene.gravity_camera
+    level = normals - np.outer(normals @ down, down)
+    length = np.linalg.norm(level, axis=1)
+    is_seen = length > UPRIGHT_SINE
+    if not is_seen.any():
         return []
-    nearest = np.degrees(np.arccos(np.clip(np.abs(axes @ walls.T).max(), 0, 1)))
+    level = level[is_seen] / length[is_seen, None]
+    nearest = np.degrees(np.arccos(np.clip(np.abs(axes @ level.T).max(), 0, 1)))
     return [float(nearest)] if nearest < 10 else []
 
 
