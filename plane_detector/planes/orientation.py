@@ -4,8 +4,9 @@
 The orientation of planes from networks, by their depth, the axes of the scene and its lines.
 
 A network's normal is the true one plus an error of unknown size sigma, smooth over the image, far
-larger than the noise of the fit; of a few pieces it knows nothing. The true one is a mixture: level; across a horizontal axis;
-upright with any azimuth; level along a horizontal axis (a roof); or anything.
+larger than the noise of the fit; of a few pieces it knows nothing. The true one is a mixture:
+level; across a horizontal axis; upright with any azimuth; level along a horizontal axis (a roof);
+or anything.
 
 1. Each hypothesis of each plane gets its marginal likelihood: a density of the sphere for a point,
    of a circle for one degree of freedom, and a uniform one for two.
@@ -32,7 +33,7 @@ from plane_detector.types import Plane
 # degree when any of these is doubled or halved.
 LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2, 0.05, 0.1
 # Log likelihood that is lost when all lines in a plane contradict. tuned: as above, flat from 12
-# to 14; at half of it pictures on walls, which networks see as windows, are turned across the wall.
+# to 14; at half of it images on walls, which networks see as windows, are turned across them.
 LINE_WEIGHT = 12.0
 # Share of the pieces of which a network has no idea: any normal is as likely. It bounds what the
 # angle says, so that lines can say more. tuned: as above, flat from 0.03 to 0.1.

@@ -127,7 +127,7 @@ def report_rendered(count: int, first_seed: int) -> None:
                   for seed in range(first_seed, first_seed + count))
     rows.append(['strokes of all directions', f'{answers} of {count} answer', '-'])
     emit('### Directions of rendered rooms with lines',
-         table(('scene', 'gravity', 'level axes, where those of a wall or slope are within 10 deg'), rows))
+         table(('scene', 'gravity', 'level axes, where a wall or slope is within 10 deg'), rows))
 
 
 def _axis_errors(axes: np.ndarray, scene) -> list[float]:
