@@ -1,29 +1,29 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A camera of constant rate and cheap subscribers, to measure the limits of the node."""
+"""A camera of constant rate, and what the node does with its images."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
-from plane_detector.evaluation.scenes.rooms import Scene
+from plane_detector.evaluation.benchmark.node_receiver import RELIABLE, Receiver
+from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.demo.node_client import FRAME_ID, NODE, camera_info_to_msg
 
-_RELIABLE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
+HELD_S = 0.5
+"""Each view stays so long, as for a camera that moves slowly: labels are tracked."""
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
 _SETTLING_S = 3.0
 _START_TIMEOUT_S = 120.0
@@ -42,8 +42,10 @@ class Load:
     stage_ms : dict of str to float
         Median over the seconds of each stage's mean time, as the diagnostics tell it.
     busy_ms, waiting_ms : float
-        Per frame, all threads of the process together: time on a core; time without one though
+        Per frame, all threads of the node together: time on a core; time without one though
         there was work, because other programs had them.
+    camera_ms, receiver_ms : float
+        Time on a core of the two other processes: per image sent, per frame received.
 
     """
 
@@ -51,47 +53,41 @@ class Load:
     stage_ms: dict[str, float]
     busy_ms: float
     waiting_ms: float
+    camera_ms: float
+    receiver_ms: float
 
 
 class CameraLoad:
     """
-    Feeds the node with one scene at a constant rate, and takes its outputs as bytes.
-
-    Subscribers that take bytes show the node's own limit: what a subscriber in Python needs to
-    make messages of them would be taken from the node's cores.
+    Feeds the node with views at a constant rate, and listens to its diagnostics.
 
     Parameters
     ----------
     check_running : callable
         Raises when the node has ended; called while waiting.
-    scene : Scene
+    views : sequence of Frame
+        Shown in turns, each for HELD_S.
     rate_hz : float
     with_depth : bool
-        Publish the true depth too.
-    outputs : sequence of str
-        What is subscribed to, ``planes`` among them.
+        Publish the depth too.
+    receiver : Receiver
+        Of the outputs, ``planes`` among them.
 
     """
 
-    def __init__(self, check_running: Callable[[], None], scene: Scene, rate_hz: float,
-                 with_depth: bool, outputs: Sequence[str]) -> None:
-        self._check_running = check_running
-        self._scene = scene
-        self._outputs = outputs
+    def __init__(self, check_running: Callable[[], None], views: Sequence[Frame], rate_hz: float,
+                 with_depth: bool, receiver: Receiver) -> None:
+        self._check_running, self._receiver = check_running, receiver
+        self._views = [input_messages(Header(frame_id=FRAME_ID), view) for view in views]
         self._node = rclpy.create_node('plane_detector_load')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._publishers = {
-            name: self._node.create_publisher(msg_type, name, _RELIABLE)
+            name: self._node.create_publisher(msg_type, name, RELIABLE)
             for name, msg_type in _INPUTS.items() if with_depth or name != 'depth'}
-        self._received: Counter[str] = Counter()
-        for name in outputs:
-            self._node.create_subscription(
-                OUTPUTS[name].msg_type, f'{NODE}/{name}',
-                lambda _, name=name: self._received.update([name]), _RELIABLE, raw=True)
         self._statuses: list[dict[str, str]] = []
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
-        self._period_s = 1 / rate_hz
+        self._rate_hz, self._sent = rate_hz, 0
 
     def close(self) -> None:
         """End the ROS node."""
@@ -109,19 +105,23 @@ class CameraLoad:
 
         """
         self._wait_for_node()
-        self._node.create_timer(self._period_s, self._publish)
+        self._node.create_timer(1 / self._rate_hz, self._publish)
         self._spin(_SETTLING_S)
-        self._received.clear()
+        self._receiver.counts()
         self._statuses.clear()
-        before_ms = scheduled_ms(process_id)
+        sent, camera_s = self._sent, time.process_time()
+        processes = process_id, self._receiver.process_id
+        before_ms = np.array([scheduled_ms(one) for one in processes])
         elapsed_s = self._spin(seconds)
-        busy_ms, waiting_ms = scheduled_ms(process_id) - before_ms
-        frames = self._received['planes']
+        node_ms, receiver_ms = np.array([scheduled_ms(one) for one in processes]) - before_ms
+        camera_ms = 1e3 * (time.process_time() - camera_s) / max(self._sent - sent, 1)
+        frames = self._receiver.counts()['planes']
         stage_ms = median_stages(self._statuses)
         if not frames or not stage_ms:
             last = self._statuses[-1:] or [{}]
             raise RuntimeError(f'the node gave no planes: {last[0].get("last_error", "")}')
-        return Load(frames / elapsed_s, stage_ms, busy_ms / frames, waiting_ms / frames)
+        return Load(frames / elapsed_s, stage_ms, *(node_ms / frames), camera_ms,
+                    receiver_ms[0] / frames)
 
     def _wait_for_node(self) -> None:
         deadline_s = time.monotonic() + _START_TIMEOUT_S
@@ -131,8 +131,11 @@ class CameraLoad:
             self._spin(_SPIN_S)
 
     def _is_connected(self) -> bool:
+        """Whether the node listens, and the receiver to the node."""
+        planes = f'{NODE}/planes'
         return (all(p.get_subscription_count() for p in self._publishers.values())
-                and all(self._node.count_publishers(f'{NODE}/{name}') for name in self._outputs))
+                and bool(self._node.count_publishers(planes))
+                and bool(self._node.count_subscribers(planes)))
 
     def _spin(self, seconds: float) -> float:
         """Spin for some time; return how long it was in fact."""
@@ -143,21 +146,23 @@ class CameraLoad:
         return elapsed_s
 
     def _publish(self) -> None:
-        header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
-        for name, msg in input_messages(header, self._scene).items():
-            if name in self._publishers:
-                self._publishers[name].publish(msg)
+        stamp = self._node.get_clock().now().to_msg()
+        view = self._views[int(self._sent / self._rate_hz / HELD_S) % len(self._views)]
+        self._sent += 1
+        for name, publisher in self._publishers.items():
+            view[name].header.stamp = stamp
+            publisher.publish(view[name])
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         self._statuses += [{pair.key: pair.value for pair in status.values}
                            for status in msg.status if status.name.startswith(NODE)]
 
 
-def input_messages(header: Header, scene: Scene) -> dict[str, CameraInfo | Image]:
-    """Return what a camera publishes of a scene, by topic; the image comes last."""
-    return {'camera_info': camera_info_to_msg(header, scene.intrinsics),
-            'depth': messages.depth_to_msg(header, scene.depth_m),
-            'image': messages.rgb_to_msg(header, scene.rgb)}
+def input_messages(header: Header, view: Frame) -> dict[str, Any]:
+    """Return what a camera publishes of a view, by topic; the image comes last."""
+    return {'camera_info': camera_info_to_msg(header, view.intrinsics),
+            'depth': messages.depth_to_msg(header, view.depth_m),
+            'image': messages.rgb_to_msg(header, view.rgb)}
 
 
 def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:

@@ -5,16 +5,26 @@
 import os
 import sys
 
+import numpy as np
 import pytest
 import rclpy
+from frame_files import write_frame
 
 from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark import node as benchmark_node
+from plane_detector.evaluation.benchmark import node_parts
 from plane_detector.evaluation.benchmark.node_load import median_stages, scheduled_ms
+from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.demo.node_process import use_private_domain
 
 TOPIC = [('depth topic', DepthConfig(source='topic'))]
+
+
+def views(room):
+    """Return two rooms as the camera shows them."""
+    return [Frame('rooms', str(seed), scene.rgb, scene.depth_m, scene.intrinsics)
+            for seed, scene in ((seed, room(seed)) for seed in (1, 2))]
 
 
 def rows(printed):
@@ -23,39 +33,55 @@ def rows(printed):
     return [[cell.strip() for cell in line.strip('|').split('|')] for line in lines[2:]]
 
 
-def test_the_running_node_is_measured(monkeypatch, capsys):
+@pytest.fixture
+def ros(monkeypatch):
     for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE',
                  'FASTRTPS_DEFAULT_PROFILES_FILE'):
         monkeypatch.setenv(name, os.environ.get(name, ''))  # restored after the test
     monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE')
-    monkeypatch.setattr(benchmark_node, 'SUBSCRIPTIONS', {'all': tuple(OUTPUTS)})
     use_private_domain()
     rclpy.init()
-    try:
-        benchmark_node.report_load(TOPIC, rate_hz=5.0, seconds=3.0)
-    finally:
-        rclpy.try_shutdown()
+    yield
+    rclpy.try_shutdown()
+
+
+def test_the_running_node_is_measured(ros, room, monkeypatch, capsys):
+    monkeypatch.setattr(benchmark_node, 'SUBSCRIPTIONS', {'all': tuple(OUTPUTS)})
+    benchmark_node.report_load(TOPIC, ('two rooms', views(room)), rate_hz=5.0, seconds=3.0)
     (row,) = rows(capsys.readouterr().out)
     assert row[:2] == ['depth topic', 'all']
     assert 0 < float(row[2]) < 6
     *stages, total = map(float, row[3:15])
     assert 0 < total == pytest.approx(sum(stages), abs=1 + 0.1 * total)
-    on_a_core_ms, waiting_ms = float(row[16]), float(row[17])
+    on_a_core_ms, waiting_ms, camera_ms, receiver_ms = map(float, row[16:20])
     assert on_a_core_ms + waiting_ms > 0.3 * total, 'the threads of the process are found'
+    assert camera_ms > 0
+    assert receiver_ms > 0
 
 
-def test_stages_and_messages_are_measured_without_dds(monkeypatch, capsys):
-    monkeypatch.setattr(benchmark_node, '_REPEATS', 2)
-    benchmark_node.report_in_process(TOPIC)
-    (row,) = rows(capsys.readouterr().out)
-    numbers = [float(cell) for cell in row[1:]]
-    assert numbers[-2] == pytest.approx(sum(numbers[:-2]), abs=0.5)
-    assert 0 < numbers[-1] < numbers[-2]
-    benchmark_node.report_messages()
-    made = {name: (float(ms), float(size)) for name, ms, size in rows(capsys.readouterr().out)}
-    assert set(made) == {f'~/{name}' for name in OUTPUTS}
-    assert made['~/points'][1] == pytest.approx(640 * 480 * 20 / 1e6, rel=0.001)
-    assert all(ms > 0 for ms, _ in made.values())
+def test_each_part_is_measured_without_the_threads_of_the_node(ros, room, monkeypatch, capsys):
+    monkeypatch.setattr(node_parts, 'HELD', 1)
+    node_parts.report_parts(TOPIC, views(room))
+    found = {name: cells for name, *cells in rows(capsys.readouterr().out)}
+    assert {name for name in found if name.startswith('~')} == {f'~/{name}' for name in OUTPUTS}
+    assert float(found['~/points'][2]) == pytest.approx(640 * 480 * 20 / 1e6, rel=0.001)
+    assert float(found['planes'][0]) > float(found['conversion'][0])
+    made = [float(cells[0]) for name, cells in found.items() if name.startswith('~')]
+    assert float(found['all outputs'][0]) == pytest.approx(sum(made), abs=0.1)
+    assert min(made) > 0
+    assert float(found['~/points'][1]) > 0
+
+
+def test_the_camera_shows_a_set_of_the_data_folder(tmp_path):
+    title, (view,) = benchmark_node.views_of(tmp_path, 'room')
+    assert 'room' in title
+    assert view.depth_m.shape == view.rgb.shape[:2]
+    with pytest.raises(FileNotFoundError, match='no set street'):
+        benchmark_node.views_of(tmp_path, 'street')
+    write_frame(tmp_path / 'desk', np.full((120, 160), 2000, np.uint16))
+    title, (read,) = benchmark_node.views_of(tmp_path, 'desk')
+    assert '1 frames of desk' in title
+    np.testing.assert_allclose(read.depth_m, 2.0)
 
 
 def test_a_second_without_frames_does_not_count():
