@@ -14,15 +14,16 @@ import hashlib
 import os
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 _KERNELS: list[Kernel] = []
 # numba takes its cache folder from a global setting. Two threads that changed it at once would
-# write machine code into the working directory. Kernels that call kernels take it again.
-_COMPILING = threading.RLock()
+# write machine code into the working directory.
+_COMPILING = threading.Lock()
 
 
 class Kernel:
@@ -56,15 +57,19 @@ class Kernel:
 
     def compiled(self) -> Callable:
         """Return the function as machine code, from the cache if it is there."""
-        with _COMPILING:
-            return self._compiled or self._compile()
+        with _COMPILING, _one_process(cache_folder()):
+            return self.make_ready()
 
-    def _compile(self) -> Callable:
+    def make_ready(self) -> Callable:
+        """Return the function as machine code; only for who has the folder to itself."""
+        if self._compiled is not None:
+            return self._compiled
         import numba
         names = self._function.__globals__
         for name in self._function.__code__.co_names:
-            if isinstance(names.get(name), Kernel):  # numba calls what it compiled itself
-                names[name] = names[name].compiled()
+            callee = names.get(name)
+            if isinstance(callee, Kernel):  # numba calls what it compiled itself
+                names[name] = callee.make_ready()
         before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder())
         try:
             # Sums may be reordered; NaN and infinity keep their meaning.
@@ -93,11 +98,27 @@ def compile_kernels(subject: str, on_compiling: Callable[[], None] = lambda: Non
         Called once, after the first kernel that was not in the cache: the others take seconds.
 
     """
+    missing = [one for one in _KERNELS if one.subject == subject and not one.is_ready]
+    if not missing:
+        return
     is_told = False
-    for one in [one for one in _KERNELS if one.subject == subject and not one.is_ready]:
-        if one.compiled().stats.cache_misses and not is_told:
-            is_told = True
-            on_compiling()
+    # All in one turn: two processes in turns would each start numba's compiler.
+    with _COMPILING, _one_process(cache_folder()):
+        for one in missing:
+            if one.make_ready().stats.cache_misses and not is_told:
+                is_told = True
+                on_compiling()
+
+
+@contextmanager
+def _one_process(folder: Path) -> Iterator[None]:
+    """Let one process at a time compile: the workers that start with it load its code."""
+    with open(folder / 'lock', 'a', encoding='ascii') as file:
+        # Windows has no such locks, nor have some network file systems: there each compiles.
+        with suppress(ImportError, OSError):
+            import fcntl
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 @cache

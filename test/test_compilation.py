@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels are compiled when they are needed, into a cache that their sources name."""
 
+import fcntl
 import subprocess
 import sys
 import threading
@@ -65,6 +66,23 @@ def test_threads_that_compile_at_once_share_the_folder_of_the_user(monkeypatch):
         thread.join()
     assert seen == [str(compilation.cache_folder())] * 2
     assert before == numba.config.CACHE_DIR
+
+
+def test_another_process_that_compiles_is_waited_for(tmp_path, monkeypatch):
+    """Else every worker of many bags compiles all kernels, at the same time."""
+    compiled = []
+    monkeypatch.setattr(numba, 'njit', lambda *_, **__: lambda f: compiled.append(f) or f)
+    monkeypatch.setattr(compilation, '_KERNELS', [])
+    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
+    kernel = compilation.Kernel(abs_of, 'i8(i8)')
+    with open(tmp_path / 'lock', 'w', encoding='ascii') as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        thread = threading.Thread(target=kernel.compiled)
+        thread.start()
+        thread.join(0.2)
+        assert not compiled
+    thread.join()
+    assert compiled == [abs_of]
 
 
 def abs_of(number):

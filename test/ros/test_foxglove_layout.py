@@ -36,6 +36,16 @@ def test_the_layout_shows_overlay_cloud_markers_and_state():
                      '/plane_detector/markers'}
 
 
+def test_the_panels_are_of_types_that_lichtblick_has():
+    """The Image panel reads imageMode; older viewers had another panel, ImageViewPanel."""
+    layout = json.loads((REPOSITORY / 'config' / 'foxglove_layout.json').read_text('utf-8'))
+    assert {name.partition('!')[0] for name in layout['configById']} == {
+        'Image', '3D', 'DiagnosticStatusPanel', 'RawMessages'}
+    image = layout['configById']['Image!overlay']['imageMode']
+    # Without a calibration the image is shown as it is, also of a bag that has no camera_info.
+    assert image == {'imageTopic': '/plane_detector/overlay'}
+
+
 def test_the_cloud_has_its_own_colours():
     """As in the overlay: one palette everywhere, with points_color label."""
     layout = json.loads((REPOSITORY / 'config' / 'foxglove_layout.json').read_text('utf-8'))

@@ -81,11 +81,10 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
                                        read_transforms(bag, options.settings))
             reader = _open_frames(bag, camera, part_ns, choice, processor, options)
             depth = choice.describe(detector)
-            if not quiet:
-                print(f'Reading {", ".join(reader.topics.names)} of {options.source}\n'
-                      f'Depth: {depth}', file=sys.stderr)
-                until_stopped(partial(load_kernels, choice.config,
-                                      partial(print, file=sys.stderr)), should_stop)
+            tell = _tell_nobody if quiet else partial(print, file=sys.stderr)
+            tell(f'Reading {", ".join(reader.topics.names)} of {options.source}\n'
+                 f'Depth: {depth}')
+            until_stopped(partial(load_kernels, choice.config, tell), should_stop)
             tally = _Run(options, reader, processor, depth).to_end(folder, should_stop, quiet)
             _keep(folder, tally)
             return tally
@@ -100,6 +99,10 @@ def _open_frames(bag: BagReader, camera: InputTopics, part_ns: tuple[int, int],
     topics = with_companions(bag, camera, wanted, use, options.settings.use_imu)
     return FrameReader(bag, topics, part_ns, FrameSynchronizer(
         use, options.settings.stamp_slop, choice.config.scale.imu_to_camera))
+
+
+def _tell_nobody(_text: str) -> None:
+    """Workers of many bags do not print."""
 
 
 def _keep(folder: PartFolder, tally: Tally) -> None:
