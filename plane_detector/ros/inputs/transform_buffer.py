@@ -93,7 +93,8 @@ class TransformBuffer:
             if frame in source:
                 return _to_msg(target_frame, source_frame, time,
                                from_target.inverse().after(source[frame]))
-        raise TransformError('the frames are not connected')
+        frames = sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
+        raise TransformError(f'the frames are not connected; there are {", ".join(frames)}')
 
     def _ancestors(self, frame: str, stamp_ns: int) -> Iterator[tuple[str, RigidTransform]]:
         """Yield a frame, its parent, ... and the transform from the frame into each."""

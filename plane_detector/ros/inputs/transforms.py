@@ -90,7 +90,7 @@ class FrameTransforms:
         except Exception as error:  # tf2's own are not importable where it is not installed
             raise ValueError(
                 f'no transform from {header.frame_id} to {frame} at the time of the image, within '
-                f'tf_timeout ({timeout_s:g} s): {type(error).__name__}') from error
+                f'tf_timeout ({timeout_s:g} s): {error}') from error
         return transform_from_msg(msg)
 
 

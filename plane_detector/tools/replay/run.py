@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
+from plane_detector.ros.health import gap_of
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
 from plane_detector.ros.kernels import load_kernels
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -210,7 +211,9 @@ class _Run:
         tally.planes += len(detection.planes)
         self._uncommitted.append(len(detection.planes))
         scale = scale_of(self._config.depth.source, detection)
-        tally.scales[scale] += 1
+        tally.scales.add(detection.scale_method, scale)
+        if gap := gap_of(detection, self._options.outputs):
+            tally.gaps.add(gap.partition(':')[0], gap)
         self._facts.update(scale=scale, gravity=detection.gravity_source,
                            gravity_note=detection.gravity_note)
 

@@ -20,6 +20,38 @@ FRAME_KEY = 'frame'
 
 
 @dataclass
+class Examples:
+    """
+    Counts by kind, with the first text of each: the texts may differ from frame to frame.
+
+    Examples
+    --------
+    >>> floors = Examples()
+    >>> floors.add('floor', 'floor 1.2 m below')
+    >>> floors.add('floor', 'floor 1.3 m below')
+    >>> floors.lines()
+    ['2 frames: floor 1.2 m below (in the first of them)']
+
+    """
+
+    counts: Counter[str] = field(default_factory=Counter)
+    texts: dict[str, str] = field(default_factory=dict)
+    varying: set[str] = field(default_factory=set)
+
+    def add(self, kind: str, text: str) -> None:
+        """Count a frame."""
+        self.counts[kind] += 1
+        if self.texts.setdefault(kind, text) != text:
+            self.varying.add(kind)
+
+    def lines(self) -> list[str]:
+        """Return a line for each kind."""
+        return [f'{count} frames: {self.texts[kind]}'
+                + (' (in the first of them)' if kind in self.varying else '')
+                for kind, count in self.counts.items()]
+
+
+@dataclass
 class Tally:
     """
     What was done so far.
@@ -35,8 +67,10 @@ class Tally:
         Messages, or stretches of the bag, that could not be read and were left out.
     resumed_at : int
         Number of the first frame that an earlier run had not done.
-    errors, scales : Counter of str
-        Why frames were skipped; where the unit of depth came from.
+    errors : Counter of str
+        Why frames were skipped.
+    scales, gaps : Examples
+        Where the unit of depth came from; why planes have no class or obstacles are missing.
     depth : str
         Which depth, which network and why.
     stage_seconds : Counter of str
@@ -54,7 +88,8 @@ class Tally:
     damaged: int = 0
     resumed_at: int = 0
     errors: Counter[str] = field(default_factory=Counter)
-    scales: Counter[str] = field(default_factory=Counter)
+    scales: Examples = field(default_factory=Examples)
+    gaps: Examples = field(default_factory=Examples)
     depth: str = ''
     stage_seconds: Counter[str] = field(default_factory=Counter)
     interrupted: bool = False
@@ -80,7 +115,8 @@ class Tally:
         lines = [f'{self.processed} frames in {self.seconds:.1f} s: '
                  f'{self.processed / max(self.seconds, 1e-9):.1f} frames per second',
                  f'ms per frame: {stages}']
-        lines += [f'Scale of {count} frames: {scale}' for scale, count in self.scales.items()]
+        lines += [f'Scale of {line}' for line in self.scales.lines()]
+        lines += self.gaps.lines()
         if self.without_partner:
             lines.append(f'{self.without_partner} images had no calibration or depth')
         if self.damaged:
@@ -102,8 +138,10 @@ def scale_of(depth_source: str, detection: Detection) -> str:
     """Return where the unit of depth came from, with the note of the method."""
     if depth_source == 'topic':
         return 'metres, as measured'
-    note = f', {detection.scale_note}' if detection.scale_note else ''
-    return f'{detection.scale_method}{note}'
+    method, note = detection.scale_method, detection.scale_note
+    if not note or note.startswith(method):
+        return note or method
+    return f'{method}, {note}'
 
 
 def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],

@@ -79,6 +79,20 @@ def test_a_network_is_taken_though_there_is_depth_when_asked_for(
     assert_true(target, scenes)
 
 
+def test_what_a_relative_network_lacks_is_said_once_with_the_remedy(
+        tmp_path, scenes, replay, network):
+    options, path = network
+    source = write_bag(tmp_path / 'walk', coded(scenes[:2], depth=False))
+    code, _, text = replay(
+        source, '--network', path, *options, '-p', 'depth.output:=relative_disparity', '-p',
+        'directions.gravity:=false', depth='')
+    assert code == 0, text
+    assert text.count('Scale of') == 1, 'though the notes of the frames differ'
+    assert 'Scale of 2 frames: relative' in text
+    assert text.count('planes have no class, and ~/points_without_floor is silent') == 1
+    assert 'give scale.camera_height and scale.gravity' in text
+
+
 @pytest.mark.parametrize('change, told', [
     (None, 'because the bag has no depth images'),
     ('frame', "because /cam/depth (160 x 120, 32FC1, frame_id 'depth_optical') is not registered "

@@ -81,3 +81,4 @@ def test_a_frame_that_is_not_connected_is_told(bag_with_tf, replay):
     code, _, text = replay(bag_with_tf, '-p', 'base_frame:=odom')
     assert code == 1
     assert f'no transform from {FRAME_ID} to odom' in text
+    assert f'there are base_link, {FRAME_ID}' in text
