@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes from an ordinary colour camera.
+Plane detection with an ordinary colour camera.
 
-The recipe is :class:`~plane_detector.pipeline.PlaneDetector`, one folder a move::
+:class:`~plane_detector.pipeline.PlaneDetector` runs the stages; each has its own folder::
 
     seen = source.observe(rgb, intrinsics)            depth/         image to depth or disparity
     regions = segment(seen.disparity, noise_floor)    segmentation/  disparity to planar regions
-    scale = estimate_scale(disparity, ray_planes)     scale/         what makes it metres, if any
+    scale = estimate_scale(disparity, ray_planes)     scale/         scale and shift to metres
     planes = measure_planes(regions.rescaled(scale))  planes/        normal, offset, extent, class
-    labels = tracker.update(planes)                   tracking/      labels that stay
+    labels = tracker.update(planes)                   tracking/      stable labels
 
-The node in ros/ does this for every image of a topic and publishes the result.
+The node in ros/ does this for the images of a topic and publishes the results.
 
 Examples
 --------
@@ -20,7 +20,7 @@ Examples
 >>> camera = CameraIntrinsics.from_field_of_view(320, 240, horizontal_deg=60.0)
 >>> rows, _ = np.mgrid[:240, :320]
 >>> floor_m = 1.2 * camera.fy / (rows - camera.cy)             # 1.2 m below the camera
->>> detector = PlaneDetector(depth_model=lambda rgb: floor_m)  # leave it out: the best network
+>>> detector = PlaneDetector(depth_model=lambda rgb: floor_m)  # default: the best network
 >>> detection = detector.detect(np.zeros((240, 320, 3), np.uint8), camera)
 >>> detection.planes[0].normal.round(3) + 0.0, round(detection.planes[0].offset_m, 3)
 (array([ 0., -1.,  0.]), 1.2)
@@ -37,7 +37,7 @@ __all__ = [*_HOMES]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is asked for: all of them take a second, see ros/node."""
+    """Import a public name on first access, because importing all of them takes a second."""
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)

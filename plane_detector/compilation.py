@@ -3,9 +3,9 @@
 """
 Loops over cells and pixels, compiled to machine code by numba.
 
-Numba is imported when the first kernel is needed, not with the package. Machine code is kept in
-the user's cache, in a folder named by a digest of the sources, so that no code of another version
-is ever loaded and the folder of the package may be read-only.
+Numba is imported when the first kernel is needed, not with the package. The machine code is cached
+in a user folder named by a digest of the sources, so that code of another version is never loaded
+and the folder of the package may be read-only.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from pathlib import Path
 from typing import Any
 
 _KERNELS: list[Kernel] = []
-# numba takes its cache folder from a global setting. Two threads that changed it at once would
-# write machine code into the working directory.
+# Numba takes its cache folder from a global setting, so only one thread may change it at a time;
+# otherwise machine code would be written to the working directory.
 _COMPILING = threading.Lock()
 
 
 class Kernel:
     """
-    A function that numba compiles at its first call, or when :func:`compile_kernels` is called.
+    A function that numba compiles at its first call or in :func:`compile_kernels`.
 
     Parameters
     ----------
     function : callable
-        Plain Python that numba understands; it may call other kernels.
+        Python function within numba's subset of the language; it may call other kernels.
     signature : str
         Types of result and arguments in numba's notation; no other types are compiled.
 
@@ -48,7 +48,7 @@ class Kernel:
 
     @property
     def is_ready(self) -> bool:
-        """Whether this process has its machine code already."""
+        """Whether its machine code is loaded in this process."""
         return self._compiled is not None
 
     def __call__(self, *arguments: Any) -> Any:
@@ -56,12 +56,12 @@ class Kernel:
         return (self._compiled or self.compiled())(*arguments)
 
     def compiled(self) -> Callable:
-        """Return the function as machine code, from the cache if it is there."""
+        """Return the compiled function, loaded from the cache if possible."""
         with _COMPILING, _one_process(cache_folder()):
             return self.make_ready()
 
     def make_ready(self) -> Callable:
-        """Return the function as machine code; only for who has the folder to itself."""
+        """Return the compiled function; the caller must hold the locks, see `compiled`."""
         if self._compiled is not None:
             return self._compiled
         import numba
@@ -72,7 +72,7 @@ class Kernel:
                 names[name] = callee.make_ready()
         before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder())
         try:
-            # Sums may be reordered; NaN and infinity keep their meaning.
+            # Sums may be reordered; NaN and infinity are still handled exactly.
             self._compiled = numba.njit(
                 self._signature, cache=True, nogil=True, error_model='numpy',
                 fastmath={'contract', 'reassoc', 'nsz'})(self._function)
@@ -82,27 +82,27 @@ class Kernel:
 
 
 def kernel(signature: str) -> Callable[[Callable], Kernel]:
-    """Decorate a function to be a :class:`Kernel` of this signature."""
+    """Turn a function into a :class:`Kernel` with this signature."""
     return lambda function: Kernel(function, signature)
 
 
 def compile_kernels(subject: str, on_compiling: Callable[[], None] = lambda: None) -> None:
     """
-    Compile kernels or load them from the cache: the first frame then takes no longer.
+    Compile kernels, or load them from the cache, so that the first frame is not delayed.
 
     Parameters
     ----------
     subject : str
-        Those of this folder of the package that were imported, as ``'segmentation'``.
+        Folder of the package, such as ``'segmentation'``; its imported kernels are compiled.
     on_compiling : callable
-        Called once, after the first kernel that was not in the cache: the others take seconds.
+        Called once, after the first kernel that was not cached; the others then take seconds.
 
     """
     missing = [one for one in _KERNELS if one.subject == subject and not one.is_ready]
     if not missing:
         return
     is_told = False
-    # All in one turn: two processes in turns would each start numba's compiler.
+    # Under one lock: processes that take turns would each start numba's compiler.
     with _COMPILING, _one_process(cache_folder()):
         for one in missing:
             if one.make_ready().stats.cache_misses and not is_told:
@@ -112,9 +112,9 @@ def compile_kernels(subject: str, on_compiling: Callable[[], None] = lambda: Non
 
 @contextmanager
 def _one_process(folder: Path) -> Iterator[None]:
-    """Let one process at a time compile: the workers that start with it load its code."""
+    """Let one process at a time compile; workers started with it load its machine code."""
     with open(folder / 'lock', 'a', encoding='ascii') as file:
-        # Windows has no such locks, nor have some network file systems: there each compiles.
+        # Without such locks, as on Windows and some network file systems, each process compiles.
         with suppress(ImportError, OSError):
             import fcntl
             fcntl.flock(file, fcntl.LOCK_EX)
@@ -123,7 +123,7 @@ def _one_process(folder: Path) -> Iterator[None]:
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of the machine code; a temporary one if the user has no cache."""
+    """Return the folder of the machine code; a temporary one if the user cache is not writable."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob('*.py')):
         source = path.read_bytes()

@@ -28,10 +28,10 @@ class DepthConfig(Settings, section='depth'):
         choices=('model', 'topic'))
     model: str = fixed_setting(
         'auto', 'name of a network of the zoo, path of an .onnx file, or auto: the best one that '
-        'is cached or can be fetched now')
+        'is cached or can be downloaded now')
     output: str = fixed_setting(
-        'auto', 'what the network gives: metric_depth (metres), disparity (1/metres), '
-        'relative_disparity (unknown scale and shift), auto: what the zoo says; must be given '
+        'auto', 'output of the network: metric_depth (metres), disparity (1/metres), '
+        'relative_disparity (unknown scale and shift), auto: as stated in the zoo; required '
         'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'))
     input_width: int = fixed_setting(
         0, 'width of the network input, which the image is stretched to; 0: fixed by the '
@@ -40,15 +40,15 @@ class DepthConfig(Settings, section='depth'):
         0, 'height of the network input, which the image is stretched to; 0: fixed by the '
         'network or by short_side', 'px', 0, 8192)
     short_side: int = fixed_setting(
-        0, 'short side of a network input of free size, the other side keeps the aspect of the '
-        'image; 0: the network\'s own', 'px', 0, 8192)
+        0, 'short side of the input of a network that accepts any size; the other side follows '
+        'from the aspect ratio of the image; 0: default of the network', 'px', 0, 8192)
     target_rate: float = fixed_setting(
         0.0, 'rate to keep on this machine: at configure the network is timed beside the plane '
-        'stage and the largest input of free size that keeps this rate is taken; 0: best quality',
-        'Hz', 0.0, 1000.0)
+        'stage and the largest input size that keeps this rate is used, if the network accepts '
+        'any size; 0: best quality', 'Hz', 0.0, 1000.0)
     side_multiple: int = fixed_setting(
-        14, 'the sides of a network input of free size are multiples of this; ignored for '
-        'networks of the zoo', 'px', 1, 1024)
+        14, 'the input sides of a network that accepts any size are multiples of this; ignored '
+        'for networks of the zoo', 'px', 1, 1024)
     mean: tuple[float, ...] = fixed_setting(
         (0.485, 0.456, 0.406), 'subtracted from the scaled RGB; ignored for networks of the '
         'zoo')
@@ -64,13 +64,13 @@ class DepthConfig(Settings, section='depth'):
     max_depth: float = setting(
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
     damping: float = setting(
-        0.8, 'share of the disparity kept from earlier images while nothing moves, to reduce the '
-        'flicker of the network; 0: none', '', 0.0, 0.99)
+        0.8, 'weight of earlier images in the disparity while nothing moves, to reduce the '
+        'flicker of the network; 0: off', '', 0.0, 0.99)
     providers: tuple[str, ...] = fixed_setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
         'runs is used')
     threads: int = fixed_setting(
-        0, 'threads within one operator of the network, 0: ONNX Runtime\'s choice', '', 0, 256)
+        0, 'threads within one operator of the network; 0: chosen by ONNX Runtime', '', 0, 256)
     cache_dir: str = fixed_setting(
         '', 'folder of the downloaded networks; empty: $XDG_CACHE_HOME/plane_detector')
 
@@ -91,39 +91,40 @@ class ScaleConfig(Settings, section='scale'):
     """From disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift."""
 
     method: str = setting(
-        'auto', 'what fixes the unit of depth; auto: the first of metric, depth_topic, '
-        'camera_height, manhattan, fixed for which the network, the inputs and the scene suffice',
+        'auto', 'method that determines the unit of depth; auto: the first of metric, '
+        'depth_topic, camera_height, manhattan, fixed that works with the network, the inputs '
+        'and the scene',
         choices=('auto', 'metric', 'depth_topic', 'camera_height', 'manhattan', 'fixed', 'none'))
     disparity_scale: float = setting(
-        0.0, 'factor on the network\'s relative disparity, 0: unknown', '1/m', 0.0, 1e6)
+        0.0, 'factor on the network\'s relative disparity; 0: unknown', '1/m', 0.0, 1e6)
     disparity_shift: float = setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
     reference_focal_px: float = setting(
         0.0, 'focal length, at the width of this image, of the camera that a metric network '
-        'assumes: depth is multiplied by fx / this; 0: no correction; -1: the one that a network '
-        'of the zoo is known to be trained with', 'px', -1.0, 1e5)
+        'assumes: depth is multiplied by fx / this; 0: no correction; -1: the focal length that '
+        'the zoo states for its training', 'px', -1.0, 1e5)
     camera_height: float = setting(
-        0.0, 'height of the camera above the floor, 0: unknown', 'm', 0.0, 1000.0)
+        0.0, 'height of the camera above the floor; 0: unknown', 'm', 0.0, 1000.0)
     gravity: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0), 'direction down in the optical frame, of any length; 0 0 0: unknown',
         '', -1e6, 1e6)
     gravity_tolerance: float = setting(
-        2.0, 'how far the direction of gravity may be off; above 5 it is coarse: it only tells '
+        2.0, 'largest error of the direction of gravity; above 5 it is only used to distinguish '
         'the floor from the walls', 'deg', 0.0, 45.0)
     imu_to_camera: tuple[float, ...] = setting(
         (0.0, 0.0, 0.0, 1.0), 'quaternion x y z w that turns vectors of the IMU\'s frame into '
         'the optical frame', '', -1.0, 1.0)
     smoothing: float = setting(
-        0.8, 'share of the previous scale and shift kept at every frame, 0: none', '', 0.0, 0.999)
+        0.8, 'weight of the previous scale and shift in each frame; 0: none', '', 0.0, 0.999)
     max_jump: float = setting(
         0.15, 'a frame whose scale and shift would change depth by more than this share is an '
         'outlier', '', 0.001, 10.0)
     reset_after: int = setting(
-        3, 'as many outlier frames in a row that agree with each other start a new scene',
+        3, 'this many consecutive outlier frames that agree with each other start a new scene',
         'frames', 1, 1000)
     hold_frames: int = setting(
-        90, 'how long the last scale and shift are held while nothing fixes them', 'frames', 0,
-        1000000)
+        90, 'the last scale and shift are kept for this long while they cannot be estimated',
+        'frames', 0, 1000000)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -136,43 +137,43 @@ class ScaleConfig(Settings, section='scale'):
 
 @dataclass(frozen=True)
 class DirectionsConfig(Settings, section='directions'):
-    """What the straight lines of the image are used for."""
+    """Uses of the straight lines of the image."""
 
     gravity: bool = setting(
-        True, 'where no IMU, TF or scale.gravity tells it, the direction down is that of the '
-        'upright lines of the image, if they are sure')
+        True, 'without an IMU, TF or scale.gravity, the direction of gravity is estimated from '
+        'the vertical lines of the image, if they determine it reliably')
     orient_planes: bool = setting(
-        True, 'planes in the depth of a network are turned to the orientation that their lines '
-        'and the axes of the scene make most likely; measured depth is left alone')
+        True, 'planes in the depth of a network are rotated to the orientation that is most '
+        'likely given their lines and the axes of the scene; measured depth is not changed')
 
 
 @dataclass(frozen=True)
 class SegmentationConfig(Settings, section='segmentation'):
-    """Which planes are searched for."""
+    """Method and limits of the segmentation into planes."""
 
     method: str = setting(
         'disparity', 'disparity: the method of this package; paper: sequential RANSAC of '
         'pyRANSAC-3D, then DBSCAN, with metric thresholds', choices=('disparity', 'paper'))
-    max_planes: int = setting(32, 'at most this many planes are found', '', 1, 255)
+    max_planes: int = setting(32, 'maximum number of planes', '', 1, 255)
     min_plane_share: float = setting(
         0.004, 'size of the smallest plane, as a share of the pixels', '', 0.0, 1.0)
     disparity_noise: float = setting(
         0.0, 'standard deviation of 1/depth; 0: estimated from the image, but at least the '
-        'noise that is known of the network', '1/m', 0.0, 10.0)
+        'noise stated for the network', '1/m', 0.0, 10.0)
     flatness_distance: float = setting(
-        0.015, 'touching planes of measured depth are one if the depth departs from their common '
-        'plane by no more than this, rms, noise included, and they meet at no more than '
-        'flatness_angle; 0: only the noise decides', 'm', 0.0, 1.0)
+        0.015, 'adjacent planes of measured depth are merged if the depth deviates from their '
+        'common plane by at most this (rms, including noise) and the angle between them is at '
+        'most flatness_angle; 0: only the noise decides', 'm', 0.0, 1.0)
     flatness_angle: float = setting(
-        4.0, 'largest angle between planes that flatness_distance makes one', 'deg', 0.0, 45.0)
+        4.0, 'largest angle between planes that flatness_distance merges', 'deg', 0.0, 45.0)
     snap_to_picture: bool = setting(
-        True, 'with the depth of a network, borders of planes move to edges of the image '
-        'within about 3 pixels of the network input')
+        True, 'with the depth of a network, borders of planes move to image edges within about '
+        '3 pixels of the network input')
 
 
 @dataclass(frozen=True)
 class RansacConfig(Settings, section='ransac'):
-    """The search for planes."""
+    """Search for planes by sequential RANSAC."""
 
     inlier_threshold: float = setting(
         3.0, 'a pixel within this many standard deviations of a plane is an inlier', '', 0.1,
@@ -180,9 +181,9 @@ class RansacConfig(Settings, section='ransac'):
     noise_floor: float = setting(
         0.0005, 'lower bound of the depth noise', 'm', 1e-6, 1.0)
     confidence: float = setting(
-        0.99, 'probability of having seen the largest plane at which the search stops early', '',
-        0.0, 0.999999)
-    max_iterations: int = setting(1000, 'at most this many hypotheses per search', '', 1, 1000000)
+        0.99, 'the search stops early when the largest plane has been sampled with this '
+        'probability', '', 0.0, 0.999999)
+    max_iterations: int = setting(1000, 'maximum number of hypotheses per search', '', 1, 1000000)
     seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1)
 
 
@@ -191,26 +192,26 @@ class DbscanConfig(Settings, section='dbscan'):
     """Density clustering of the cells of one plane, in the grid of the image."""
 
     eps: float = setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
-    min_samples: int = setting(3, 'neighbours of a core cell, itself included', '', 1, 1000)
+    min_samples: int = setting(3, 'neighbours of a core cell, including itself', '', 1, 1000)
 
 
 @dataclass(frozen=True)
 class TrackingConfig(Settings, section='tracking'):
-    """How planes keep their labels from image to image."""
+    """Matching of planes from image to image, so that they keep their labels."""
 
     enabled: bool = setting(
-        True, 'the same plane keeps its label; off: labels by size in every image')
+        True, 'a plane keeps its label from image to image; off: labels by size in each image')
     keep_frames: int = setting(
         30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250)
     angle_tolerance: float = setting(
-        10.0, 'standard deviation between normals of the same plane, without the motion of '
-        'the camera', 'deg', 0.01, 45.0)
+        10.0, 'standard deviation of the angle between normals of the same plane in two images, '
+        'apart from the motion of the camera', 'deg', 0.01, 45.0)
     offset_tolerance: float = setting(
         0.03, 'standard deviation of the distance from the plane, as a share of the distance from '
         'the camera', '', 1e-4, 1.0)
     smoothing: float = setting(
-        0.0, 'share of the previous coefficients kept while they change by no more than their '
-        'noise, 0: none', '', 0.0, 0.999)
+        0.0, 'weight of the previous coefficients while the change is within their noise; '
+        '0: none', '', 0.0, 0.999)
 
 
 SHAPE_TYPES = ('sphere', 'cylinder', 'cone')
@@ -218,17 +219,17 @@ SHAPE_TYPES = ('sphere', 'cylinder', 'cone')
 
 @dataclass(frozen=True)
 class ShapesConfig(Settings, section='shapes'):
-    """Spheres, cylinders and cones in what the planes leave over."""
+    """Spheres, cylinders and cones where there is no plane."""
 
     types: str = setting(
-        'none', 'none, all, or some of sphere, cylinder, cone, separated by commas: the shapes '
-        'that are searched for in metric depth where there is no plane')
+        'none', 'shapes to search for in metric depth where there is no plane: none, all, or some '
+        'of sphere, cylinder, cone, separated by commas')
     min_radius: float = setting(0.02, 'radius of the smallest sphere or cylinder', 'm', 1e-3, 10.0)
     max_radius: float = setting(
-        1.5, 'radius of the largest sphere, cylinder or seen part of a cone', 'm', 1e-3, 100.0)
+        1.5, 'radius of the largest sphere, cylinder or visible part of a cone', 'm', 1e-3, 100.0)
     min_share: float = setting(
         0.001, 'size of the smallest shape, as a share of the pixels', '', 0.0, 1.0)
-    max_shapes: int = setting(16, 'at most this many shapes are found', '', 1, 255)
+    max_shapes: int = setting(16, 'maximum number of shapes', '', 1, 255)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -239,22 +240,22 @@ class ShapesConfig(Settings, section='shapes'):
 
     @property
     def wanted(self) -> tuple[str, ...]:
-        """The names of the shapes to look for."""
+        """Names of the shapes to search for."""
         named = self.types.replace(' ', '').split(',')
         return tuple(name for name in SHAPE_TYPES if name in named or 'all' in named)
 
 
 @dataclass(frozen=True)
 class PaperConfig(Settings, section='paper'):
-    """The metric thresholds of the paper's own method, the baseline."""
+    """Metric thresholds of the paper's method, the baseline."""
 
     distance_threshold: float = setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
     max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 10000)
     dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 1.0)
     dbscan_min_samples: int = setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
     max_points: int = setting(
-        20000, 'points are reduced to this many before the search; the time goes with its '
-        'square where all are within dbscan_eps', '', 100, 50000)
+        20000, 'points are reduced to this number before the search; the time grows with its '
+        'square if all of them are within dbscan_eps', '', 100, 50000)
 
 
 @dataclass(frozen=True)
@@ -283,7 +284,7 @@ class Config(Settings):
     paper: PaperConfig = field(default_factory=PaperConfig)
 
     def with_camera_height(self, height_m: float | None) -> Config:
-        """Return the settings with a measured height of the camera; None: as they are."""
+        """Return the settings with a measured height of the camera; None: unchanged."""
         if height_m is None:
             return self
         return replace(self, scale=replace(self.scale, camera_height=height_m))

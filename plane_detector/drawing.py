@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Images of depth and planes for people. Labels are those of the messages: 0 is no plane."""
+"""Drawings of depth and planes. Labels are those of the messages: 0 is no plane."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.label_places import LabelPlace, label_places
 
-# Neighbours in the list, the largest planes of an image, are far apart in hue and lightness.
+# Colours next to each other in the list, those of the largest planes, differ most.
 PALETTE = np.array(
     [
         (230, 25, 75), (60, 180, 75), (0, 130, 200), (255, 225, 25), (145, 30, 180),
@@ -24,7 +24,7 @@ PALETTE = np.array(
     dtype=np.uint8,
 )
 _COLOUR_SHARE = 0.55
-_FARTHEST_INDEX = 20  # of the colour map; below it is nearly the black of no depth
+_FARTHEST_INDEX = 20  # of the colour map; lower ones are too close to the black of invalid depth
 _FONT = cv2.FONT_HERSHEY_SIMPLEX
 _TITLE_SCALE, _TITLE_HEIGHT_PX = 0.6, 36
 _TEXT_HALF_HEIGHT = 0.012  # of a number, as a share of the image's height
@@ -38,7 +38,7 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     labels : (...) integer
-        Above 0; the palette starts anew after its last colour.
+        Above 0; the palette repeats after its last colour.
 
     Returns
     -------
@@ -117,10 +117,10 @@ def _tinted(rgb, labels, colours):
 def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,
             places: Mapping[int, LabelPlace] | None = None) -> np.ndarray:
     """
-    Return the image with its planes coloured, outlined and numbered; as :func:`tint`.
+    Return the image with its planes coloured, outlined and numbered.
 
-    ``places`` are those of :func:`~plane_detector.geometry.label_places.label_places`, for who has
-    them already.
+    Parameters are those of :func:`tint`. ``places`` avoids computing
+    :func:`~plane_detector.geometry.label_places.label_places` again.
 
     Examples
     --------
@@ -137,10 +137,10 @@ def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = No
 
 def colour_depth(depth_m: np.ndarray) -> np.ndarray:
     """
-    Return depth in colours, near red and far blue; RGB (H, W, 3) uint8, black where invalid.
+    Return depth as colours, near red and far blue; RGB (H, W, 3) uint8, black where invalid.
 
-    The scale is logarithmic between the 1st and the 99th percentile, so that a street and a desk
-    both show their shape.
+    The scale is logarithmic between the 1st and the 99th percentile, so that streets and desks
+    alike use the full range of colours.
 
     Examples
     --------
@@ -180,12 +180,12 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
     panels : sequence of (title, image)
         RGB images (H, W, 3) uint8 of one size.
     columns : int
-        Images in a row.
+        Images per row.
 
     Returns
     -------
     (rows of panels) uint8
-        RGB; a row that is not full is filled with white.
+        RGB; an incomplete row is filled with white.
 
     Examples
     --------
@@ -223,7 +223,7 @@ def _draw_numbers(rgb: np.ndarray, places: Mapping[int, LabelPlace]) -> None:
 
 
 def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> None:
-    """Write white on a black box: readable on every colour."""
+    """Write white text on a black box, which is legible on every colour."""
     scale = max(0.35, rgb.shape[0] / 480 * 0.5)
     (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
     left = int(np.clip(centre_px[0] - width // 2, 2, max(2, rgb.shape[1] - width - 3)))
@@ -233,7 +233,7 @@ def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> No
 
 
 def _with_title(title: str, image: np.ndarray) -> np.ndarray:
-    """Return the image with a white margin and its title above, cut to the width."""
+    """Return the image with a white margin and its title above, cut to the width of the image."""
     height, width = image.shape[:2]
     enlarged = max(0.75, height / 480)
     bar = np.full((round(_TITLE_HEIGHT_PX * enlarged), width, 3), 255, np.uint8)

@@ -16,10 +16,10 @@ class NodeConfig(Settings):
     autostart: bool = fixed_setting(
         True, 'configure and activate at start, without a lifecycle manager')
     exit_on_failure: bool = fixed_setting(
-        False, 'with autostart: end with exit code 1 when the node cannot be configured or '
-        'activated, for supervisors; false: wait, and try again where that can help')
+        False, 'with autostart: exit with code 1 if the node cannot be configured or activated, '
+        'for supervisors; false: keep running, and retry if that can help')
     input_reliability: str = fixed_setting(
-        'auto', 'reliability of the inputs; auto: what their publishers offer',
+        'auto', 'reliability of the inputs; auto: as offered by their publishers',
         choices=('auto', 'reliable', 'best_effort'))
     image_transport: str = fixed_setting(
         'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
@@ -28,37 +28,37 @@ class NodeConfig(Settings):
         50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
         2**30)
     rectify: str = setting(
-        'auto', 'undo the lens distortion of CameraInfo; auto: where there is any and the name of '
-        'the topic does not say rectified', choices=('auto', 'true', 'false'))
+        'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
+        'not named as rectified', choices=('auto', 'true', 'false'))
     stamp_slop: float = setting(
-        0.02, 'largest difference of the stamps of an image and its depth image, if none has '
-        'the same stamp', 's', 0.0, 10.0)
+        0.02, 'largest difference between the stamps of an image and its depth image, if no depth '
+        'image has the same stamp', 's', 0.0, 10.0)
     use_imu: bool = fixed_setting(
-        False, 'take the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
+        False, 'use the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
         'scale.imu_to_camera')
     max_side: int = setting(
-        0, 'images are first reduced to this longer side, which large ones gain time by; all '
+        0, 'images whose longer side is larger are first reduced to this, to save time; all '
         'outputs have the reduced size; 0: off', 'px', 0, 65536)
     base_frame: str = fixed_setting(
-        '', 'frame of the robot whose origin is on the floor, as base_footprint: direction of '
-        'gravity and height of the camera come from TF; empty: off')
+        '', 'frame of the robot with its origin on the floor, such as base_footprint: direction '
+        'of gravity and height of the camera come from TF; empty: off')
     base_up: tuple[float, ...] = setting(
         (0.0, 0.0, 1.0), 'direction up in base_frame', '', -1e6, 1e6)
     target_frame: str = fixed_setting(
-        '', 'frame of the clouds, planes, poses and markers, as base_link, odom or map, by TF; '
-        'empty: that of the image')
+        '', 'frame of the clouds, planes, poses and markers, such as base_link, odom or map, by '
+        'TF; empty: that of the image')
     tf_timeout: float = setting(
-        0.2, 'how long a transform is waited for; then the frame is skipped', 's', 0.0, 10.0)
+        0.2, 'longest time to wait for a transform; then the frame is skipped', 's', 0.0, 10.0)
     points_color: str = setting(
         'image', 'colours of ~/points: those of the image, or one per plane as in the overlay and '
         'the markers', choices=('image', 'label'))
     mode: str = setting(
-        'continuous', 'continuous: the newest frame, again and again; on_demand: one frame per '
+        'continuous', 'continuous: process the newest frame repeatedly; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))
     points_decimation: int = setting(
-        1, 'the clouds hold every n-th row and column; 1: all', '', 1, 64)
+        1, 'the clouds contain every n-th row and column; 1: all', '', 1, 64)
     marker_lifetime: float = setting(
-        0.0, 'markers vanish after this time without new ones; 0: never', 's', 0.0, 1e6)
+        0.0, 'markers disappear after this time without new ones; 0: never', 's', 0.0, 1e6)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Image and intrinsics to planes: the recipe, one move a stage."""
+"""From image and intrinsics to planes: the stages of the pipeline in order."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ class PlaneDetector:
     ----------
     config : Config, optional
     depth_model : DepthModel or callable, optional
-        Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) float32, NaN invalid; which,
-        ``config.depth.output`` tells (``auto``: metres). Default: as ``config.depth`` says.
+        Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) float32, NaN invalid, as in
+        ``config.depth.output`` (``auto``: metres). Default: the network of ``config.depth``.
 
     Attributes
     ----------
     config : Config
         May be replaced between two images.
     source : DepthSource
-        Where depth comes from.
+        Source of the depth.
 
     Examples
     --------
@@ -85,12 +85,12 @@ class PlaneDetector:
         intrinsics : CameraIntrinsics
             Of that image.
         depth_m : (H, W) floating, optional
-            Measured depth of the same image, NaN invalid. With ``config.depth.source`` ``topic``
-            it is segmented, and must be given; with ``model`` it may fix the scale.
+            Measured depth of the same image in metres, NaN invalid. With ``config.depth.source``
+            ``topic`` it is required and is segmented; with ``model`` it may determine the scale.
         gravity_camera : (3,) floating, optional
-            Measured direction of gravity; default: ``config.scale.gravity``.
+            Measured; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
-            Where the image shows something: rectification leaves corners black.
+            False in the black corners that rectification leaves; depth is invalid there.
 
         Returns
         -------
@@ -99,7 +99,7 @@ class PlaneDetector:
         Raises
         ------
         ValueError
-            Image, depth and intrinsics do not fit together.
+            Depth and intrinsics differ in size, or a required depth image is missing.
 
         """
         return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), gravity_camera)
@@ -108,10 +108,10 @@ class PlaneDetector:
                 depth_m: np.ndarray | None = None,
                 covered: np.ndarray | None = None) -> Observation:
         """
-        Take the first half of :meth:`detect`: the depth of an image.
+        Run the first half of :meth:`detect`: the depth of an image.
 
-        While a thread is in the second half with one image, another may be in the first half with
-        the next one; each half takes the images one by one and in order.
+        One thread may run this half on an image while another runs the second half on the image
+        before; each half must process the images one at a time and in order.
         """
         stages = StageTimer()
         with stages('depth'):
@@ -123,11 +123,11 @@ class PlaneDetector:
 
     def find_planes(self, seen: Observation, gravity_camera: np.ndarray | None = None,
                     camera_height_m: float | None = None) -> Detection:
-        """Take the second half of :meth:`detect`: the planes of an image with depth."""
+        """Run the second half of :meth:`detect`: the planes of an image with depth."""
         config, stages = seen.config.with_camera_height(camera_height_m), StageTimer()
         stages.seconds['depth'] = seen.depth_seconds
         with stages('directions'):
-            # 1. Gravity, and the lines of the image where they are of use.
+            # 1. Gravity, and the lines of the image if they are needed.
             turns = config.directions.orient_planes and not seen.is_measured
             around = self._directions.look(seen.rgb, seen.intrinsics, seen.covered, gravity_camera,
                                            config, needs_lines=turns)
@@ -136,23 +136,23 @@ class PlaneDetector:
             regions = _segment(seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
                                **_hints(seen, config))
         with stages('scale'):
-            # 3. The scale and shift that make it metres, steadied over time.
+            # 3. The scale and shift to metres, smoothed over time.
             self._scale = _update_scale(self._scale, seen, regions, config, around)
             scale = self._scale.estimate
         with stages('measurement'):
-            # 4. Depth and planes in metres, or in a unit of their own where nothing fixes it.
+            # 4. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
             depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
             regions = _rescaled(regions, scale, seen)
             planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
                               around.lines if turns and scale.has_true_angles else None)
         with stages('shapes'):
-            # 5. Spheres, cylinders and cones in what the planes leave over, where asked for.
+            # 5. Spheres, cylinders and cones where there is no plane, if requested.
             planes, shapes, shape_labels = self._shapes.detect(
                 depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
-            # 6. Floor, ceiling and walls, where angles are true and gravity is known.
+            # 6. Floor, ceiling and walls, if angles are true and gravity is known.
             classes = classify_by_gravity(planes.planes, around.gravity, scale.has_true_angles)
         with stages('tracking'):
-            # 7. Labels that stay the same from image to image.
+            # 7. Labels that are stable from image to image.
             planes, track_labels = self._track(planes, config.tracking)
         return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
@@ -163,16 +163,16 @@ class PlaneDetector:
                          horizontal_axes=around.level_axes, stage_seconds=stages.seconds)
 
     def reset(self) -> None:
-        """Forget the images before: averages, scale and labels start anew."""
+        """Discard what is kept from earlier images: averages, scale and labels."""
         self.reset_depth()
         self.reset_planes()
 
     def reset_depth(self) -> None:
-        """Forget what :meth:`observe` keeps: the average of the depth."""
+        """Discard the state of :meth:`observe`: the average of the depth."""
         self.source.reset()
 
     def reset_planes(self) -> None:
-        """Forget what :meth:`find_planes` keeps: the scale and the labels."""
+        """Discard the state of :meth:`find_planes`: scale, labels and directions."""
         self._scale = None
         self._tracker.reset()
         self._shapes.reset()
@@ -202,7 +202,7 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     config : Config, optional
         Its ``segmentation``, ``ransac``, ``dbscan`` and ``paper`` are used.
     disparity_noise : float
-        Standard deviation stated for the depth source, 1/m; the noise is not estimated below it.
+        Standard deviation stated for the depth source, 1/m; a lower bound of the estimate.
     rng : numpy.random.Generator, optional
         Default: seeded with ``config.ransac.seed``.
 
@@ -237,9 +237,9 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
 
 def _noise_floor(seen: Observation, config: Config) -> Noise:
     """
-    Return the lower bound of the noise of the disparity, in its own unit.
+    Return the lower bound of the noise, in the unit of the disparity.
 
-    As a share of the disparities it is the same for relative disparity and for metres.
+    It is a share of the disparities, so that relative and metric disparity are treated alike.
     """
     if seen.output != 'relative_disparity' and (
             config.segmentation.disparity_noise or not seen.noise_share):
@@ -251,7 +251,7 @@ def _noise_floor(seen: Observation, config: Config) -> Noise:
 
 
 def _hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
-    """Return what borders snap to, where a network blurred them, and the normals it gives."""
+    """Return the image that borders snap to, if the network blurs edges, and its normals."""
     snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
     return {'guide': GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None,
             'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
@@ -260,7 +260,7 @@ def _hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMa
 def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
              noise_floor: Noise, rng: np.random.Generator | None = None,
              **hints: GuideImage | NormalMap | None) -> PixelRegions:
-    """Segment by the method that the settings name."""
+    """Segment by ``segmentation.method``."""
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, noise_floor, config, rng)
     return segment(disparity, noise_floor, config, rng, **hints)
@@ -268,7 +268,7 @@ def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config
 
 def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,
                   config: Config, around: Surroundings) -> ScaleState:
-    """Return what fixes the unit of this image, given those before."""
+    """Return the scale of this image, smoothed with those before."""
     evidence = ScaleEvidence(
         seen.disparity, ray_planes(regions, seen.intrinsics), seen.output, seen.is_measured,
         around.gravity.gravity_camera, around.gravity.tolerance_deg, around.level_axes,
@@ -277,14 +277,14 @@ def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRe
 
 
 def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -> np.ndarray:
-    """Return the depth (H, W) in the unit of the scale; metres that stay are not touched."""
+    """Return the depth (H, W) in the unit of the scale; unscaled metres are returned unchanged."""
     if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
         return seen.prediction.values
     return apply_scale(seen.disparity, scale, max_depth_m)
 
 
 def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
-    """Return the regions in the unit of the scale, turned by the network's normals if any."""
+    """Return the regions in the unit of the scale, rotated by the network's normals if any."""
     regions = regions.rescaled(scale.scale, scale.shift)
     if not scale.has_true_angles:
         return regions
@@ -294,7 +294,7 @@ def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) ->
 @one_blas_thread
 def _measure(regions: PixelRegions, intrinsics: CameraIntrinsics,
              config: Config, lines: ImageDirections | None = None) -> PlaneSegmentation:
-    """Measure the planes that are large enough, turned by the lines of the image if given."""
+    """Measure the planes that are large enough, rotated by the lines of the image if given."""
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
     planes, labels = measure_turned(regions, intrinsics, min_pixels, lines)
     return PlaneSegmentation(planes, labels, regions.noise.mean_sigma)

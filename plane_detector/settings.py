@@ -19,7 +19,7 @@ def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
     >>> from dataclasses import dataclass
     >>> @dataclass(frozen=True)
     ... class Speed(Settings, section='speed'):
-    ...     limit: float = setting(1.5, 'the camera moves no faster', 'm/s', 0.0, 10.0)
+    ...     limit: float = setting(1.5, 'highest speed of the camera', 'm/s', 0.0, 10.0)
     >>> Speed().limit
     1.5
     >>> Speed(limit=-1.0)
@@ -38,7 +38,7 @@ def fixed_setting(*args: Any, **kwargs: Any) -> Any:
 
 
 class Settings:
-    """Base of the settings: raises ValueError, with the parameter's name, for a wrong value."""
+    """Base class of all settings; a wrong value raises ValueError with the parameter's name."""
 
     def __init_subclass__(cls, section: str = '') -> None:
         cls._prefix = f'{section}.' if section else ''
@@ -80,7 +80,7 @@ def _same_type(value: Any, default: Any) -> bool:
 
 
 def parameters_of(settings: Settings, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
-    """Yield name, field and value of every setting; a nested one is named ``depth.model``."""
+    """Yield name, field and value of every setting; nested names have dots: ``depth.model``."""
     for f in fields(settings):
         value = getattr(settings, f.name)
         if isinstance(value, Settings):

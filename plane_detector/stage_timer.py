@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How long each stage of a pipeline takes."""
+"""Timing of the stages of a pipeline."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class StageTimer:
 
     @contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Time the block; raise Stopped if it was told to stop before."""
+        """Time the block; raises Stopped if a stop was requested before it."""
         raise_if_stopped()
         start = time.perf_counter()
         yield

@@ -3,10 +3,9 @@
 """
 Work that another thread can stop.
 
-Python cannot end a thread. So whoever starts something long does it under a `Stop`, and what takes
-long looks at it between its steps (`raise_if_stopped`) or says how it is broken off
-(`Stop.calling`). C++ that does neither is left behind in its thread: `leave` then ends the process
-without it.
+Python cannot end a thread. Long work therefore runs under a `Stop`, and either checks it between
+its steps (`raise_if_stopped`) or registers a callback that interrupts it (`Stop.calling`). C++
+code that does neither keeps running in its thread; `leave` then ends the process without waiting.
 """
 
 from __future__ import annotations
@@ -23,12 +22,12 @@ Result = TypeVar('Result')
 
 
 class Stopped(BaseException):
-    """The work was told to stop. Not an Exception: no error handler takes it for a fault."""
+    """The work was asked to stop. Not an Exception, so that no error handler catches it."""
 
 
 class Stop:
     """
-    The wish that a piece of work ends.
+    A request that a piece of work ends.
 
     Examples
     --------
@@ -47,7 +46,7 @@ class Stop:
         self.is_set = False
 
     def set(self) -> None:
-        """Ask the work to stop; waits only for what `uncut` holds together."""
+        """Request the stop; waits only while a block of `uncut` runs."""
         with self._lock:
             if self.is_set:
                 return
@@ -58,7 +57,7 @@ class Stop:
 
     @contextmanager
     def applies(self) -> Iterator[None]:
-        """Let what runs within, in this thread, look at this stop."""
+        """Make this stop the one that :func:`raise_if_stopped` checks in this block and thread."""
         token = _current.set(self)
         try:
             yield
@@ -68,12 +67,12 @@ class Stop:
     @contextmanager
     def calling(self, callback: Callable[[], None]) -> Iterator[None]:
         """
-        Call a function when the stop is set while this block runs, from the thread that sets it.
+        Call a function when the stop is requested while this block runs, in the requesting thread.
 
         Raises
         ------
         Stopped
-            It is set already.
+            The stop was requested before.
 
         """
         with self.uncut():
@@ -86,12 +85,12 @@ class Stop:
     @contextmanager
     def uncut(self) -> Iterator[None]:
         """
-        Hold together what must be done as a whole or not at all: meanwhile `set` waits.
+        Run a block completely or not at all: `set` waits until it ends.
 
         Raises
         ------
         Stopped
-            It is set already.
+            The stop was requested before.
 
         """
         with self._lock:
@@ -105,13 +104,13 @@ _NEVER = Stop()
 
 
 def current_stop() -> Stop:
-    """Return the stop that applies here."""
+    """Return the stop that applies in this context."""
     return _current.get(_NEVER)
 
 
 def raise_if_stopped() -> None:
     """
-    End what runs here if it was told to stop; for the loops of what may take long.
+    Raise if the current work was asked to stop; for the loops of long computations.
 
     Raises
     ------
@@ -124,16 +123,16 @@ def raise_if_stopped() -> None:
 
 class Background(Generic[Result]):
     """
-    A call in a thread of its own, which does not keep the process alive.
+    A call in its own thread, which does not keep the process alive.
 
     Parameters
     ----------
     function : callable
-        Called in the thread, under the attribute `stop`.
+        Called in the thread; the attribute `stop` applies to it.
     name : str
-        Of the thread.
+        Name of the thread.
     on_end : callable, optional
-        Called in the thread once there is a result.
+        Called in the thread when the result is available.
 
     """
 
@@ -151,16 +150,16 @@ class Background(Generic[Result]):
 
     @classmethod
     def is_any_running(cls) -> bool:
-        """Return whether a thread of any of them has not ended yet."""
+        """Return whether the thread of any instance is still running."""
         return any(call._thread.is_alive() for call in tuple(cls._running))
 
     def wait(self, timeout_s: float | None = None) -> bool:
-        """Wait for the end; return whether it has come."""
+        """Wait for the end of the thread; return False after a timeout."""
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
     def result(self) -> Result:
-        """Wait for the end; return what the function returned, or raise what it raised."""
+        """Wait for the end; return the result of the function, or raise its exception."""
         self.wait()
         if self._error is not None:
             raise self._error
@@ -170,7 +169,7 @@ class Background(Generic[Result]):
         try:
             with self.stop.applies():
                 self._result = function()
-        except BaseException as error:  # raised again where the result is asked for
+        except BaseException as error:  # raised again by result()
             self._error = error
         finally:
             self._running.discard(self)
@@ -179,10 +178,10 @@ class Background(Generic[Result]):
 
 def leave(exit_code: int) -> int:
     """
-    Return the exit code, or end the process with it now where work runs that cannot be stopped.
+    Return the exit code, or end the process at once if work is running that cannot be stopped.
 
-    Such work is in C++, which the ordinary end of the interpreter would cut off in a way that
-    crashes. To be called last: files are closed, the middleware is shut down.
+    Such work is in C++, and the regular shutdown of the interpreter would crash while it runs.
+    Call this last, after files are closed and the middleware is shut down.
     """
     if Background.is_any_running():
         end_process(exit_code)
@@ -190,7 +189,7 @@ def leave(exit_code: int) -> int:
 
 
 def end_process(exit_code: int) -> NoReturn:
-    """End the process now, without the ordinary end of the interpreter."""
+    """End the process at once, without the regular shutdown of the interpreter."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(exit_code)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What flows between the stages. All frozen; lengths in metres, optical frame (REP-103)."""
+"""Data passed between the stages. All frozen; lengths in metres, optical frame (REP-103)."""
 
 from __future__ import annotations
 
@@ -78,14 +78,14 @@ class Prediction:
     Attributes
     ----------
     output : str
-        What ``values`` are: ``metric_depth``, ``disparity`` (1/metres) or ``relative_disparity``
+        Kind of ``values``: ``metric_depth``, ``disparity`` (1/metres) or ``relative_disparity``
         (unknown scale and shift).
     values : (H, W) float32
-        NaN where invalid, also by the network's own mask.
+        NaN where invalid, including pixels that the network masks.
     normals_camera : (H, W, 3) float32, optional
-        Unit normals of the surfaces in the optical frame, looking at the camera; NaN invalid.
+        Unit normals of the surfaces in the optical frame, pointing to the camera; NaN invalid.
     normal_confidence : (H, W) float32, optional
-        How sure the network is of them, in a unit of its own; more is surer.
+        Confidence of the network in its normals, in the network's own unit; higher is better.
 
     """
 
@@ -98,7 +98,7 @@ class Prediction:
 @runtime_checkable
 class DepthModel(Protocol):
     """
-    Interface of a depth model, as the pipeline uses it.
+    Interface of a depth model.
 
     :class:`~plane_detector.depth.estimator.DepthEstimator` runs networks; a plain function is
     wrapped in a :class:`~plane_detector.depth.observation.DepthFunction`.
@@ -106,15 +106,15 @@ class DepthModel(Protocol):
     Attributes
     ----------
     output : str
-        Its output: ``metric_depth`` (metres), ``disparity`` (1/metres) or
-        ``relative_disparity`` (unknown scale and shift).
+        ``metric_depth`` (metres), ``disparity`` (1/metres) or ``relative_disparity`` (unknown
+        scale and shift).
     noise_share : float
         Typical error of its disparity as a share of the disparities of the image, see
         :func:`~plane_detector.geometry.disparity.noise_reference`; 0: not known.
     focal_per_height : float
-        Focal length over image height that metres are right for; 0: not known.
+        Focal length over image height for which its metres are correct; 0: not known.
     facts : mapping of str to str
-        For the log and the diagnostics, ``depth_model`` among them.
+        Description for the log and the diagnostics; ``depth_model`` is one of its keys.
 
     """
 
@@ -127,13 +127,13 @@ class DepthModel(Protocol):
         """Description for the log and the diagnostics."""
 
     def edge_blur_px(self, width: int, height: int) -> float:
-        """Return how far edges of depth may be off, in pixels of an image of this size."""
+        """Return the largest error of depth edges, in pixels of an image of this size."""
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
-        """Become as large as the rate allows while the plane stage runs beside; 0: stay."""
+        """Choose the largest input that keeps the rate beside the plane stage; 0: no change."""
 
     def advise(self, share: float) -> str:
-        """Return advice that would reduce its time to this share; empty if there is none."""
+        """Return how to reduce its time to this share; empty if there is no way."""
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
         """Return the depth of an image (H, W, 3) uint8, of the size of the image."""
@@ -144,7 +144,7 @@ class Plane:
     """
     One plane, normal . p + offset = 0 in the optical frame.
 
-    The normal has length 1 and looks at the camera, so that ``offset_m >= 0`` is the distance
+    The normal has length 1 and points to the camera, so that ``offset_m >= 0`` is the distance
     from camera to plane.
 
     Attributes
@@ -154,7 +154,7 @@ class Plane:
     offset_m : float
         Distance from the camera.
     centroid_m : (3,) float64
-        Mean of the pixels' points, brought onto the plane.
+        Mean of the pixels' points, projected onto the plane.
     inlier_count : int
         Pixels with this plane's label; at least 1.
     rms_m : float
@@ -164,7 +164,7 @@ class Plane:
     covariance : (4, 4) float64
         Covariance of (normal, offset_m) from the fit.
     confidence : float
-        Probability, 0 to 1, that the plane is one of the scene.
+        Probability, 0 to 1, that the plane exists in the scene.
 
     """
 
@@ -179,7 +179,7 @@ class Plane:
 
 
 class ShapeType(IntEnum):
-    """The values of the field ``type`` of ``~/shapes``."""
+    """Values of the field ``type`` of ``~/shapes``."""
 
     SPHERE = 1
     CYLINDER = 2
@@ -195,15 +195,15 @@ class Shape:
     ----------
     type : ShapeType
     position_m : (3,) float64
-        Centre of a sphere, middle of the seen part of a cylinder's axis, apex of a cone.
+        Centre of a sphere, middle of the visible part of a cylinder's axis, apex of a cone.
     axis : (3,) float64
-        Unit vector, of a cone from the apex into it; zeros for a sphere.
+        Unit vector along the axis, of a cone from the apex into it; zeros for a sphere.
     radius_m : float
         0 for a cone.
     half_angle_rad : float
         Between axis and surface of a cone, else 0.
     length_m : float
-        Extent of the seen part along the axis, of a cone from the apex; 0 for a sphere.
+        Extent of the visible part along the axis, of a cone from the apex; 0 for a sphere.
     inlier_count : int
         Pixels with this shape's label.
     rms_m : float
@@ -213,7 +213,7 @@ class Shape:
         the axis across itself (2, radians) and the radius (cylinder, 5); apex, axis across itself
         and half angle (cone, 6).
     confidence : float
-        Share, 0 to 1, of the surface around that the shape explains.
+        Share, 0 to 1, of the surrounding surface that the shape explains.
 
     """
 
@@ -239,9 +239,9 @@ class PlaneSegmentation:
     planes : tuple of Plane
         Empty when there is none.
     labels : (H, W) int32
-        Index into ``planes``, -1 for no plane. Never a label where depth is invalid.
+        Index into ``planes``, -1 for no plane and where depth is invalid.
     disparity_noise : float
-        Standard deviation of 1/depth that the segmentation worked with, per metre.
+        Standard deviation of 1/depth used by the segmentation, 1/m.
 
     """
 
@@ -258,9 +258,9 @@ class Detection(PlaneSegmentation):
     Attributes
     ----------
     depth_m : (H, W) float32
-        What was segmented; NaN invalid. Of unknown unit where the method is ``relative``.
+        NaN invalid; the unit is unknown if ``scale_method`` is ``relative``.
     scale_method : str
-        How the depth came by its unit: ``metric``, ``fixed``, ..., or ``relative``.
+        Method that determined the unit: ``metric``, ``fixed``, ..., or ``relative`` for none.
     stage_seconds : mapping of str to float
         Time of each stage.
     track_labels : tuple of int
@@ -268,19 +268,20 @@ class Detection(PlaneSegmentation):
     classes : tuple of int
         A value of ``PlaneClass`` for each plane; empty: all unknown.
     scale_note, scale_event : str
-        Finding of the method and its uncertainty, or why there is none; changes, if any.
+        Result of the scale method with its uncertainty, or why there is none; what changed with
+        this image, if anything.
     shapes : tuple of Shape
-        Largest first; with N planes, ``labels`` are N + i where shape i is.
+        Largest first; with N planes, ``labels`` are N + i in the pixels of shape i.
     shape_labels : tuple of int
-        Label of each shape, above 0 and the same from image to image; empty when not tracked.
+        Label of each shape, above 0 and the same from image to image; empty: not tracked.
     gravity_camera : (3,) float64 or None
-        Direction of gravity in the optical frame that the classes are by; None where unknown.
+        Direction of gravity in the optical frame, as used for the classes; None: unknown.
     gravity_source : str
         ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
     gravity_note : str
-        Why the image does not tell it, where it was asked.
+        Why the image does not give the direction of gravity, if it was tried.
     horizontal_axes : (A, 3) float64
-        Level directions of the scene at right angles, by the lines of the image; none: (0, 3).
+        Perpendicular horizontal axes of the scene, from the lines of the image; none: (0, 3).
 
     """
 

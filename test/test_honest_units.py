@@ -25,7 +25,7 @@ GRAVITY = [0.0, 1.0, 0.0]
 LENGTH = re.compile(r'\d\s*(mm|cm|m|m2|met(re|er)s?)\b')
 WORD = re.compile(r'\b(met(re|er)s?|metric)\b', re.IGNORECASE)
 DENIALS = ('neither metres nor gravity are known',
-           'metric: the network gives no metres', 'the network gives no metres',
+           'metric: the network does not give metres', 'the network does not give metres',
            'the depth has no known scale: it is not compared with the truth in metres')
 ROOM = random_room(np.random.default_rng(3), CAMERA)
 ATTIC = attic(np.random.default_rng(1), CAMERA)  # without right angles but those of the gable
@@ -81,9 +81,9 @@ def captions(robot):
 
 
 @pytest.mark.parametrize('scene, values, reason', [
-    (ATTIC, {'scale__method': 'none'}, 'asked for by scale.method'),
+    (ATTIC, {'scale__method': 'none'}, 'requested by scale.method'),
     (ROOM, {}, 'manhattan, unit unknown'),
-    (ROOM, {'scale__method': 'metric'}, 'the network gives no metres'),
+    (ROOM, {'scale__method': 'metric'}, 'the network does not give metres'),
     (ROOM, {'scale__method': 'depth_topic'}, 'no measured depth'),
     (ROOM, {'scale__method': 'fixed'}, 'scale.disparity_scale is not given'),
     (ROOM, {'scale__camera_height': 1.4, 'directions__gravity': False}, 'unit unknown'),
@@ -129,7 +129,7 @@ def test_metres_end_with_the_scale(robot):
 
 @pytest.mark.parametrize('text, count', [
     ('7: wall 2.31 m', 1), ('area 3m2', 1), ('floor 1.4 m below', 1), ('depth in metres', 1),
-    ('metric: the network\'s metres', 2), ('metric: the network gives no metres; fixed', 0),
+    ('metric: metres of the network', 2), ('metric: the network does not give metres; fixed', 0),
     ('latency.depth_ms: 12.00', 0), ('7: wall 2.31', 0), ('manhattan, unit unknown, +-1.2%', 0)])
 def test_what_a_claim_is(text, count):
     assert len(claims(text)) == count

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Files from the network, whole and verified or not at all.
+Downloads, verified by SHA-256.
 
-A file is written under a temporary name of its own, read back, checked against its SHA-256 and
-renamed, so that an interrupted, damaged or concurrent download never stands where the real one
-would. Size and time of every transfer are bounded. All failures are OSError.
+A file is written under a unique temporary name, read back, verified and renamed, so that an
+interrupted, damaged or concurrent download never takes the place of the file. The size and the
+time of every transfer are limited. All failures are OSError.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from tqdm import tqdm
 from plane_detector.stopping import current_stop, raise_if_stopped
 
 ANSWER_TIMEOUT_S = 5.0
-"""A host that does not answer within this time counts as out of reach."""
+"""A host that does not answer within this time counts as unreachable."""
 GRACE_S = 60.0
-"""A transfer may be as slow as it likes for this long."""
+"""The rate is not checked for this long."""
 MIN_BYTES_PER_S = 32_000
 """
-After the grace, what has come must have come at this rate on the average, so that a file of n
-bytes takes at most ``GRACE_S + n / MIN_BYTES_PER_S``: 53 minutes for 100 MB.
+After the grace period, the mean rate must be at least this, so that a file of n bytes takes at
+most ``GRACE_S + n / MIN_BYTES_PER_S``: 53 minutes for 100 MB.
 """
 STALE_AFTER_S = 3600.0
 """
-A temporary file that nobody wrote to for this long was left by a process that is gone: a living
-one writes at least every `ANSWER_TIMEOUT_S`. The rest is for clocks of a shared volume.
+A temporary file not written to for this long belongs to a process that has ended: a running one
+writes at least every `ANSWER_TIMEOUT_S`. The rest allows for clock differences on a shared volume.
 """
 SHOW_PROGRESS_AFTER_S = 2.0
 _CHUNK_BYTES = 1 << 20
-_MOST_BYTES = 1 << 30  # of a file whose size is not known: no server may fill the disk
+_MOST_BYTES = 1 << 30  # of a file of unknown size, so that no server can fill the disk
 
 
 def sha256_of(path: Path) -> str:
@@ -59,46 +59,46 @@ def sha256_of(path: Path) -> str:
 
 def write_verified(path: Path, chunks: Iterable[bytes], sha256: str) -> None:
     """
-    Write a file that appears under its name only when its SHA-256 is right.
+    Write a file that gets its name only after its SHA-256 is verified.
 
     Parameters
     ----------
     path : Path
-        Where the file is to stand; its folder is made when it is missing.
+        Path of the file; its folder is created if it does not exist.
     chunks : iterable of bytes
         The content.
     sha256 : str
-        Required hash of the content.
+        Expected hash of the content.
 
     Raises
     ------
     OSError
-        The content is another one, it broke off, or the folder cannot be written.
+        The hash differs, the content is incomplete, or the folder cannot be written.
 
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     _remove_stale(path)
-    # Process ids repeat: containers that share a cache volume often have the same.
+    # Not the process id: containers that share a cache volume often have the same ids.
     temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
     try:
         size_bytes = _write(temporary, chunks)
         found = sha256_of(temporary)
         if found != sha256:
-            raise OSError(f'what came has SHA-256 {found} ({size_bytes} bytes), not {sha256}: '
-                          'the download broke off or the file there is another one now')
+            raise OSError(f'the downloaded data has SHA-256 {found} ({size_bytes} bytes), not '
+                          f'{sha256}: it is incomplete or the file on the server has changed')
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def _remove_stale(path: Path) -> None:
-    """Remove the temporary files that killed downloads of the same file left behind."""
+    """Remove the temporary files of killed downloads of the same file."""
     written_last_s = time.time() - STALE_AFTER_S
     for left in path.parent.glob(f'.{glob.escape(path.name)}.*.part'):
         try:
             if left.stat().st_mtime < written_last_s:
                 left.unlink()
-        except OSError:  # another process removed it, or owns it: it is in nobody's way
+        except OSError:  # another process removed or owns it
             continue
 
 
@@ -108,36 +108,36 @@ def _write(path: Path, chunks: Iterable[bytes]) -> int:
     with open(path, 'xb') as file:
         for chunk in chunks:
             file.write(chunk)
-            file.flush()  # the time of the last writing tells others that this one is alive
+            file.flush()  # updates the modification time, which marks the file as in use
             size_bytes += len(chunk)
-        os.fsync(file.fileno())  # a power cut must not leave a renamed but empty file
+        os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
     return size_bytes
 
 
 def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[bytes]:
     """
-    Yield the content of an address, with a progress bar once it takes over two seconds.
+    Yield the content of an address; shows a progress bar after two seconds.
 
     Parameters
     ----------
     url : str
-        The address; proxies are taken from the environment.
+        Address; proxies are taken from the environment.
     size_bytes : int
-        Size of the file; more is refused. 0: not known.
+        Size of the file; more data is an error. 0: not known.
     unreachable : set of str
-        Hosts that did not answer before; they are not asked again. A host that does not answer
-        within `ANSWER_TIMEOUT_S`, or falls silent for as long, is added.
+        Hosts that did not answer before; they are not contacted again. A host is added if it does
+        not answer, or sends nothing, for `ANSWER_TIMEOUT_S`.
 
     Raises
     ------
     OSError
-        The host is out of reach, has no such file, sends more than it should, or the transfer
-        broke off or is slower than `MIN_BYTES_PER_S`.
+        The host is unreachable, lacks the file or sends too much, or the transfer is interrupted
+        or slower than `MIN_BYTES_PER_S`.
 
     """
     host = urllib.parse.urlsplit(url).netloc
     if host in unreachable:
-        raise ConnectionError(f'{host} was out of reach a moment ago')
+        raise ConnectionError(f'{host} was unreachable a moment ago')
     try:
         with _answer(url) as response:
             total = size_bytes or int(response.headers.get('Content-Length') or 0)
@@ -149,14 +149,14 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
         raise OSError(f'{host} answered {error.code} {error.reason}') from error
     except (OSError, http.client.HTTPException) as error:
         unreachable.add(host)
-        raise ConnectionError(f'{host} is out of reach ({_cause(error)})') from error
+        raise ConnectionError(f'{host} is unreachable ({_cause(error)})') from error
 
 
 def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[bytes]:
-    """Yield the data as it arrives; raise if it is too much or too slow."""
+    """Yield the data as it arrives; raise if there is too much or the rate is too low."""
     start_s = time.monotonic()
     received_bytes = 0
-    while chunk := response.read1(_CHUNK_BYTES):  # `read` waits for all of them
+    while chunk := response.read1(_CHUNK_BYTES):  # `read` would wait for a full chunk
         raise_if_stopped()
         received_bytes += len(chunk)
         if received_bytes > most_bytes:
@@ -168,13 +168,13 @@ def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[by
 
 
 def _answer(url: str) -> http.client.HTTPResponse:
-    """Open an address in a thread, since no socket timeout bounds the look-up of a name."""
+    """Open an address in a thread, because socket timeouts do not limit name resolution."""
     answers: queue.Queue = queue.Queue()
 
     def ask() -> None:
         try:
             answers.put(urllib.request.urlopen(url, timeout=ANSWER_TIMEOUT_S))
-        except (OSError, http.client.HTTPException) as error:  # raised again by who waits
+        except (OSError, http.client.HTTPException) as error:  # raised by the caller
             answers.put(error)
 
     threading.Thread(target=ask, daemon=True).start()
@@ -184,7 +184,7 @@ def _answer(url: str) -> http.client.HTTPResponse:
     except queue.Empty:
         answer = TimeoutError()
     raise_if_stopped()
-    if isinstance(_cause(answer), TimeoutError):  # of the queue or of the socket
+    if isinstance(_cause(answer), TimeoutError):  # from the queue or the socket
         raise TimeoutError(f'no answer within {ANSWER_TIMEOUT_S:g} s')
     if isinstance(answer, Exception):
         raise answer
@@ -192,11 +192,11 @@ def _answer(url: str) -> http.client.HTTPResponse:
 
 
 def _cause(error: object) -> object:
-    """Return what an error of urllib wraps, which reads better than the wrapping."""
+    """Return the error that an error of urllib wraps, which is easier to understand."""
     return getattr(error, 'reason', error)
 
 
 def _progress(label: str, total_bytes: int) -> tqdm:
-    """Return a bar on stderr; in a log file, a line every ten seconds."""
+    """Return a progress bar on stderr; in a log file, a line every ten seconds."""
     return tqdm(desc=label, total=total_bytes or None, unit='B', unit_scale=True,
                 delay=SHOW_PROGRESS_AFTER_S, mininterval=0.2 if sys.stderr.isatty() else 10.0)

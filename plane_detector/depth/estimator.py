@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""RGB image to depth or disparity by a network."""
+"""Depth or disparity of an RGB image by a network."""
 
 from __future__ import annotations
 
@@ -32,45 +32,44 @@ from plane_detector.depth.preprocessing import InputRecipe, prepare_input
 from plane_detector.depth.readers import DepthImageReader, OutputError, Reader
 from plane_detector.types import CameraIntrinsics, Prediction
 
-# Edges of a network's depth are off by up to about this many pixels of its input.
+# Largest error of depth edges, in pixels of the network input.
 BLUR_INPUT_PX = 3.5
 
 
 class DepthEstimator:
     """
-    A depth network, ready to run: it has run once when the constructor returns.
+    A depth network, ready to run: the constructor has already run it once.
 
     The same image gives the same output. Calls must not overlap.
 
     Parameters
     ----------
     config : DepthConfig
-        Which network and how it is run.
+        Selects the network and how it is run.
 
     Attributes
     ----------
     output : str
-        What calls return: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+        Kind of the returned values: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     needs_lens : bool
         Whether it needs the intrinsics of the image.
     name : str
-        Of the network: a name of the zoo or a path.
+        Name in the zoo, or path.
     reason : str
-        Why this network and this execution provider were taken.
+        Why this network and this execution provider were chosen.
     noise_share : float
-        Typical error of its disparity as a share of the disparities of the image; 0 where it is
-        not known.
+        Typical error of its disparity as a share of the disparities of the image; 0: unknown.
     focal_per_height : float
-        Focal length over image height that the network assumes, 0 where it is not known.
+        Focal length over image height that the network assumes; 0: unknown.
     provider : str
-        The execution provider that runs.
+        Execution provider in use.
 
     Raises
     ------
     FileNotFoundError
-        The network is not there and cannot be fetched.
+        The network is not available and cannot be downloaded.
     ValueError
-        The settings do not fit the network, or it is not a depth network, or no execution
+        The settings do not fit the network, the file is not a depth network, no execution
         provider runs it, or its output cannot be depth.
 
     """
@@ -93,27 +92,27 @@ class DepthEstimator:
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
         """
-        Estimate the depth of an image whose lens is not known, as (H, W) float32.
+        Return the values (H, W) float32 of :meth:`predict` for an image with an unknown lens.
 
-        As `predict`, for networks that do without the lens.
+        Only for networks that do not need the lens.
         """
         return self.predict(rgb).values
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None = None) -> Prediction:
         """
-        Estimate depth, and normals where the network gives them.
+        Estimate depth, and normals if the network provides them.
 
         Parameters
         ----------
         rgb : (H, W, 3) uint8
             The image.
         intrinsics : CameraIntrinsics, optional
-            Of the image; must be given where `needs_lens`.
+            Of the image; required if `needs_lens`.
 
         Returns
         -------
         Prediction
-            At the size of the image.
+            With the size of the image.
 
         Raises
         ------
@@ -132,14 +131,14 @@ class DepthEstimator:
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
         """
-        Take the largest input of free size that keeps a rate beside the plane stage.
+        Choose the largest input that keeps a rate beside the plane stage, if its size is free.
 
         Parameters
         ----------
         rate_hz : float
-            0: the input stays as it is.
+            0: the input size does not change.
         plane_stage : callable
-            The rest of the work on a frame; runs once a period while the network is timed.
+            The rest of the work on a frame; runs once per period while the network is timed.
 
         """
         session, width_height = self._session, plausibility.CORRIDOR_SIZE
@@ -168,12 +167,12 @@ class DepthEstimator:
         """Return the setting that would reduce the time of the network to a given share."""
         sides = self._session.short_sides
         if not sides:
-            return 'its input has a fixed size: a smaller network or a GPU would be faster'
+            return 'its input has a fixed size: use a smaller network or a GPU'
         side = side_for(self._session.short_side, share, sides)
         if side is None:
-            return 'no input of it is small enough: a smaller network or a GPU would be'
+            return 'it has no input size that is small enough: use a smaller network or a GPU'
         return (f'depth.short_side {side} (now {self._session.short_side}) would keep up, or '
-                'depth.target_rate finds it')
+                'depth.target_rate chooses it')
 
     @property
     def facts(self) -> Mapping[str, str]:
@@ -186,7 +185,7 @@ class DepthEstimator:
         return facts
 
     def edge_blur_px(self, width: int, height: int) -> float:
-        """Return how far edges of depth may be off, in pixels of an image of this size."""
+        """Return the largest error of depth edges, in pixels of an image of this size."""
         return BLUR_INPUT_PX * width / self.input_size(width, height)[0]
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
@@ -235,23 +234,23 @@ def _first_that_runs(path: Path, config: DepthConfig, interface: Interface, reci
 
 
 def _resolve(config: DepthConfig) -> tuple[Network | None, Path, str]:
-    """Return the network of the zoo (None for a path), its file and why it was taken."""
+    """Return the network of the zoo (None for a path), its file and the reason."""
     if config.model == 'auto':
         return choose(config.cache_dir, config.output)
     if config.model in NETWORKS:
         path = fetch(config.model, config.cache_dir)
-        return NETWORKS[config.model], path, f'{config.model} as asked for'
+        return NETWORKS[config.model], path, f'{config.model} as requested'
     path = Path(config.model).expanduser()
     if not path.is_file():
         raise FileNotFoundError(f'depth.model {config.model!r} is neither a file nor one of auto, '
                                 f'{", ".join(NETWORKS)}')
-    return None, path, f'{path} as asked for'
+    return None, path, f'{path} as requested'
 
 
 def _reader(config: DepthConfig, network: Network | None) -> Reader:
-    """Return the reader of the outputs: that of the zoo or, for a path, by the settings."""
+    """Return the reader of the outputs, from the zoo or, for a path, from the settings."""
     if network is None and config.output == 'auto':
-        raise ValueError(f'depth.output must say what {config.model} gives: metric_depth, '
+        raise ValueError(f'depth.output must state the output of {config.model}: metric_depth, '
                          'disparity or relative_disparity')
     if network and config.output not in ('auto', network.output):
         raise ValueError(f'depth.output is {config.output}, but {network.name} gives '
@@ -260,7 +259,7 @@ def _reader(config: DepthConfig, network: Network | None) -> Reader:
 
 
 def _interface(config: DepthConfig, network: Network | None, reader: Reader) -> Interface:
-    """Return the required interface of the file; the settings of the size come first."""
+    """Return the required interface of the file; size settings override those of the zoo."""
     wanted = (config.input_width, config.input_height)
     if network is None:
         return Interface(reader.outputs, {}, wanted, config.short_side, config.side_multiple)

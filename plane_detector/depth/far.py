@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Reject depth that is too far for the network: no surface, and so no plane.
+Detection of pixels without a surface: depth beyond the network's range, and sky.
 
-Disparity within its noise of 0 may be at any distance up to infinity. Networks trained in rooms
-give the sky a finite depth, so sky is found in the image: an even, bright and bluish region at the
-upper border, in the farther half of the depth, that gets whiter and not darker downwards. Rayleigh
-scattering causes this in a clear sky; a wall keeps its colour when its brightness changes. The
-even and white region below, down to the horizon, belongs to the sky. A cloudy sky has texture and
-an overcast one has no colour: these are not found.
+A disparity within its noise of 0 is compatible with any distance up to infinity. Networks trained
+indoors give the sky a finite depth, so the sky is found in the image: a smooth, bright and bluish
+region at the upper border, in the farther half of the depth, that becomes whiter and not darker
+downwards. Rayleigh scattering causes this in a clear sky; a wall keeps its colour when its
+brightness changes. The smooth white region between it and the horizon belongs to the sky. Cloudy
+skies have texture and overcast skies have no colour, so they are not found.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ import cv2
 import numpy as np
 
 FAR_DEVIATIONS = 3.0
-"""A disparity below this many standard deviations determines no distance (3 sigma)."""
+"""A disparity below this many standard deviations does not determine a distance."""
 _SMALL_WIDTH_PX = 160
-# Of a small image with values of 0 to 255.
+# For a reduced image with values of 0 to 255.
 _TEXTURE_WINDOW_PX, _MOST_TEXTURE = 5, 6.0
 _MIN_GREY, _MIN_BLUE_MINUS_RED = 110.0, 4.0
-_MIN_SHARE = 0.02  # of the image: less is hardly a plane, and too few pixels for the colours
+_MIN_SHARE = 0.02  # of the image; fewer pixels do not determine the colours
 _MIN_FAR_SHARE = 0.6
-# Of blue over red from the upper to the lower tenth of the region. Seen: 0.12 and 0.19 for skies
-# (KITTI, a photograph of a temple), 0.03 to 0.06 for a bluish wall in 60 images of a room.
+# Decrease of blue over red from the upper to the lower tenth of the region. Measured: 0.12 and
+# 0.19 for skies (KITTI, a photograph of a temple), 0.03 to 0.06 for a bluish wall in 60 images.
 _MIN_WHITENING = 0.09
 _MOST_DARKENING = 5.0
-# The white above the horizon is hardly darker than the blue, and hardly redder than blue.
+# Near the horizon the sky may be darker by this, and redder than blue by this.
 _HORIZON_DARKER, _HORIZON_REDDER = 15.0, 5.0
 _BORDER_PX = 3  # the texture window reaches this far beyond the region
 
 
 def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray:
     """
-    Return where a disparity determines a distance.
+    Return the pixels whose disparity determines a distance.
 
     Parameters
     ----------
     disparity : (H, W) floating
-        0 is infinitely far, unless some are negative; NaN invalid.
+        0 is infinitely far, unless some values are negative; NaN invalid.
     noise : float
         Its standard deviation; 0: not known.
     rgb : (H, W, 3) uint8
@@ -67,7 +67,7 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     ----------
     rgb : (H, W, 3) uint8
     disparity : (H, W) floating
-        Not finite where invalid, which counts as far.
+        Not finite where invalid; invalid pixels count as far.
 
     Returns
     -------

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Metric networks do not see the lens: they take every image for one of the camera that they were
-trained on. A longer lens makes things look nearer than they are by the ratio of the focal lengths
-(the canonical camera of Metric3D, Yin et al. 2023), which multiplying the depth undoes.
+Correction of metric depth for the focal length of the camera.
+
+Metric networks assume the camera that they were trained with. With a longer lens, objects appear
+nearer by the ratio of the focal lengths (the canonical camera of Metric3D, Yin et al. 2023);
+multiplying the depth by this ratio corrects it.
 """
 
 from __future__ import annotations
@@ -24,9 +26,9 @@ def lens_factor(intrinsics: CameraIntrinsics, reference_focal_px: float,
         Of the image.
     reference_focal_px : float
         Focal length that the network assumes, at the width of the image; 0: no correction;
-        OWN_FOCAL: the one that the network is known to be trained with.
+        OWN_FOCAL: the focal length that the network is known to be trained with.
     focal_per_height : float
-        Focal length over image height that the network is known to be trained with, 0: unknown.
+        Focal length over image height that the network is known to be trained with; 0: unknown.
 
     Returns
     -------

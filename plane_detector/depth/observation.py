@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""An image with its depth, by a sensor or by a model: that is decided in :func:`make_source`."""
+"""An image with its depth, from a sensor or a model; :func:`make_source` decides which."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ class Observation:
     rgb : (H, W, 3) uint8
     intrinsics : CameraIntrinsics
     config : Config
-        The settings that this image is processed with.
+        Settings for this image.
     prediction : Prediction
         The input of the segmentation.
     is_measured : bool
-        The prediction is the measurement of a sensor, so that its metres are metres.
+        The prediction is the measurement of a sensor, in metres.
     sensor_depth_m : (H, W) floating or None
-        Measured depth that may fix the scale of the prediction.
+        Measured depth that may determine the scale of the prediction.
     noise_share : float
-        Standard deviation of the disparity that the source is known for, as a share of the
-        disparities of an image; 0: not known.
+        Standard deviation of the disparity stated for the source, as a share of the disparities
+        of an image; 0: not known.
     edge_blur_px : float
-        How far edges may be off, in pixels of this image; 0: they are sharp.
+        Largest error of depth edges, in pixels of this image; 0: sharp edges.
     depth_seconds : float
-        Time that the prediction took.
+        Time of the prediction.
     covered : (H, W) bool or None
-        Where the image shows something; None: everywhere.
+        Pixels that the image covers after rectification; None: all.
 
     """
 
@@ -72,11 +72,11 @@ class Observation:
 
     @property
     def disparity_noise(self) -> float:
-        """Noise level specified for the source, in the unit of the disparity."""
+        """Noise stated for the source, in the unit of the disparity."""
         return self.noise_share and self.noise_share * noise_reference(self.disparity)
 
     def with_values(self, values: np.ndarray) -> Observation:
-        """Return the observation with other depth or disparity (H, W) of the same kind."""
+        """Return the observation with other values (H, W), of the same kind."""
         return replace(self, prediction=replace(self.prediction, values=values))
 
     def restricted_to(self, covered: np.ndarray) -> Observation:
@@ -86,7 +86,7 @@ class Observation:
 
 
 class SensorDepth:
-    """Source whose segmented input is the depth image of a sensor."""
+    """Depth source that uses the depth image of a sensor."""
 
     output = 'metric_depth'
     facts: Mapping[str, str] = {'depth_model': 'the depth topic, no network'}
@@ -94,7 +94,7 @@ class SensorDepth:
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:
         """
-        Return an image with the depth image, invalid beyond ``config.depth.max_depth``.
+        Return the observation of a depth image; depth beyond ``depth.max_depth`` is invalid.
 
         Raises
         ------
@@ -110,19 +110,19 @@ class SensorDepth:
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
-        """A sensor has its own rate."""
+        """Do nothing: a sensor has its own rate."""
 
     def advise(self, share: float) -> str:
-        """A sensor cannot be made faster."""
+        """Return no advice: a sensor cannot be made faster."""
         return ''
 
     def reset(self) -> None:
-        """Nothing is kept from frame to frame."""
+        """Do nothing: no state is kept between frames."""
 
 
 class ModelDepth:
     """
-    A model predicts depth from the image; its flicker is averaged while nothing moves.
+    Depth source that uses a model; its flicker is averaged while nothing moves.
 
     Parameters
     ----------
@@ -147,12 +147,12 @@ class ModelDepth:
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:
         """
-        Return an image with the prediction of the model, and measured depth if there is any.
+        Return the observation of an image with its prediction, and measured depth if available.
 
         Raises
         ------
         ValueError
-            The model gives depth of another size than the image.
+            The depth and the image differ in size.
 
         """
         prediction, (height, width) = self.model.predict(rgb, intrinsics), rgb.shape[:2]
@@ -173,15 +173,15 @@ class ModelDepth:
         return seen.with_values(np.where(known, seen.prediction.values, np.float32(np.nan)))
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
-        """Let the model become as large as the rate allows, see :class:`DepthModel`."""
+        """Choose the largest input that keeps the rate, see :class:`DepthModel`."""
         self.model.fit_to_rate(rate_hz, plane_stage)
 
     def advise(self, share: float) -> str:
-        """Return what would make the model faster, see :class:`DepthModel`."""
+        """Return how to make the model faster, see :class:`DepthModel`."""
         return self.model.advise(share)
 
     def reset(self) -> None:
-        """Forget the frames before."""
+        """Discard the average of earlier frames."""
         self._average = None
 
     def _averaged(self, seen: Observation, keep: float) -> Observation:
@@ -200,7 +200,7 @@ class ModelDepth:
 @dataclass(frozen=True)
 class DepthFunction:
     """
-    A plain function as a depth model.
+    A function as a depth model.
 
     Attributes
     ----------
@@ -211,7 +211,7 @@ class DepthFunction:
     noise_share, focal_per_height
         As in :class:`~plane_detector.types.DepthModel`.
     blur_px : float
-        How far the edges of its depth may be off, in pixels.
+        Largest error of depth edges, in pixels.
 
     Examples
     --------
@@ -230,22 +230,22 @@ class DepthFunction:
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """The name of the function."""
+        """Name of the function."""
         return {'depth_model': getattr(self.function, '__name__', type(self.function).__name__)}
 
     def edge_blur_px(self, width: int, height: int) -> float:
-        """Return how far edges may be off."""
+        """Return the largest error of depth edges."""
         return self.blur_px
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
-        """A function has one speed."""
+        """Do nothing: a function has only one speed."""
 
     def advise(self, share: float) -> str:
-        """Nothing is known of what would make a function faster."""
+        """Return no advice."""
         return ''
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
-        """Call the function, which does not look at the lens."""
+        """Call the function; the intrinsics are not used."""
         return Prediction(self.output, self.function(rgb))
 
 
@@ -255,20 +255,20 @@ ModelOrFunction = DepthModel | Callable[[np.ndarray], np.ndarray]
 
 def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
     """
-    Decide where depth comes from.
+    Return the depth source that the settings and the model determine.
 
     Parameters
     ----------
     config : Config
-        ``depth.source`` decides where no model is given.
+        ``depth.source`` decides if no model is given.
     model : DepthModel, callable or None
-        A plain function returns what ``depth.output`` says; ``auto``: metres.
+        A plain function returns the kind given by ``depth.output``; ``auto``: metres.
 
     Raises
     ------
     ValueError
-        Some attributes of a :class:`~plane_detector.types.DepthModel` are there and others not;
-        or what :class:`~plane_detector.depth.estimator.DepthEstimator` raises.
+        Only some attributes of :class:`~plane_detector.types.DepthModel` are present; or as
+        raised by :class:`~plane_detector.depth.estimator.DepthEstimator`.
 
     """
     if model is None:
@@ -278,7 +278,7 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
 
 
 def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> DepthFunction:
-    """Return a plain function as a depth model."""
+    """Return a function wrapped as a depth model."""
     wanted = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'fit_to_rate',
               'advise', 'predict')
     there = [name for name in wanted if hasattr(function, name)]
@@ -291,7 +291,7 @@ def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> De
 
 
 def _without_the_far(values: np.ndarray, output: str, max_depth_m: float) -> np.ndarray:
-    """Return depth or disparity that is NaN where invalid or beyond the largest depth."""
+    """Return depth or disparity with NaN where invalid or beyond the largest depth."""
     if output == 'relative_disparity':
         return values
     valid = values >= np.float32(1 / max_depth_m)

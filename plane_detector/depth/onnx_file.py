@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Which other files an ONNX file reads, found without trusting it.
+Check of the external files that an ONNX file refers to.
 
-An ONNX file may keep its weights in files beside it, named by paths in it. ONNX Runtime
-(seen with 1.23.2) follows these wherever they lead, so that a file from somewhere could read what
-it likes. The paths are checked before ONNX Runtime sees the file.
+An ONNX file may store weights in other files, given by paths. ONNX Runtime (1.23.2) follows any
+path, so that a file from an untrusted source could read arbitrary files. The paths are therefore
+checked before ONNX Runtime opens the file.
 
-The file is one message of protocol buffers (onnx/onnx.proto3). Only the fields on the way to a
-tensor's ``external_data`` are looked into; everything else is skipped by its length.
+The file is a protocol buffers message (onnx/onnx.proto3). Only the fields that lead to the
+``external_data`` of a tensor are parsed; all others are skipped by their length.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-# Fields of each message that lead on to a tensor, by their numbers in onnx.proto3.
+# Fields of each message that lead to a tensor, by their numbers in onnx.proto3.
 MESSAGES: dict[str, dict[int, str]] = {
     'ModelProto': {7: 'GraphProto', 20: 'TrainingInfoProto', 25: 'FunctionProto'},
     'TrainingInfoProto': {1: 'GraphProto', 2: 'GraphProto'},
@@ -34,23 +34,23 @@ _KEY, _VALUE = 1, 2  # of a StringStringEntryProto
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _MOST_VARINT_BYTES = 10
 MOST_FIELDS = 5_000_000
-"""More than any network has; a hostile file of a gigabyte of them would take minutes."""
-_MEMORY_ADDRESS = '_ORT_MEM_ADDR_'  # of ONNX Runtime: the offset is an address in its own memory
+"""More than any network has; a malicious file with more could take minutes."""
+_MEMORY_ADDRESS = '_ORT_MEM_ADDR_'  # of ONNX Runtime: the offset is an address in memory
 
 Field = tuple[int, int, int, int]
 
 
 def check_external_data(path: Path) -> None:
     """
-    Refuse an ONNX file that reads anything outside its own folder.
+    Refuse an ONNX file that refers to a file outside its own folder.
 
-    Where the file is a link, as in the cache of Hugging Face, the folder of what it leads to is
-    its own too.
+    If the file is a link, as in the cache of Hugging Face, the folder of its target is allowed
+    too.
 
     Raises
     ------
     ValueError
-        It is no whole ONNX file, or names a file that is missing or elsewhere.
+        It is not a complete ONNX file, or refers to a file that is missing or elsewhere.
     OSError
         It cannot be read.
 
@@ -63,7 +63,7 @@ def check_external_data(path: Path) -> None:
             target = (path.parent / location).resolve()
             is_safe = (target.is_file() and _MEMORY_ADDRESS not in location
                        and any(target.is_relative_to(folder) for folder in folders))
-        except (ValueError, OSError):  # no path at all: a zero byte in it, or too long
+        except (ValueError, OSError):  # not a valid path: contains a zero byte or is too long
             is_safe = False
         if not is_safe:
             raise ValueError(f'{path} keeps its weights in {location[:200]!r}, which is no file '
@@ -71,7 +71,7 @@ def check_external_data(path: Path) -> None:
 
 
 def external_locations(path: Path) -> set[str]:
-    """Return the paths of external data that any tensor in an ONNX file names."""
+    """Return the paths of external data of all tensors in an ONNX file."""
     with open(path, 'rb') as file:
         if not os.fstat(file.fileno()).st_size:
             raise ValueError(f'{path} is empty')
@@ -79,7 +79,7 @@ def external_locations(path: Path) -> set[str]:
             try:
                 return set(_locations(data))
             except (ValueError, IndexError) as error:
-                raise ValueError(f'{path} is no whole ONNX file: {error}') from None
+                raise ValueError(f'{path} is not a complete ONNX file: {error}') from None
 
 
 def _locations(data: mmap.mmap) -> Iterator[str]:
@@ -96,9 +96,9 @@ def _locations(data: mmap.mmap) -> Iterator[str]:
 
 
 def _location_values(data: mmap.mmap, fields: list[Field]) -> list[str]:
-    """Return the values of an entry that may be read as one of a location."""
+    """Return the values of an entry that a reader may interpret as a location."""
     texts = [(number, data[start:end]) for number, wire, start, end in fields if wire == _BYTES]
-    if (_KEY, b'location') not in texts:  # a field may come twice; which counts is left open
+    if (_KEY, b'location') not in texts:  # repeated fields: readers differ in which one counts
         return []
     return [os.fsdecode(text) for number, text in texts if number == _VALUE]
 
@@ -117,9 +117,9 @@ def _fields(data: mmap.mmap, start: int, end: int, budget: Iterator[int]) -> Ite
             stop = start + length
         elif wire in (_FIXED64, _FIXED32):
             stop = start + (8 if wire == _FIXED64 else 4)
-        else:  # groups, which no version of ONNX has
-            raise ValueError(f'byte {start} begins nothing that ONNX has')
-        # More than 29 bits of a number are cut off by some readers, and then name another field.
+        else:  # groups, which ONNX does not use
+            raise ValueError(f'byte {start} starts no field of ONNX')
+        # Some readers truncate field numbers above 29 bits, which then name another field.
         if stop > end or not 0 < number < 1 << 29:
             raise ValueError(f'the field at byte {start} does not fit in')
         yield number, wire, start, stop
@@ -127,7 +127,7 @@ def _fields(data: mmap.mmap, start: int, end: int, budget: Iterator[int]) -> Ite
 
 
 def _varint(data: mmap.mmap, start: int, end: int) -> tuple[int, int]:
-    """Return the number of variable length at ``start``, and where it ends."""
+    """Return the integer of variable length at ``start``, and its end."""
     value = 0
     for k in range(min(_MOST_VARINT_BYTES, end - start)):
         byte = data[start + k]

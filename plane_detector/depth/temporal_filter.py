@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Temporal filter that damps the flicker of a network's disparity while the image is static.
+Temporal filter that reduces the flicker of a network's disparity while the scene is static.
 
-Sensor noise changes the output of a network in each frame, even if the camera stands still. While
+Sensor noise changes the output of a network in each frame, even if the camera does not move. While
 nothing moves, the disparity is averaged over time. As soon as anything moves, the whole new image
-is used unfiltered: a lag would bend planes, and an image filtered in one part only has two noise
-levels, of which the segmentation estimates one. Image and disparity are compared with their own
-averages, so that slow motion adds up.
+is used unfiltered: a lag would bend planes, and filtering a part of the image would create two
+noise levels, but the segmentation estimates only one. Image and disparity are compared with their
+averages, so that slow motion is detected too.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated
 
 _BLUR_PX = 1.5
 # Brightness has changed if it differs by this many standard deviations of its noise; the noise is
-# clipped to these grey levels.
+# clipped to this range of grey levels.
 _GREY_SIGMAS, _GREY_NOISE = 5.0, (0.4, 1.5)
 # The same for the mean disparity of a block, which must also differ by more than this share of the
-# image's span: networks flicker ten times more at edges than elsewhere.
+# range in the image: networks flicker ten times more at edges than elsewhere.
 _DEPTH_SIGMAS, _DEPTH_SHARE, _BLOCK_PX = 4.0, 0.1, 8
-# Something moves if more than this share of the pixels has changed in brightness or disparity;
-# less is noise or, with its surroundings, too small for a plane.
+# Something moves if the brightness or disparity of more than this share of the pixels has changed;
+# a smaller share is noise or, with its surroundings, too small for a plane.
 _GREY_MOVING, _DEPTH_MOVING, _SPREAD_PX = 0.0005, 0.005, 8
-_STEP_PX = 4  # statistics use a part of the rows and columns
-# With fewer edge pixels than this a static camera cannot be recognised.
+_STEP_PX = 4  # statistics use every fourth row and column
+# With fewer edge pixels a static camera cannot be recognised.
 _EDGE_GREY_PER_PX, _FEWEST_ON_EDGES = 6.0, 50
 _FIT_ROUNDS, _FEWEST_FITTED = 3, 100
 
@@ -68,7 +68,7 @@ def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, 
     disparity : (H, W) floating
         Not finite where invalid.
     rgb : (H, W, 3) uint8
-        The image itself.
+        The image.
     keep : float
         Weight of the old average at each image, 0 to below 1. The first images have equal
         weights.
@@ -79,7 +79,7 @@ def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, 
     Returns
     -------
     FilteredDisparity
-        In scale and shift of the new image.
+        With the scale and shift of the new image.
 
     """
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0),
@@ -113,7 +113,7 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
 
 
 def _shows_motion(grey: np.ndarray) -> bool:
-    """Say whether the image has enough edges to show a motion of the camera."""
+    """Return whether the image has enough edges to reveal camera motion."""
     on_edges = sum(np.count_nonzero(np.abs(np.diff(lines, axis=axis)) > _EDGE_GREY_PER_PX)
                    for lines, axis in ((grey[::_STEP_PX], 1), (grey[:, ::_STEP_PX], 0)))
     return on_edges >= _FEWEST_ON_EDGES
@@ -132,7 +132,7 @@ def _spread(mask: np.ndarray) -> np.ndarray:
 
 def _in_scale_of(disparity: np.ndarray, before: np.ndarray,
                  still: np.ndarray) -> np.ndarray | None:
-    """Return the old disparity in scale and shift of a new one; None if they are uncertain."""
+    """Return the old disparity in the scale and shift of the new; None if they are uncertain."""
     thinned = (slice(None, None, _STEP_PX),) * 2
     used = still[thinned]
     old, new = (values[thinned][used].astype(float) for values in (before, disparity))
@@ -164,6 +164,6 @@ def _differs(disparity: np.ndarray, expected: np.ndarray, known: np.ndarray) -> 
 
 
 def _block_means(values: np.ndarray) -> np.ndarray:
-    """Return the means of blocks of the image, as nearly square as its sides allow."""
+    """Return the means of blocks of the image that are as square as its sides allow."""
     height, width = (max(1, round(side / _BLOCK_PX)) for side in values.shape)
     return cv2.resize(values, (width, height), interpolation=cv2.INTER_AREA)

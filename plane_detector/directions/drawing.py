@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The directions of a scene, drawn into its image."""
+"""Drawing of the directions of a scene into its image."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics
 
-# Gravity blue, the level axes red and green, the horizon yellow.
+# Gravity blue, the horizontal axes red and green, the horizon yellow.
 _AXIS_COLOURS, _HORIZON = ((40, 90, 255), (255, 50, 50), (40, 200, 60)), (255, 230, 0)
 _STROKES_PER_ROW = 12
 
@@ -17,19 +17,19 @@ _STROKES_PER_ROW = 12
 def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics,
                     gravity_camera: np.ndarray | None, horizontal_axes: np.ndarray) -> np.ndarray:
     """
-    Return the image with the horizon, and strokes towards the vanishing points of the axes.
+    Return the image with the horizon and with strokes towards the vanishing points of the axes.
 
     Parameters
     ----------
     rgb : (H, W, 3) uint8
-        It is not changed.
+        The image; it is not changed.
     intrinsics : CameraIntrinsics
         Of the image.
     gravity_camera : (3,) float64 or None
         Unit direction of gravity in the optical frame: blue strokes, and the yellow horizon,
-        which is the image of all level directions. None: the image is returned as it is.
+        which is the image of all horizontal directions. None: nothing is drawn.
     horizontal_axes : (A, 3) float64
-        Level directions: red and green strokes.
+        Horizontal axes: red and green strokes.
 
     """
     drawn = rgb.copy()
@@ -47,7 +47,7 @@ def draw_directions(rgb: np.ndarray, intrinsics: CameraIntrinsics,
 
 def _horizon(intrinsics: CameraIntrinsics,
              down: np.ndarray) -> tuple[tuple[int, int], tuple[int, int]] | None:
-    """Return two points, beyond the image, of the pixels whose rays are level; None if upright."""
+    """Return two points of the horizon outside the image, in pixels; None if it is too far."""
     # The rays (u, v) of down . ((u - cx) / fx, (v - cy) / fy, 1) = 0 in pixels.
     a, b = down[0] / intrinsics.fx, down[1] / intrinsics.fy
     if np.hypot(a, b) * intrinsics.width < 1e-6:
@@ -62,7 +62,7 @@ def _horizon(intrinsics: CameraIntrinsics,
 
 
 def _strokes(intrinsics: CameraIntrinsics, direction: np.ndarray):
-    """Yield start and end, in pixels, of strokes on a grid towards the vanishing point."""
+    """Yield start and end, in pixels, of strokes on a grid, directed at the vanishing point."""
     spacing = intrinsics.width / _STROKES_PER_ROW
     length = 0.4 * spacing
     for v in np.arange(spacing / 2, intrinsics.height, spacing):

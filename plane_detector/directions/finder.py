@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines and directions of one image after another."""
+"""Lines and directions of consecutive images."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from plane_detector.types import CameraIntrinsics
 @dataclass(frozen=True)
 class ImageDirections:
     """
-    The lines of an image and the directions found from them.
+    Lines of an image and the directions estimated from them.
 
     Attributes
     ----------
     segments : LineSegments
     directions : SceneDirections
-        Averaged with those of the images before, or of the image alone.
+        Averaged with those of the images before, or of this image alone.
 
     """
 
@@ -35,7 +35,7 @@ class ImageDirections:
 
     @property
     def axes(self) -> np.ndarray:
-        """The directions (A, 3): gravity, then the horizontal axes; (0, 3) where it refuses."""
+        """Directions (A, 3): gravity, then the horizontal axes; (0, 3) if refused."""
         if self.directions.gravity_camera is None:
             return np.zeros((0, 3))
         return np.vstack([self.directions.gravity_camera[None],
@@ -43,7 +43,7 @@ class ImageDirections:
 
     @property
     def all_axes(self) -> np.ndarray:
-        """As ``axes``, with every pair of horizontal axes about the one vertical."""
+        """As ``axes``, with all pairs of horizontal axes about the vertical."""
         return np.vstack([self.axes, *(pair.axes for pair in self.directions.pairs[1:])])
 
 
@@ -51,7 +51,7 @@ def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.
                   coarse_down: np.ndarray | None = None,
                   covered: np.ndarray | None = None) -> ImageDirections:
     """
-    Find the lines of an image and the directions that they share.
+    Find the lines of an image and the directions common to them.
 
     Parameters
     ----------
@@ -61,9 +61,9 @@ def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.
         Of that image.
     rng : numpy.random.Generator
     coarse_down : (3,) floating, optional
-        Unit direction that gravity has roughly; default that of an upright camera.
+        Approximate unit direction of gravity; default: that of an upright camera.
     covered : (H, W) bool, optional
-        Where the image shows something.
+        Pixels that the image covers after rectification.
 
     """
     segments = detect_line_segments(rgb, intrinsics, covered)
@@ -73,14 +73,14 @@ def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.
 @dataclass(frozen=True)
 class Surroundings:
     """
-    Knowledge of the directions around the camera.
+    Known directions in the frame of the camera.
 
     Attributes
     ----------
     gravity : Gravity
-        By a sensor, a parameter or the image.
+        From a sensor, a parameter or the image.
     lines : ImageDirections or None
-        Of the image, where they were looked for.
+        Of the image; None if they were not needed.
 
     """
 
@@ -89,18 +89,18 @@ class Surroundings:
 
     @property
     def level_axes(self) -> np.ndarray:
-        """Horizontal directions (A, 3) of the scene, by the image."""
+        """Horizontal axes (A, 3) of the scene, from the image."""
         return self.lines.axes[1:] if self.lines else np.zeros((0, 3))
 
 
 class DirectionFinder:
     """
-    Finds the directions of each image and tracks them from image to image.
+    Finds the directions of each image and averages them over time.
 
     Parameters
     ----------
     seed : int
-        Of the random triples, which are the same in every image: a still one does not flicker.
+        Of the random triples; equal in every image, so that a static image does not flicker.
 
     """
 
@@ -112,7 +112,7 @@ class DirectionFinder:
              measured_down: np.ndarray | None, config: Config, *,
              needs_lines: bool) -> Surroundings:
         """
-        Find gravity, and the lines of the image where they are of use.
+        Determine gravity, and find the lines of the image if they are needed.
 
         Parameters
         ----------
@@ -121,13 +121,13 @@ class DirectionFinder:
         intrinsics : CameraIntrinsics
             Of that image.
         covered : (H, W) bool or None
-            Where the image shows something.
+            Pixels that the image covers after rectification.
         measured_down : (3,) floating or None
-            Direction of gravity by a sensor.
+            Direction of gravity from a sensor.
         config : Config
             Its ``scale`` and ``directions`` are used.
         needs_lines : bool
-            Whether they are asked for even where gravity is known.
+            Whether the lines are needed even if gravity is known.
 
         """
         choose = partial(choose_gravity, measured_down, config.scale.gravity,
@@ -143,5 +143,5 @@ class DirectionFinder:
                             lines)
 
     def reset(self) -> None:
-        """Forget the images before."""
+        """Discard what is kept from earlier images."""
         self._tracked = None

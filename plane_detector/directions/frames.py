@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of three directions at right angles, proposed by line segments, scored and fitted."""
+"""Frames of three perpendicular directions, proposed by line segments, scored and fitted."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.directions.line_segments import LineSegments
 
-# derived: with an axis that has a fifth of the length each, 3 % of the triples are good ones.
+# derived: if each axis has a fifth of the line length, 3 % of the triples are correct.
 HYPOTHESES = 600
-# A segment points to a direction within this at first, and within this once it is fitted.
+# Tolerances for a segment to point to a direction, at first and after the fit.
 # tuned: evaluation.benchmark.orientation directions, flat from 2 to 4 and from 1.5 to 2.5.
 SEARCH_TOLERANCE_DEG, FIT_TOLERANCE_DEG = 3.0, 2.0
 SEARCH_ROUNDS, FIT_ROUNDS = 2, 6
-# Two segments nearer to parallel than this, as sines, propose nothing.
+# Sines of the angle between two segments; closer to parallel they propose no direction.
 MIN_CROSS, MIN_RIGHT_CROSS = 0.02, 0.05
 
 
@@ -32,7 +32,7 @@ class FrameFit:
     axes : (3, 3) float64
         Rows: unit directions in the camera frame.
     covariance : (3, 3) float64
-        Of a small rotation of all of them, in the camera frame, rad^2.
+        Of a small rotation of all axes, in the camera frame, rad^2.
 
     """
 
@@ -44,7 +44,7 @@ def misalignment(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
     """
     Return the sine of the angle (N, ...) between segments and the images of directions (..., 3).
 
-    At the midpoint (x, y, 1) the image of the direction d runs along (dx - x dz, dy - y dz).
+    At the midpoint (x, y, 1) the image of direction d is parallel to (dx - x dz, dy - y dz).
     """
     sine = _sines(segments.normals, segments.midpoints,
                   np.ascontiguousarray(directions.reshape(-1, 3)))
@@ -69,29 +69,29 @@ def _sine(normal, midpoint, direction):
 
 
 def pointing(sine: np.ndarray, tolerance_deg: float) -> np.ndarray:
-    """Return 1 for segments that point exactly there and 0 from the tolerance on."""
+    """Return 1 for segments that point exactly to a direction, 0 at the tolerance and beyond."""
     return np.maximum(1.0 - (sine / np.sin(np.radians(tolerance_deg))) ** 2, 0.0)
 
 
 def significance(weights: np.ndarray, points: np.ndarray, tolerance_deg: float,
                  directions: int = 1) -> np.ndarray:
     """
-    Return by how many standard deviations segments point to directions more than by chance.
+    Return the significance of segments that point to directions, in standard deviations.
 
     Parameters
     ----------
     weights : (N,) float
-        Lengths of the segments that are asked.
+        Lengths of the segments.
     points : (..., N) float
-        What :func:`pointing` says, summed over the directions.
+        Values of :func:`pointing`, summed over the directions.
     tolerance_deg : float
     directions : int
-        How many directions a segment may point to.
+        Number of directions that a segment may point to.
 
     Notes
     -----
-    By chance the angle is uniform in 0 to 90 degrees, so that the mean of 1 - (a / t)^2 below t
-    is 2/3 t / 90 and that of its square 8/15 t / 90.
+    By chance the angle is uniform in 0 to 90 degrees, so the mean of 1 - (a / t)^2 below t is
+    2/3 t / 90, and the mean of its square is 8/15 t / 90.
 
     """
     share = directions * tolerance_deg / 90.0
@@ -102,10 +102,10 @@ def significance(weights: np.ndarray, points: np.ndarray, tolerance_deg: float,
 
 def propose_frames(segments: LineSegments, rng: np.random.Generator) -> np.ndarray:
     """
-    Return frames (C, 3, 3) of random triples, rows are axes.
+    Return frames (C, 3, 3) from random triples; rows are axes.
 
-    Two segments propose a direction, d1 = n_i x n_j; the third one the direction at right angles
-    that it may point to, d2 = d1 x n_k.
+    Two segments propose a direction, d1 = n_i x n_j; the third one proposes the perpendicular
+    direction d2 = d1 x n_k.
     """
     normals = segments.normals / np.linalg.norm(segments.normals, axis=1, keepdims=True)
     chosen = rng.choice(len(normals), (3, HYPOTHESES), p=segments.lengths / segments.lengths.sum())
@@ -119,7 +119,7 @@ def propose_frames(segments: LineSegments, rng: np.random.Generator) -> np.ndarr
 
 
 def score_frames(segments: LineSegments, frames: np.ndarray) -> np.ndarray:
-    """Return the share (C,) of the length that points to one of the three axes."""
+    """Return the share (C,) of the line length that points to one of the three axes."""
     return _scores(segments.normals, segments.midpoints, segments.lengths,
                    np.ascontiguousarray(frames), np.sin(np.radians(SEARCH_TOLERANCE_DEG)))
 
@@ -141,14 +141,14 @@ def _scores(normals, midpoints, lengths, frames, widest):
 def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = (0, 1, 2)
               ) -> FrameFit:
     """
-    Turn axes so that their segments point to them, by reweighted least squares (Tukey).
+    Rotate axes so that their segments point to them, by reweighted least squares (Tukey).
 
     Parameters
     ----------
     segments : LineSegments
     axes : (3, 3) float64
     used : tuple of int
-        The axes that segments may point to; the others are carried along.
+        The axes that segments may point to; the others are rotated with them.
 
     """
     sums = np.zeros((5, 3))
@@ -160,13 +160,13 @@ def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = 
         axes = axes @ cv2.Rodrigues(-np.linalg.solve(_regular(sums), sums[3]))[0].T
     weight, weight_square, squares = sums[4]
     independent = weight**2 / max(weight_square, 1e-12)
-    # The covariance of weighted means: moment^-1 times the variance over the independent ones.
+    # Covariance of weighted means: moment^-1 times the variance over the independent segments.
     variance = squares / max(independent - len(used), 1.0)
     return FrameFit(axes, np.linalg.inv(_regular(sums)) * variance)
 
 
 def _regular(sums: np.ndarray) -> np.ndarray:
-    """Return the moment of the normal equations, made invertible where an axis is unseen."""
+    """Return the moment of the normal equations, made invertible if no segment sees an axis."""
     return sums[:3] + (1e-6 * sums[4, 0] + 1e-12) * np.eye(3)
 
 
@@ -176,8 +176,9 @@ def _normal_equations(normals, midpoints, lengths, directions, widest):
     """
     Return moment (3, 3), gradient (3,) and (sum w, sum w^2, sum w s^2) of the misalignments s.
 
-    Each segment counts for the direction that it is nearest to, by its length and Tukey's weight;
-    the derivative by a small rotation is d x n over the length of the direction's image.
+    Each segment contributes to the direction closest to it, weighted by its length and Tukey's
+    weight; the derivative with respect to a small rotation is d x n over the length of the
+    direction's image.
     """
     sums, jacobian = np.zeros((5, 3)), np.zeros(3)
     for i in range(len(lengths)):

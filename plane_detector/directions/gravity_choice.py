@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which direction of gravity counts: a sensor's, the parameter's or that of the image."""
+"""Choice of the direction of gravity: from a sensor, a parameter or the image."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ import numpy as np
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.geometry.gravity import unit_direction
 
-# Above this a given direction only tells the floor from the walls.
+# A given direction with a larger tolerance only distinguishes the floor from the walls.
 COARSE_DEG = 5.0
-# Errors of gravity from lines, in standard deviations, that are still likely.
+# Largest likely error of gravity from lines, in standard deviations.
 LIKELY_SIGMAS = 2.0
 
 
 @dataclass(frozen=True)
 class Gravity:
     """
-    A direction of gravity and where it is from.
+    A direction of gravity and its source.
 
     Attributes
     ----------
     gravity_camera : (3,) float64 or None
-        Unit direction in the optical frame; None where nothing tells it.
+        Unit direction in the optical frame; None if unknown.
     tolerance_deg : float
-        How far it may be off.
+        Its largest error.
     source : str
         ``measured``, ``parameter``, ``image`` or ``none``.
     note : str
-        Why the image does not tell it, where that was asked.
+        Why the image does not give it, if it was tried.
 
     """
 
@@ -42,25 +42,25 @@ class Gravity:
 
     @property
     def is_sure(self) -> bool:
-        """Known, and well enough for angles."""
+        """Whether it is known accurately enough for angles."""
         return self.gravity_camera is not None and self.tolerance_deg <= COARSE_DEG
 
 
 def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,
                    directions: SceneDirections | None) -> Gravity:
     """
-    Take the first that is there: measured, given, of the image.
+    Return the first available of measured, given and image direction.
 
     Parameters
     ----------
     measured : (3,) floating, optional
-        By an accelerometer or a calibrated mounting.
+        From an accelerometer or a calibrated mounting.
     given : (3,) float
-        The parameter ``scale.gravity``; 0 0 0 is unknown.
+        The parameter ``scale.gravity``; 0 0 0 means unknown.
     tolerance_deg : float
-        Of both of them. A coarse direction gives way to one of the image that agrees with it.
+        Of both. A coarse direction is replaced by one of the image that agrees with it.
     directions : SceneDirections, optional
-        Of the image, where they were looked for.
+        Of the image, if they were estimated.
 
     """
     down = unit_direction(given if measured is None else measured)

@@ -12,14 +12,14 @@ import numpy as np
 
 from plane_detector.types import CameraIntrinsics
 
-# derived: half of VGA takes a quarter of the time and keeps every line worth having; the line of
-# a segment is known to a fraction of a pixel of the reduced image.
+# derived: half of VGA takes a quarter of the time and keeps all useful lines; the line of a
+# segment is accurate to a fraction of a pixel of the reduced image.
 DETECTION_WIDTH_PX = 320
 # Of the reduced image. tuned: python -m plane_detector.evaluation.benchmark orientation, flat from
-# 13 to 20; shorter ones have no direction to speak of, whatever the size of the image.
+# 13 to 20; the direction of shorter segments is too inaccurate, whatever the size of the image.
 MIN_LENGTH_PX = 16.0
 MAX_SEGMENTS = 120
-# derived: the ragged border that rectification or registration leaves is within some percent.
+# derived: the irregular border due to rectification or registration is within a few percent.
 BORDER_SHARE = 0.03
 
 
@@ -31,11 +31,11 @@ class LineSegments:
     Attributes
     ----------
     midpoints : (N, 3) float64
-        Rays (x, y, 1) of the middles.
+        Rays (x, y, 1) of the midpoints.
     tangents : (N, 2) float64
         Unit vectors along the segments.
     lengths : (N,) float64
-        In units of the focal length; the longest first.
+        In units of the focal length, in descending order.
     ends_px : (N, 2, 2) float64
         Start and end as column and row.
 
@@ -73,7 +73,7 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
     intrinsics : CameraIntrinsics
         Of that image.
     covered : (H, W) bool, optional
-        Where the image shows something; lines along the border of that are none of the scene.
+        Pixels that the image covers after rectification; segments along their border are dropped.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def detect_line_segments(rgb: np.ndarray, intrinsics: CameraIntrinsics,
 
 
 def segments_from_pixels(ends_px: np.ndarray, intrinsics: CameraIntrinsics) -> LineSegments:
-    """Return segments of known ends (N, 2, 2), start and end as column and row."""
+    """Return segments from their ends (N, 2, 2), start and end as column and row in pixels."""
     ends = (ends_px - [intrinsics.cx, intrinsics.cy]) / [intrinsics.fx, intrinsics.fy]
     along = ends[:, 1] - ends[:, 0]
     lengths = np.linalg.norm(along, axis=1)
@@ -117,7 +117,7 @@ def _along_border(ends_px: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def _inside(ends_px: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    """Return which segments have covered pixels all around one of their ends or their middle."""
+    """Return the segments with covered pixels around one end or the midpoint, (N,) bool."""
     margin = 2 * round(BORDER_SHARE * covered.shape[1]) + 1
     inner = cv2.erode(covered.astype(np.uint8), np.ones((margin, margin), np.uint8)) > 0
     points = np.concatenate([ends_px, ends_px.mean(1, keepdims=True)], axis=1)

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Directions over time: turned with the image, averaged, and held where an image refuses.
+Temporal filter of directions: rotated with the camera, averaged, held if an image refuses.
 
-The camera's turn between two images is what turns the lines of one into those of the other:
-segments are matched by place and direction, and the rotation of the planes through the camera and
-each segment is found by reweighted least squares (Cauchy), since lines of near things move
-otherwise when the camera moves too.
+The rotation of the camera between two images is estimated from their lines: segments are matched
+by position and direction, and the rotation of the planes through the camera and each segment is
+found by reweighted least squares (Cauchy), because the lines of near objects move differently
+when the camera translates.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ import numpy as np
 from plane_detector.directions.line_segments import LineSegments
 from plane_detector.directions.vanishing import AxisPair, SceneDirections
 
-# The same line in two images: its middle moves by less, at unit focal length, and so it turns.
+# Largest motion of a matched segment's midpoint at unit focal length, and sine of its rotation.
 MATCH_DISTANCE, MATCH_SINE = 0.1, 0.1
 MIN_MATCHES = 8
-# derived: the plane of a segment is known to about this, half a pixel over its length.
+# derived: accuracy of the plane of a segment, half a pixel over its length.
 LINE_SPREAD_RAD, ROUNDS = np.radians(0.3), 5
-# Share of a new image in the average of a still camera once there are enough. tuned: python -m
+# Weight of a new image in the average of a static camera after the first images. tuned: python -m
 # plane_detector.evaluation.benchmark orientation, flat from 0.1 to 0.3.
 MIN_GAIN = 0.2
-# The directions of an image are off by this much at random; the turn is wrong by this multiple of
-# itself, since a camera that moves and keeps looking at the same thing turns more than its image
-# does (seen: by 0.7 degrees where the lines turn by 0.3).
+# Random error of the directions of one image, and error of the estimated rotation as a multiple of
+# its size: a camera that moves while looking at the same object turns more than its image does
+# (measured: by 0.7 degrees while the lines turn by 0.3).
 TURN_ERROR_RATIO, RANDOM_RAD = 3.0, np.radians(0.5)
-# Directions further off than this are another answer, believed if given this often in a row.
+# A larger change is accepted only if it persists for this many images.
 JUMP_DEG, JUMPS_BELIEVED = 3.0, 3
-# Images that refuse, after which nothing is held any more, and what each adds to the deviation.
+# Directions are held for this many refused images, each of which adds to the standard deviation.
 HELD_IMAGES, HELD_SIGMA_DEG = 15, 0.2
 
 
 @dataclass(frozen=True)
 class TrackedDirections:
     """
-    Directions up to an image.
+    Directions averaged up to an image.
 
     Attributes
     ----------
@@ -49,9 +49,9 @@ class TrackedDirections:
     segments : LineSegments
         Of the image.
     images : int
-        How many went into the average.
+        Number of images in the average.
     held : int
-        How many since then did not.
+        Number of images since the last one in the average.
 
     """
 
@@ -64,12 +64,12 @@ class TrackedDirections:
 def track_directions(previous: TrackedDirections | None, found: SceneDirections,
                      segments: LineSegments) -> TrackedDirections:
     """
-    Average the directions of an image with those before.
+    Average the directions of an image with the previous ones.
 
     Parameters
     ----------
     previous : TrackedDirections or None
-        Of the image before; None: the image stands alone.
+        Of the previous image; None: no average.
     found : SceneDirections
         Of the image alone; may refuse.
     segments : LineSegments
@@ -85,7 +85,7 @@ def track_directions(previous: TrackedDirections | None, found: SceneDirections,
     before = _turned(previous.directions, cv2.Rodrigues(turn)[0])
     doubt = (TURN_ERROR_RATIO * np.linalg.norm(turn) / RANDOM_RAD) ** 2
     if doubt > 1:
-        before = replace(before, pairs=())  # their azimuth is not known any more
+        before = replace(before, pairs=())  # their azimuth is no longer known
     seen = found.gravity_camera
     if seen is None or seen @ before.gravity_camera < np.cos(np.radians(JUMP_DEG)):
         most = HELD_IMAGES if seen is None else JUMPS_BELIEVED - 1
@@ -100,7 +100,7 @@ def track_directions(previous: TrackedDirections | None, found: SceneDirections,
 
 
 def turn_between(before: LineSegments, after: LineSegments) -> np.ndarray | None:
-    """Return the rotation vector (3,) from the camera frame before to the one after, or None."""
+    """Return the rotation vector (3,) from the camera frame before to that after, or None."""
     first, second = _matches(before, after)
     if len(first) < MIN_MATCHES:
         return None
@@ -113,7 +113,7 @@ def turn_between(before: LineSegments, after: LineSegments) -> np.ndarray | None
         turned = planes_before @ cv2.Rodrigues(turn)[0].T
         residual = planes_after - turned
         weight = lengths / (1 + (residual**2).sum(1) / LINE_SPREAD_RAD**2)
-        # turn x n = residual, that is -[n]x turn; the moment is the sum of w (I - n n^T).
+        # turn x n = residual, i.e. -[n]x turn; the moment is the sum of w (I - n n^T).
         moment = weight.sum() * np.eye(3) - (turned.T * weight) @ turned
         turn = turn + np.linalg.solve(moment + 1e-9 * np.eye(3),
                                       weight @ np.cross(turned, residual))
@@ -121,7 +121,7 @@ def turn_between(before: LineSegments, after: LineSegments) -> np.ndarray | None
 
 
 def _matches(before: LineSegments, after: LineSegments) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of segments that are each other's nearest."""
+    """Return the indices of segments that are mutual nearest neighbours."""
     if not len(before) or not len(after):
         return np.zeros(0, int), np.zeros(0, int)
     distance = np.linalg.norm(before.midpoints[:, None] - after.midpoints, axis=2)
@@ -156,7 +156,7 @@ def _averaged(before: SceneDirections, found: SceneDirections, gain: float) -> S
 
 
 def _averaged_pair(before: AxisPair, found: AxisPair, gain: float) -> AxisPair:
-    """Average the axes that are the same; a pair at another azimuth stands alone."""
+    """Average corresponding axes; a pair at another azimuth is not averaged."""
     cosine = found.axes[0] @ before.axes.T
     same = int(np.abs(cosine).argmax())
     if np.abs(cosine[same]) < np.cos(np.radians(JUMP_DEG)):
@@ -166,7 +166,7 @@ def _averaged_pair(before: AxisPair, found: AxisPair, gain: float) -> AxisPair:
 
 
 def _level(axes: np.ndarray, down: np.ndarray) -> np.ndarray:
-    """Return two axes at right angles to each other and to the vertical, the first one kept."""
+    """Return two axes perpendicular to each other and to the vertical, keeping the first."""
     first = axes[0] - (axes[0] @ down) * down
     first /= np.linalg.norm(first)
     second = np.cross(down, first)

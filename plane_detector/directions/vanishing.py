@@ -3,15 +3,16 @@
 """
 Vanishing directions of a calibrated image: the vertical and the horizontal axes.
 
-1. Random triples of segments propose frames of three directions at right angles (Bazin et al.
+1. Random triples of segments propose frames of three perpendicular directions (Bazin et al.
    2012); each is scored by the length of the segments that point to its axes.
-2. The vertical is the axis of the best frame nearest to that of the image, or to a coarse
-   direction of gravity; it must be supported beyond chance, not alone, and without a rival.
-3. Tiles of a floor that rises outvote the upright edges: where lines that are along no level axis
-   meet in another point near the vertical, that one is it, and the level axes are refused.
-4. With the vertical known a pair of horizontal axes has one unknown, its azimuth, which is
-   searched through. More pairs about the one vertical (an Atlanta world, Schindler and Dellaert
-   2004) are looked for among the segments that are left.
+2. The vertical is the axis of the best frame that is closest to the vertical of the image, or to
+   a coarse direction of gravity; it must be significant, confirmed by other lines and unambiguous.
+3. The tiles of an inclined floor may outvote the vertical edges: if lines along no horizontal axis
+   meet in another point near the vertical, that point is used, and the horizontal axes are
+   refused.
+4. With a known vertical a pair of horizontal axes has one unknown, its azimuth, which is found by
+   search. Further pairs about the same vertical (an Atlanta world, Schindler and Dellaert 2004)
+   are searched for among the remaining segments.
 5. Vertical and pairs are fitted to their segments by reweighted least squares.
 
 References
@@ -39,34 +40,34 @@ from plane_detector.directions.frames import (
 from plane_detector.directions.line_segments import LineSegments
 
 IMAGE_DOWN = (0.0, 1.0, 0.0)
-# derived: fewer cannot be told from chance.
+# derived: fewer segments cannot be distinguished from chance.
 MIN_SEGMENTS = 10
-# A camera is held level more often than not: of two frames that explain the lines as well, the
-# one whose vertical is nearer to the expected one. tuned: python -m
+# Prior for horizontal cameras: of two frames that explain the lines equally well, the one whose
+# vertical is closer to the expected one is chosen. tuned: python -m
 # plane_detector.evaluation.benchmark directions, flat from 30 to 45.
 TILT_SPREAD_DEG = 30.0
-# derived: beyond half a right angle another axis of the frame is nearer.
+# derived: beyond half a right angle another axis of the frame is closer.
 MAX_TILT_DEG = 45.0
 # tuned: as above, flat from 2 to 4.
 VERTICAL_TOLERANCE_DEG, AZIMUTH_TOLERANCE_DEG = 2.5, 2.5
-# Segments within this of a direction are explained by it, and speak for no other one.
+# Segments within this angle of a direction are explained by it and support no other direction.
 REACH_DEG = 4.0
-# Upright lines alone may point this far from the vertical of the best frame; they are another
-# upright from MIN_LEAN_DEG on, where that frame's has at most this share of their score.
+# Search range and step for a vertical supported by vertical lines only. It replaces that of the
+# best frame if it differs by MIN_LEAN_DEG and the latter has at most this share of its score.
 # tuned: python -m plane_detector.evaluation.benchmark orientation --only rendered --first-seed 300
 # --scenes 30, flat from 0.7 to 0.9: the share is 0.94 and more with the right vertical, 0.64 and
 # less with that of a floor that rises by 8 degrees.
 MAX_LEAN_DEG, LEAN_STEP_DEG, MIN_LEAN_DEG, MAX_LEAN_SHARE = 14, 2, 3.0, 0.8
-# Standard deviations beyond chance. Of random strokes the best vertical reaches 6, the best pair
-# 9, as both are chosen among many. tuned: as above; the sum is flat from 15 to 25.
+# Significance in standard deviations. With random strokes the best vertical reaches 6, the best
+# pair 9, because both are the best of many. tuned: as above; the sum is flat from 15 to 25.
 MIN_VERTICAL_SIGMAS, MIN_PAIR_SIGMAS, MIN_SUM_SIGMAS = 6.0, 6.0, 20.0
-# Directions nearer than this are the same one; another one with this share of the score is a
+# Closer directions are the same direction; a different one with this share of the score is a
 # rival. tuned: as above, flat from 0.8 to 0.92.
 SAME_DEG, RIVAL_SHARE = 10.0, 0.85
-# tuned: as MIN_PAIR_SHARE of the line evidence; a third pair changes no plane.
+# tuned: as MIN_PAIR_SHARE of the line evidence; a third pair does not change any plane.
 MAX_PAIRS = 2
-# Lines of buildings and calibrations of lenses are no better than this. tuned: as above; on real
-# images nine of ten directions of gravity are within twice as much.
+# Accuracy of building edges and lens calibrations. tuned: as above; on real images nine of ten
+# directions of gravity are within twice this value.
 SYSTEMATIC_DEG = 1.0
 
 
@@ -78,9 +79,9 @@ class AxisPair:
     Attributes
     ----------
     axes : (2, 3) float64
-        Unit directions in the camera frame, their signs mean nothing.
+        Unit directions in the camera frame; their signs have no meaning.
     sigma_rad : float
-        Standard deviation of their azimuth.
+        Standard deviation of the azimuth.
     support : float
         Share of the line length that points to one of them.
 
@@ -94,7 +95,7 @@ class AxisPair:
 @dataclass(frozen=True)
 class SceneDirections:
     """
-    Directions found from the lines of an image.
+    Directions estimated from the lines of an image.
 
     Attributes
     ----------
@@ -103,13 +104,13 @@ class SceneDirections:
     covariance : (3, 3) float64
         Of that direction, rad^2; singular along it.
     support : float
-        Share of the line length that points along it.
+        Share of the line length that points to it.
     pairs : tuple of AxisPair
-        Horizontal axes, the best supported first; empty where none is sure.
+        Horizontal axes, the best supported first; empty if none is reliable.
     refusal : str
-        Why there is no direction of gravity; empty when there is.
+        Why there is no direction of gravity; empty if there is one.
     pair_refusal : str
-        Why there are no horizontal axes; empty when there are.
+        Why there are no horizontal axes; empty if there are.
 
     """
 
@@ -130,9 +131,9 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     ----------
     segments : LineSegments
     rng : numpy.random.Generator
-        Draws the triples.
+        For the triples.
     coarse_down : (3,) floating, optional
-        Unit direction that gravity has roughly; default that of an upright camera.
+        Approximate unit direction of gravity; default: that of an upright camera.
 
     Returns
     -------
@@ -165,7 +166,7 @@ def _refused(reason: str) -> SceneDirections:
 
 def _best_frame(segments: LineSegments, frames: np.ndarray,
                 expected: np.ndarray) -> tuple[np.ndarray | None, str]:
-    """Return the best frame, its vertical first, and what speaks against it."""
+    """Return the best frame with its vertical first, and the reason against it."""
     cosine = frames @ expected
     vertical = np.abs(cosine).argmax(1)
     every = np.arange(len(frames))
@@ -185,7 +186,7 @@ def _best_frame(segments: LineSegments, frames: np.ndarray,
 
 
 def _uprights_alone(segments: LineSegments, axes: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Return axes (3, 3) whose first one is that of the upright lines, where they deny it."""
+    """Return axes (3, 3); the first is replaced if the vertical lines contradict it."""
     lean = np.tan(np.radians(np.arange(-MAX_LEAN_DEG, MAX_LEAN_DEG + 1, LEAN_STEP_DEG)))
     x, y = (lean.reshape(shape + (1,)) for shape in ((1, -1), (-1, 1)))
     candidates = (axes[0] + x * axes[1] + y * axes[2]).reshape(-1, 3)
@@ -202,7 +203,7 @@ def _uprights_alone(segments: LineSegments, axes: np.ndarray, level: np.ndarray)
 
 
 def _upright_sigmas(segments: LineSegments, down: np.ndarray, axes: np.ndarray) -> float:
-    """Return how far beyond chance the lines that are along no level axis are upright."""
+    """Return the significance of the vertical for the lines along no horizontal axis."""
     weights = segments.lengths * ~_points_to(segments, axes)
     points = pointing(misalignment(segments, down), VERTICAL_TOLERANCE_DEG)
     return float(significance(weights, points, VERTICAL_TOLERANCE_DEG))
@@ -226,7 +227,7 @@ def _objection(vertical_sigmas: float, pair_sigmas: float, tilt_rad: float) -> s
 
 def _azimuth(segments: LineSegments, down: np.ndarray,
              left: np.ndarray) -> tuple[np.ndarray, float, str]:
-    """Return the best pair of horizontal axes (2, 3), its significance and an objection."""
+    """Return the best horizontal axes (2, 3), their significance and the reason against them."""
     x = np.cross(down, [0.0, 0.0, 1.0] if abs(down[2]) < 0.9 else [1.0, 0.0, 0.0])
     x /= np.linalg.norm(x)
     azimuth = np.radians(np.arange(180))[:, None]
@@ -248,12 +249,12 @@ def _azimuth(segments: LineSegments, down: np.ndarray,
 
 def _fitted(segments: LineSegments, down: np.ndarray, axes: np.ndarray,
             pair_refusal: str) -> SceneDirections:
-    """Fit vertical and first pair to their segments, then look for more pairs."""
+    """Fit the vertical and the first pair to their segments, then search for more pairs."""
     used = (0,) if pair_refusal else (0, 1, 2)
     fit = fit_frame(segments, np.vstack([down, axes]), used)
     down = fit.axes[0]
     covariance = fit.covariance + np.radians(SYSTEMATIC_DEG) ** 2 * np.eye(3)
-    turn = np.cross(np.eye(3), down)  # row k: change of the direction by a turn about axis k
+    turn = np.cross(np.eye(3), down)  # row k: change of the direction by a rotation about axis k
     first = () if pair_refusal else (_pair(segments, fit.axes[1:], down, covariance),)
     return SceneDirections(down, turn.T @ covariance @ turn, _support(segments, down[None]),
                            first + _more_pairs(segments, down, first), '', pair_refusal)
@@ -271,7 +272,7 @@ def _support(segments: LineSegments, directions: np.ndarray) -> float:
 
 def _more_pairs(segments: LineSegments, down: np.ndarray,
                 pairs: tuple[AxisPair, ...]) -> tuple[AxisPair, ...]:
-    """Return further pairs, each of segments that point to none before it."""
+    """Return further pairs, each supported by segments that support none before it."""
     more: tuple[AxisPair, ...] = ()
     left = np.ones(len(segments), bool)
     for pair in pairs:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Depth images of another resolution than the image they are registered to."""
+"""Depth images whose resolution differs from that of their image."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ _SAME_SURFACE = 0.02
 
 def resize_depth(depth_m: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """
-    Bring a depth image to another size without inventing edges.
+    Resize a depth image without creating depths between foreground and background.
 
-    Between pixels of one surface 1/depth is interpolated, in which planes are linear. Where that
-    would leave the nearest pixel's depth by more than 2 %, there is an edge: the nearest pixel
-    is taken as it is, so that nothing floats between foreground and background.
+    Between pixels of one surface 1/depth is interpolated, in which planes are linear. Where the
+    result differs from the depth of the nearest pixel by more than 2 %, there is an edge, and the
+    depth of the nearest pixel is used.
 
     Parameters
     ----------
     depth_m : (h, w) float32
-        Metres, NaN invalid, of the same field of view.
+        Metres, NaN invalid, with the field of view of the image.
     size : (int, int)
         Width and height of the result.
 

@@ -13,12 +13,13 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 
-# derived: no camera sees nearer; the inverse of less drowns the rest in the rounding of float32.
+# derived: nearer than any camera measures; the inverse of smaller depths exceeds the precision of
+# float32 for the rest of the image.
 MIN_DEPTH_M = 1e-3
-# A range that a few stray pixels do not widen.
+# Quantiles between which the range is measured, so that outliers do not widen it.
 RANGE_QUANTILES = (0.02, 0.98)
-# derived: below what rooms and streets have, 0.5 to 2.7 times their median disparity, so that it
-# only acts where one surface fills the image.
+# derived: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
+# it only applies if one surface fills the image.
 MIN_RANGE_OF_LEVEL = 0.25
 
 
@@ -78,12 +79,12 @@ def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
     disparity : (H, W) floating
         1/z.
     max_depth_m : float
-        Farther is invalid.
+        Larger depths are invalid.
 
     Returns
     -------
     (H, W) float32
-        Metres, or the unit whose inverse the disparity has; NaN where invalid.
+        In metres, or in the inverse of the unit of the disparity; NaN where invalid.
 
     Examples
     --------

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The direction down in the camera's optical frame, from settings or from an accelerometer."""
+"""Direction of gravity in the optical frame, from settings or from an accelerometer."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from collections.abc import Sequence
 import numpy as np
 
 STANDARD_GRAVITY = 9.80665  # m/s^2
-# If the force differs by more, the accelerometer is being moved and does not show down.
+# A larger deviation from standard gravity means that the accelerometer is being moved.
 MAX_FORCE_ERROR_SHARE = 0.1
 SMOOTHING_S = 0.5
 
 
 def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
     """
-    Return the direction (3,) with length 1; None for 0 0 0, the unknown one.
+    Return the direction (3,) with length 1; None for 0 0 0, which means unknown.
 
     Examples
     --------
@@ -34,20 +34,20 @@ def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
 def gravity_from_acceleration(acceleration: Sequence[float],
                               imu_to_camera: Sequence[float]) -> np.ndarray | None:
     """
-    Return the direction down from an accelerometer at rest.
+    Return the direction of gravity from an accelerometer at rest.
 
     Parameters
     ----------
     acceleration : (3,) float
         ``sensor_msgs/Imu.linear_acceleration`` in m/s^2: at rest it points up (REP-145).
     imu_to_camera : (4,) float
-        Quaternion x y z w that turns vectors of the IMU's frame into the optical frame; of any
-        length but 0.
+        Quaternion x y z w that rotates vectors from the frame of the IMU into the optical frame;
+        of any length except 0.
 
     Returns
     -------
     (3,) float64 or None
-        Unit vector in the optical frame; None when the force is not that of gravity alone.
+        Unit vector in the optical frame; None if the accelerometer is being moved.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def _rotate(quaternion: Sequence[float], vector: np.ndarray) -> np.ndarray:
 
 def smooth_gravity(previous: np.ndarray | None, reading: np.ndarray,
                    interval_s: float) -> np.ndarray:
-    """Return the low-passed unit direction (3,), one reading after the previous one."""
+    """Return the low-pass filtered unit direction (3,) after one more reading."""
     if previous is None:
         return reading
     gain = 1.0 - np.exp(-max(interval_s, 0.0) / SMOOTHING_S)

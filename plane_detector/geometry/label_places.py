@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the regions of a label image have their borders, and where they are widest."""
+"""Borders of the regions of a label image, and the pixels at which they are widest."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class LabelPlace(NamedTuple):
 
 def label_places(labels: np.ndarray) -> dict[int, LabelPlace]:
     """
-    Return where the region of each label is widest, which is where to write on it.
+    Return the pixel at which the region of each label is widest, to write its number there.
 
     Parameters
     ----------
     labels : (H, W) integer
-        0 for no region. One pixel of sixteen is looked at, so that small regions may be missing.
+        0 for no region. Only every fourth row and column is used: small regions may be missing.
 
     Examples
     --------
@@ -36,7 +36,7 @@ def label_places(labels: np.ndarray) -> dict[int, LabelPlace]:
     (2, 2)
 
     """
-    step = 4 if min(labels.shape) >= 64 else 1  # a sixteenth of the pixels show where that is
+    step = 4 if min(labels.shape) >= 64 else 1  # for speed
     small = labels[::step, ::step].astype(np.int32)
     inside = np.pad((~label_edges(small)).astype(np.uint8), 1)
     half_width = cv2.distanceTransform(inside, cv2.DIST_L2, 3)
@@ -61,7 +61,7 @@ def _widest(labels, half_width, count):
 
 
 def label_edges(labels: np.ndarray) -> np.ndarray:
-    """Return where a pixel's right or lower neighbour has another label, (H, W) bool."""
+    """Return the pixels whose right or lower neighbour has another label, (H, W) bool."""
     edge = np.zeros(labels.shape, bool)
     edge[:, :-1] = labels[:, :-1] != labels[:, 1:]
     edge[:-1] |= labels[:-1] != labels[1:]

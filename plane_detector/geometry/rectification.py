@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rectify images and depth images of a real lens to those of a pinhole camera.
+Rectification: images and depth images of a real lens become those of a pinhole camera.
 
 The models are those of sensor_msgs/CameraInfo as OpenCV implements them: plumb_bob (Brown, 5
 coefficients), rational_polynomial (8; 12 and 14 with OpenCV's thin prism and tilted sensor) and
@@ -21,15 +21,15 @@ _COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equid
 @dataclass(frozen=True)
 class Rectification:
     """
-    Where each pixel of the rectified image comes from.
+    Maps from a rectified image to the original one.
 
     Attributes
     ----------
     map_x, map_y : (H, W) float32
-        Column and row in the image of the lens, in pixels.
+        Column and row in the original image, in pixels.
     depth_factor : (H, W) float32
-        Depth along the rectified optical axis per depth along the original one: 1 where the
-        camera is not rotated.
+        Depth along the rectified optical axis divided by the depth along the original one; 1 if
+        the camera is not rotated.
 
     """
 
@@ -51,7 +51,7 @@ class Rectification:
         return nearest * self.depth_factor
 
     def inside(self) -> np.ndarray:
-        """Return which pixels (H, W) the original image covers, bool."""
+        """Return the pixels (H, W), bool, that the original image covers."""
         height, width = self.map_x.shape
         return ((self.map_x >= 0) & (self.map_x <= width - 1)
                 & (self.map_y >= 0) & (self.map_y <= height - 1))
@@ -67,7 +67,7 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
                        rotation: np.ndarray, rectified_matrix: np.ndarray,
                        size: tuple[int, int]) -> Rectification:
     """
-    Compute the maps of a calibration, once.
+    Compute the maps of a calibration.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     distortion : (N,) float64
         Its coefficients.
     camera_matrix : (3, 3) float64
-        Of the image as it comes (K).
+        Of the original image (K).
     rotation : (3, 3) float64
-        From the camera's frame to the rectified one (R); all zeros is taken as none.
+        From the frame of the camera to the rectified one (R); all zeros: no rotation.
     rectified_matrix : (3, 3) float64
         Of the rectified image (the left part of P).
     size : (int, int)
@@ -106,7 +106,7 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
 
 def _depth_factor(rotation: np.ndarray, rectified_matrix: np.ndarray,
                   size: tuple[int, int]) -> np.ndarray:
-    """A rectified ray (x, y, 1) has the depth 1, and the third of R^T (x, y, 1) before."""
+    """Return 1 over the third component of R^T (x, y, 1), with the rectified ray (x, y, 1)."""
     columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
     pixels = np.stack([columns, rows, np.ones_like(rows)], axis=-1)
     original_depth = pixels @ np.linalg.inv(rectified_matrix).T @ rotation[:, 2]

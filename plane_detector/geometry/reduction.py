@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Smaller images for speed, and the camera matrices that fit them."""
+"""Reduction of images for speed, and the matching camera matrices."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Reduction:
     """
-    From one size of an image to a smaller one.
+    Reduction of images from one size to a smaller one.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Reduction:
 
     @property
     def is_none(self) -> bool:
-        """Whether the image stays as it is."""
+        """Whether the size does not change."""
         return self.old_size == self.new_size
 
     def image(self, rgb: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ class Reduction:
         return cv2.resize(rgb, self.new_size, interpolation=cv2.INTER_AREA)
 
     def matrix(self, camera_matrix: np.ndarray) -> np.ndarray:
-        """Return the camera matrix (3, 3) of the new size; the centre of a pixel is whole."""
+        """Return the camera matrix (3, 3) for the new size; pixel centres have integer values."""
         reduced = camera_matrix.astype(float)
         for row, (old, new) in enumerate(zip(self.old_size, self.new_size, strict=True)):
             # The left edge of the image is at -0.5 in both sizes.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation and translation between frames, and their effect on planes."""
+"""Rotation and translation between frames, and the transformation of planes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class RigidTransform:
 
     @classmethod
     def identity(cls) -> RigidTransform:
-        """Return the transform that changes nothing."""
+        """Return the identity transform."""
         return cls(np.eye(3), np.zeros(3))
 
     @property
@@ -51,11 +51,11 @@ class RigidTransform:
         return Rotation.from_matrix(self.rotation).as_quat()
 
     def inverse(self) -> RigidTransform:
-        """Return the transform back."""
+        """Return the inverse transform."""
         return RigidTransform(self.rotation.T, -self.rotation.T @ self.translation_m)
 
     def after(self, first: RigidTransform) -> RigidTransform:
-        """Return the transform that does ``first``, then this one."""
+        """Return the transform that applies ``first``, then this one."""
         return RigidTransform(self.rotation @ first.rotation,
                               self.rotation @ first.translation_m + self.translation_m)
 
@@ -76,7 +76,7 @@ class RigidTransform:
 
 
 def interpolate(before: RigidTransform, after: RigidTransform, share: float) -> RigidTransform:
-    """Return the transform in between: linear and slerp, 0 is ``before`` and 1 ``after``."""
+    """Return the interpolated transform, linear and slerp; share 0: ``before``, 1: ``after``."""
     rotations = Rotation.from_matrix(np.stack([before.rotation, after.rotation]))
     return RigidTransform(Slerp([0.0, 1.0], rotations)(share).as_matrix(),
                           (1 - share) * before.translation_m + share * after.translation_m)

@@ -1,19 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robust statistics and dilation, each defined once."""
+"""Robust statistics and dilation."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 
-# derived: the standard deviation of a normal deviate over its median absolute deviation.
+# derived: ratio of the standard deviation of a normal variable to its median absolute deviation.
 SIGMA_PER_MEDIAN = 1.4826
 
 
 def median(values: np.ndarray) -> float:
     """
-    Return the median of some values (n,), none of them NaN, without numpy's overhead.
+    Return the median of values (n,), without NaN; faster than numpy.median.
 
     Examples
     --------

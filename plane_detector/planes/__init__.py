@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Regions and scale to planes in metres."""
+"""From regions and scale to planes in metres."""

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Classes of planes by the direction of gravity: floor, ceiling, wall, table, other."""
+"""Classes of planes from the direction of gravity: floor, ceiling, wall, other."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import numpy as np
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.types import Plane
 
-# A plane leans no more than this and is still level, or upright.
+# Largest inclination of a plane that still counts as horizontal or vertical.
 TOLERANCE_DEG = 8.0
-# Levels closer than this share of the floor's distance are one floor (a door sill, noise).
+# Horizontal planes closer than this share of the floor's distance are one floor (noise, sills).
 SAME_LEVEL_SHARE = 0.08
-# Of the level and upright planes, how exactly they must be so around the axis that gravity is
-# taken from when it is known only coarsely, and how many of the pixels must be.
+# For a coarse direction of gravity: tolerance of horizontal and vertical planes about the axis
+# that replaces it, and the smallest share of pixels in such planes.
 FRAME_TOLERANCE_DEG = 4.0
 MIN_FRAME_SHARE = 0.5
 
 
 class PlaneClass(IntEnum):
-    """The values of the field ``class`` of ``~/planes``."""
+    """Values of the field ``class`` of ``~/planes``."""
 
     UNKNOWN = 0
     FLOOR = 1
@@ -36,22 +36,22 @@ class PlaneClass(IntEnum):
 def classify_planes(planes: Sequence[Plane], gravity_camera: np.ndarray | None,
                     tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
     """
-    Tell the planes of one image apart by gravity.
+    Classify the planes of one image by gravity.
 
     Parameters
     ----------
     planes : sequence of Plane
-        With true angles; their unit does not matter.
+        With true angles, in any unit.
     gravity_camera : (3,) floating or None
         Unit direction of gravity in the optical frame.
     tolerance_deg : float
-        How far from level or upright a plane may be.
+        Largest angle to horizontal or vertical.
 
     Returns
     -------
     tuple of PlaneClass
-        One per plane. The floor is the lowest level plane that looks up, the ceiling the highest
-        that looks down, with all at that level. All ``UNKNOWN`` without gravity.
+        One per plane. The floor is the lowest horizontal plane that faces up, the ceiling the
+        highest that faces down, with all planes at that level. All ``UNKNOWN`` without gravity.
 
     Examples
     --------
@@ -81,9 +81,9 @@ def classify_planes(planes: Sequence[Plane], gravity_camera: np.ndarray | None,
 def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity,
                         has_true_angles: bool = True) -> tuple[PlaneClass, ...]:
     """
-    Classify planes by any gravity: a coarse direction is first made exact by the planes.
+    Classify planes; a coarse direction of gravity is first refined by the planes.
 
-    Without true angles all are ``UNKNOWN``.
+    All are ``UNKNOWN`` if angles are not true.
     """
     down = gravity.gravity_camera if has_true_angles else None
     if down is not None and gravity.tolerance_deg > COARSE_DEG:
@@ -94,7 +94,7 @@ def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity,
 def refine_gravity(planes: Sequence[Plane], coarse_gravity_camera: np.ndarray,
                    tolerance_deg: float) -> np.ndarray | None:
     """
-    Make a coarse direction of gravity exact by the planes at right angles to each other.
+    Refine a coarse direction of gravity by planes that are perpendicular to each other.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ def refine_gravity(planes: Sequence[Plane], coarse_gravity_camera: np.ndarray,
     coarse_gravity_camera : (3,) floating
         Unit direction.
     tolerance_deg : float
-        How far it may be off.
+        Largest error of that direction.
 
     Returns
     -------
     (3,) float64 or None
-        The mean normal of the level planes, where planes upright to them exist and both together
-        are most of the image's; None where they are not, and nothing can be said.
+        Mean normal of the horizontal planes; None if there are no vertical planes, or if both
+        together are not most of the image.
 
     """
     if not planes:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lines of the image inside regions: a line along an axis lies in no plane across that axis."""
+"""Lines of the image inside regions: a line along an axis cannot lie in a plane across it."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import numpy as np
 from plane_detector.directions.frames import misalignment
 from plane_detector.directions.line_segments import LineSegments
 
-# A segment belongs to the regions at this distance on its two sides.
+# A segment belongs to the regions at this distance on both sides of it.
 SIDE_PX = 4.0
 SAMPLES = 9
-# derived: gravity and the first pair of horizontal axes. Further pairs are those of few walls or
-# of furniture: their lines say what may be across them, not what planes cannot be.
+# derived: gravity and the first pair of horizontal axes. Further pairs belong to few walls or to
+# furniture: their lines show which planes may be across them, but exclude no plane.
 MAIN_AXES = 3
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 2 to 3.
 AXIS_TOLERANCE_DEG = 2.5
-# Lines of together this length, at unit focal length, speak half as loud as many.
+# Total line length, at unit focal length, that has half the weight of many lines.
 HALF_LENGTH = 0.15
-# tuned: planes of hexagonal rooms under smooth errors of 0.02 per metre, seeds 300 to 309: 0.9
-# degrees off at this, 1.1 at three times as much, 1.7 without further pairs.
+# tuned: planes of hexagonal rooms under smooth errors of 0.02 per metre, seeds 300 to 309: error
+# of 0.9 degrees at this value, 1.1 at three times as much, 1.7 without further pairs.
 MIN_PAIR_SHARE = 0.1
-# Sines of the angle between line and plane: below the first the line may lie in it, from the
-# second on it cannot. derived: normals of networks are off by 10 to 20 degrees.
+# Sines of the angle between line and plane: below the first the line may lie in the plane, above
+# the second it cannot. derived: normals of networks have errors of 10 to 20 degrees.
 MAY_LIE, CANNOT_LIE = 0.2, 0.5
 
 
@@ -37,9 +37,9 @@ class LineEvidence:
     Attributes
     ----------
     axes : (A, 3) float64
-        Unit directions: gravity, then pairs of horizontal ones.
+        Unit directions: gravity, then pairs of horizontal axes.
     shares : (K, A) float64
-        Of the line length in each region, what runs along each axis; less where there is little.
+        Share of the line length in each region along each axis; reduced if the length is small.
 
     """
 
@@ -48,9 +48,9 @@ class LineEvidence:
 
     def allows(self) -> np.ndarray:
         """
-        Return which axes (K, A) a plane may lie across.
+        Return the axes (K, A), bool, that each plane may be perpendicular to.
 
-        Those of further pairs need lines along the other one of the pair in the plane.
+        An axis of a further pair requires lines along the other axis of the pair in the plane.
         """
         allowed = np.ones(self.shares.shape, bool)
         for first in range(MAIN_AXES, len(self.axes), 2):
@@ -58,7 +58,7 @@ class LineEvidence:
         return allowed
 
     def contradiction(self, normals: np.ndarray) -> np.ndarray:
-        """Return the share (K, C) of the lines that cannot lie in planes of normals (K, C, 3)."""
+        """Return the share (K, C) of lines that cannot lie in planes of normals (K, C, 3)."""
         sine = np.abs(normals @ self.axes[:MAIN_AXES].T)
         cannot = np.clip((sine - MAY_LIE) / (CANNOT_LIE - MAY_LIE), 0.0, 1.0)
         return (cannot * self.shares[:, None, :MAIN_AXES]).sum(-1)
@@ -67,7 +67,7 @@ class LineEvidence:
 def collect_evidence(segments: LineSegments, axes: np.ndarray, labels: np.ndarray,
                      count: int) -> LineEvidence:
     """
-    Find out which lines are in which region.
+    Assign the lines of the image to regions.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def collect_evidence(segments: LineSegments, axes: np.ndarray, labels: np.ndarra
     labels : (H, W) int
         -1 for no region.
     count : int
-        Of regions.
+        Number of regions.
 
     """
     length = _region_shares(segments, labels, count).T * segments.lengths
@@ -89,7 +89,7 @@ def collect_evidence(segments: LineSegments, axes: np.ndarray, labels: np.ndarra
 
 
 def _region_shares(segments: LineSegments, labels: np.ndarray, count: int) -> np.ndarray:
-    """Return the share (N, K) of the two sides of each segment that is in each region."""
+    """Return the share (N, K) of both sides of each segment that lies in each region."""
     start, end = segments.ends_px[:, 0], segments.ends_px[:, 1]
     along = end - start
     across = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1)[:, None]

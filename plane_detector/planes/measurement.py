@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-From labels to planes in metres: normal, offset, extent, and how sure they are.
+From labels to planes in metres: normal, offset, extent, covariance and confidence.
 
-With X = (u - cx) / fx and Y = (v - cy) / fy a plane is 1/z = A X + B Y + C, so its normal is
--(A, B, C) / |(A, B, C)| and its distance from the camera 1 / |(A, B, C)|.
+With X = (u - cx) / fx and Y = (v - cy) / fy a plane is 1/z = A X + B Y + C. Its normal is
+-(A, B, C) / |(A, B, C)|, and its distance from the camera is 1 / |(A, B, C)|.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
 from plane_detector.types import CameraIntrinsics, Plane
 
-# Smooth noise is shared by about this many neighbouring cells.
+# Number of neighbouring cells with the same smooth noise.
 CORRELATED_CELLS = 9.0
-# Structure all over the image looks like noise. Above this share of the typical disparity it is
-# not noise, and regions that fit so loosely are rejected.
+# Structure throughout the image resembles noise. Above this share of the typical disparity it is
+# not noise, and regions with such residuals are rejected.
 MAX_NOISE_SHARE = 0.125
-# Below this the normal counts as exact.
+# Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
 CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
-# Eigenvalues below this share of the largest are rounding errors.
+# Smaller eigenvalues, relative to the largest, are rounding errors.
 MIN_EIGENVALUE = 1e-15
 
 
@@ -39,7 +39,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     Parameters
     ----------
     regions : PixelRegions
-        Of 1/z: in 1/metres, or the planes are in the unit whose inverse the disparity has.
+        Of 1/z in 1/metres; in another unit, the planes are in its inverse.
     intrinsics : CameraIntrinsics
     min_pixels : float
         Planes with fewer pixels, or without pixels, are dropped.
@@ -89,10 +89,10 @@ def _measure(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,
 
 def confidence(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """
-    Return the probability (K,) that each plane is one of the scene.
+    Return the probability (K,) that each plane exists in the scene.
 
     Logistic in the logarithms of its share of the image and of the standard deviation of its
-    normal, fitted to whether planes of rendered rooms, of boxes and lived in, match a true one:
+    normal, fitted to whether planes of rendered rooms match a true plane:
     ``python3 -m plane_detector.evaluation.benchmark confidence`` fits and checks it.
 
     Parameters
@@ -115,7 +115,7 @@ def confidence_features(share: np.ndarray, covariance: np.ndarray) -> np.ndarray
 
 
 def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return the matrix (3, 3) that takes (a, b, c) to (A, B, C)."""
+    """Return the matrix (3, 3) that maps (a, b, c) to (A, B, C)."""
     width, height = intrinsics.width, intrinsics.height
     return np.array([
         [intrinsics.fx / width, 0, 0], [0, intrinsics.fy / width, 0],
@@ -131,7 +131,7 @@ def normal_matrices(m: np.ndarray) -> np.ndarray:
 
 def _covariances(grid: CellGrid, m: np.ndarray, noise: Noise, ray_planes: np.ndarray,
                  jacobian: np.ndarray) -> np.ndarray:
-    """Propagate the noise through the fits of moments m to (normal, offset), (K, 4, 4)."""
+    """Propagate the noise of fits with moments m to (normal, offset), (K, 4, 4)."""
     variance = (noise.pixel_sigma**2 + noise.variance_floor(m[D] / m[N])
                 + CORRELATED_CELLS * grid.size_px**2 * noise.mean_sigma**2)
     fit = variance[:, None, None] * pseudo_inverse(normal_matrices(m), MIN_EIGENVALUE)

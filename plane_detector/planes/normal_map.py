@@ -1,14 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes turned by the normals that a network gives beside its depth.
+Rotation of planes by the normals that a network gives in addition to depth.
 
 1. Each region has two normals: that of its fit to 1/z, and the median of the normal map in it.
-2. The noise of each is measured on the image: how far the cells' own planes, and the pixels'
-   normals, stray about them.
-3. The two are averaged by these variances. The distance is then one unknown, fitted anew to 1/z.
+2. The noise of each is estimated from the image, by the scatter of the cells' planes and of the
+   pixels' normals about them.
+3. The two are averaged with these variances. The distance, then the only unknown, is fitted again
+   to 1/z.
 
-A bias that is the same all over a region is in neither spread; only the floor speaks for it.
+A bias common to a whole region does not show in either scatter; only a lower bound accounts for
+it.
 """
 
 from __future__ import annotations
@@ -25,13 +27,13 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.types import CameraIntrinsics, Prediction
 
 STEP_PX = 3
-"""Medians need not look at every row and column."""
-# derived: the median of the length of two normal deviates of standard deviation 1.
+"""Every third row and column is enough for medians."""
+# derived: median length of a vector of two normal variables with standard deviation 1.
 RAYLEIGH_MEDIAN = 1.1774
-# The best published normals are 10 degrees off on the average, of which a part is alike all over
-# a plane; no spread makes either source surer than this.
+# The best published normals have a mean error of 10 degrees, part of which is common to a
+# plane; neither source is assumed more accurate than this.
 MIN_SPREAD_RAD = np.radians(2.0)
-# Farther apart the two do not speak of one surface, or the map has other axes than it should.
+# At a larger angle the two normals are of different surfaces, or the map uses other axes.
 MOST_APART_DEG = 45.0
 MIN_SAMPLES = 20
 # Cosine between ray and normal below which a plane is seen edge-on.
@@ -41,20 +43,20 @@ MIN_COSINE = 0.02
 def turned_by_normals(regions: PixelRegions, prediction: Prediction,
                       intrinsics: CameraIntrinsics) -> PixelRegions:
     """
-    Turn regions to the normals of a network, by the noise of both.
+    Rotate regions towards the normals of a network, weighted by the noise of both.
 
     Parameters
     ----------
     regions : PixelRegions
         Of 1/z in one unit, with true angles.
     prediction : Prediction
-        Of the same image; without normals the result is unchanged.
+        Of the same image; without normals the regions are returned unchanged.
     intrinsics : CameraIntrinsics
 
     Returns
     -------
     PixelRegions
-        With other coefficients; a region without enough normals, or whose normals speak of
+        With new coefficients; a region without enough normals, or whose normals belong to
         another surface, keeps its own.
 
     """
@@ -81,7 +83,7 @@ def turned_by_normals(regions: PixelRegions, prediction: Prediction,
 
 
 def _average(own: np.ndarray, own_spread_rad: float, sample: np.ndarray) -> np.ndarray:
-    """Return the mean of a plane's own normal and of a sample (n, 3), by their spreads."""
+    """Return the mean of a plane's normal and of a sample (n, 3), weighted by their scatter."""
     mapped = _unit(np.median(sample, axis=0))
     if own @ mapped < np.cos(np.radians(MOST_APART_DEG)):
         return own
@@ -91,11 +93,11 @@ def _average(own: np.ndarray, own_spread_rad: float, sample: np.ndarray) -> np.n
 
 
 def _cell_spreads(regions: PixelRegions, jacobian: np.ndarray) -> np.ndarray:
-    """Return how far (K,) the planes of the cells within each region stray about its own."""
+    """Return the scatter (K,) of the cells' planes in each region about its own plane."""
     grid, count = regions.grid, len(regions.coefficients)
     pixels = count_labels(grid, regions.labels, count)
     whole = (pixels == grid.moments[:, :1]) & grid.usable[:, None]
-    # The slopes of the grid are not those of the depth alone: the normals are in them.
+    # Not the slopes of the grid: the network's normals are included in them.
     normals = _unit(-fit_planes(grid.moments) @ jacobian.T)
     own = _unit(-regions.coefficients @ jacobian.T)
     return np.array([_spread_rad(normals[whole[:, k]], own[k]) for k in range(count)])
@@ -109,7 +111,7 @@ def _spread_rad(normals: np.ndarray, about: np.ndarray) -> float:
 
 
 def _inverse_offset(normal: np.ndarray, rays: np.ndarray, disparity: np.ndarray) -> float:
-    """Return the least-squares 1/offset of 1/z = -(n . r) / offset; 0 where it is seen edge-on."""
+    """Return the least-squares 1/offset of 1/z = -(n . r) / offset; 0 if seen edge-on."""
     cosine = -rays @ normal
     if np.median(cosine) < MIN_COSINE:
         return 0.0

@@ -1,21 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The orientation of planes from networks, by their depth, the axes of the scene and its lines.
+Orientation of planes in a network's depth, from the depth, the axes of the scene and its lines.
 
-A network's normal is the true one plus an error of unknown size sigma, smooth over the image, far
-larger than the noise of the fit; of a few pieces it knows nothing. The true one is a mixture:
-level; across a horizontal axis; upright with any azimuth; level along a horizontal axis (a roof);
-or anything.
+The normal of a network is the true one plus an error of unknown size sigma, smooth over the image
+and much larger than the noise of the fit; for a few pieces it is unrelated to the true one. The
+prior of the true normal is a mixture: vertical (a horizontal plane); along a horizontal axis;
+horizontal with any azimuth (a vertical plane); perpendicular to a horizontal axis (a roof); or
+free.
 
-1. Each hypothesis of each plane gets its marginal likelihood: a density of the sphere for a point,
-   of a circle for one degree of freedom, and a uniform one for two.
-2. Lines that cannot lie in a plane of that normal make it less likely, and so does depth that such
-   a plane, at its best distance, would move by more than networks are wrong.
-3. sigma is the one that makes all planes of the image most likely (empirical Bayes), so that a
-   good network is trusted more than a bad one. A surface that is flat in the depth is as surely
-   oriented: smooth errors that tilt a region bend it too, so that its bend bounds its tilt.
-4. The most likely hypothesis is fused with the network's normal by their variances.
+1. Each hypothesis of each plane has a marginal likelihood: a density on the sphere for a point,
+   of a circle for one degree of freedom, and a uniform density for two.
+2. Lines that cannot lie in a plane of that normal reduce the likelihood, and so does a change of
+   depth, at the best distance of such a plane, beyond the error of networks.
+3. sigma is the value that maximises the likelihood of all planes of the image (empirical Bayes),
+   so that an accurate network has more weight than an inaccurate one. A region that is flat in the
+   depth has an accurate normal: smooth errors that tilt a region also bend it.
+4. The most likely hypothesis is fused with the network's normal, weighted by their variances.
 """
 
 from __future__ import annotations
@@ -32,22 +33,22 @@ from plane_detector.types import Plane
 # tuned: python -m plane_detector.evaluation.benchmark orientation: the results stay within one
 # degree when any of these is doubled or halved.
 LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2, 0.05, 0.1
-# Log likelihood that is lost when all lines in a plane contradict. tuned: as above, flat from 12
-# to 14; at half of it images on walls, which networks see as windows, are turned across them.
+# Log likelihood lost if all lines in a plane contradict it. tuned: as above, flat from 12 to 14;
+# with half of it pictures on walls, which networks treat as windows, are rotated across the walls.
 LINE_WEIGHT = 12.0
-# Share of the pieces of which a network has no idea: any normal is as likely. It bounds what the
-# angle says, so that lines can say more. tuned: as above, flat from 0.03 to 0.1.
+# Share of the pieces whose normal from the network is unrelated to the true one. It limits the
+# weight of the angle, so that lines can outweigh it. tuned: as above, flat from 0.03 to 0.1.
 OUTLIER_SHARE = 0.05
-# Error of a network's normals: possible values, expected value and its factor of spread.
+# Error of a network's normals: possible values, median and spread factor of their prior.
 SIGMAS_RAD = np.radians([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0])
 EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
-# Error of a region's normal per bend: its rms distance from its plane over its size.
-# tuned: regions of fastdepth on frames of a Kinect, NYU and a living room, pure ones: their errors
-# are 4 times the bend in the median and within this in nine of ten.
+# Error of a region's normal relative to its bend, the rms distance from its plane over its size.
+# tuned: pure regions of fastdepth on frames of a Kinect, NYU and a living room: the median of
+# their errors is 4 times the bend, nine of ten are below this.
 TILT_PER_BEND = 10.0
 # derived: the mean relative error of fastdepth's depth on frames of other cameras.
 DEPTH_ERROR_SHARE = 0.25
-# Closer than this to an axis a normal has no usable component across it.
+# Sine of the angle to an axis; a closer normal has no usable component perpendicular to it.
 MIN_ACROSS = 0.2
 
 
@@ -59,9 +60,9 @@ class Orientations:
     Attributes
     ----------
     normals : (K, 3) float64
-        Unit normals, on the side of the network's.
+        Unit normals, on the same side as those of the network.
     is_changed : (K,) bool
-        False where the network's own normal is kept.
+        False if the normal of the network is kept.
     sigmas_rad : (K,) float64
         Error of the network's normals.
 
@@ -88,7 +89,7 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     Parameters
     ----------
     planes : tuple of Plane
-        At least one, as the network's depth has them.
+        At least one, as in the network's depth.
     directions : SceneDirections
         With gravity.
     evidence : LineEvidence
@@ -114,7 +115,7 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
 
 
 def _variances(planes: tuple[Plane, ...], sigma_rad: float) -> np.ndarray:
-    """Return the variance (K,) of the network's normals, rad^2, where its error is sigma."""
+    """Return the variances (K,) of the network's normals, rad^2, for an error sigma."""
     fit = np.array([np.trace(plane.covariance[:3, :3]) / 2 for plane in planes])
     bend = np.array([plane.rms_m / np.sqrt(plane.area_m2) for plane in planes])
     return fit + 1 / (1 / sigma_rad**2 + 1 / np.maximum(TILT_PER_BEND * bend, 1e-6) ** 2)
@@ -122,7 +123,7 @@ def _variances(planes: tuple[Plane, ...], sigma_rad: float) -> np.ndarray:
 
 def _hypotheses(normals: np.ndarray, directions: SceneDirections,
                 evidence: LineEvidence) -> _Hypotheses:
-    """Return all hypotheses; the last one is the network's own normal."""
+    """Return all hypotheses; the last one is the normal of the network."""
     down = directions.gravity_camera
     axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in directions.pairs)])
     points = np.vstack([down[None], axes])

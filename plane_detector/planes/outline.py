@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The outlines of a plane's pixels, laid onto the plane, and the rectangle around them."""
+"""Outlines of planes, projected onto the plane, and their enclosing rectangles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Polygon:
     Attributes
     ----------
     corners_m : (N, 3) float64
-        In order, on the plane; the first one is not repeated.
+        In order, on the plane; the first corner is not repeated.
     is_hole : bool
 
     """
@@ -44,9 +44,9 @@ class Rectangle:
     ----------
     centre_m : (3,) float64
     rotation : (3, 3) float64
-        Its columns are the directions of the width, of the height and of the normal.
+        Its columns are the directions of width, height and normal.
     width_m, height_m : float
-        The width is not the smaller one.
+        The width is at least the height.
 
     """
 
@@ -70,7 +70,7 @@ def all_polygons(labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
     intrinsics : CameraIntrinsics
         Of the image.
     planes : sequence of Plane
-        Where the outlines are laid.
+        Planes that the outlines are projected onto.
 
     """
     boxes = _bounding_boxes(labels.astype(np.int32, copy=False), len(planes)).tolist()
@@ -83,26 +83,26 @@ def all_polygons(labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
 def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                    plane: Plane, first_pixel: tuple[int, int] = (0, 0)) -> tuple[Polygon, ...]:
     """
-    Return the outlines of all patches of a plane, and of the holes in them.
+    Return the outlines of all connected parts of a plane, and of the holes in them.
 
-    A border is followed in the image and simplified there to 2 pixels (Douglas and Peucker); then
-    the points of its corners are brought onto the plane along the normal. Unlike a convex hull it
-    keeps an L-shaped floor L-shaped.
+    A border is traced in the image and simplified there to 2 pixels (Douglas and Peucker); the
+    points of its corners are then projected onto the plane along the normal. Unlike a convex hull,
+    this preserves the shape of an L-shaped floor.
 
     Parameters
     ----------
     mask : (h, w) bool
-        The plane's pixels, at least one, in a part of the image; their depth is valid.
+        Pixels of the plane, at least one, in a part of the image; their depth is valid.
     depth_m, intrinsics, plane
         As for :func:`all_polygons`.
     first_pixel : (int, int)
-        Row and column of the image where the mask begins.
+        Row and column of the image of the first pixel of the mask.
 
     Returns
     -------
     tuple of Polygon
-        The largest patch first, each followed by its holes. What has fewer than three corners,
-        once it is simplified, is left out.
+        The largest part first, each followed by its holes. Outlines with fewer than three corners
+        after simplification are dropped.
 
     Examples
     --------
@@ -128,7 +128,7 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
     corners_m : (N, 3) float64
         At least one.
     normal : (3,) float64
-        Of the plane, unit.
+        Unit normal of the plane.
     centroid_m : (3,) float64
         A point of the plane.
 
@@ -188,7 +188,7 @@ def _axes_across(normal: list[float]) -> tuple[list[float], list[float]]:
 
 
 def _cross(first: list[float], second: list[float]) -> list[float]:
-    """Return the cross product of two vectors (3,), without the overhead of numpy's."""
+    """Return the cross product of two vectors (3,); faster than numpy.cross."""
     (a, b, c), (d, e, f) = first, second
     return [b * f - c * e, c * d - a * f, a * e - b * d]
 

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The planes of the segmentation over the slopes of rays, as the estimate of the scale needs them.
+Planes of the segmentation as functions of ray slopes, as needed for the scale.
 
-With (x, y) the coordinates of the cells and (X, Y, 1) the ray of a pixel, D = a x + b y + c is
-D = p X + q Y + r where (p, q, r) = J (a, b, c) and (x, y, 1) = J^T (X, Y, 1). Nothing is fitted
-again: coefficients, moments and noise are those of the segmentation.
+With (x, y) the coordinates of the cells and (X, Y, 1) the ray of a pixel, D = a x + b y + c equals
+D = p X + q Y + r, where (p, q, r) = J (a, b, c) and (x, y, 1) = J^T (X, Y, 1). There is no new
+fit: coefficients, moments and noise are those of the segmentation.
 """
 
 from __future__ import annotations
@@ -21,19 +21,20 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.types import CameraIntrinsics
 
-# derived: fewer than two cells of 8 x 8 pixels; the plane of one cell is too unsure for angles.
+# derived: fewer than two cells of 8 x 8 pixels; one cell does not determine angles.
 MIN_PIXELS = 100
-# Least variance of the slopes of a plane's rays, across it: less is a line.
+# Smallest variance of the ray slopes of a plane across its extent; below it the pixels form a
+# line.
 # derived: two pixels of a camera with a focal length of 600 pixels.
 MIN_RAY_VARIANCE = 1e-6
-# Errors of a depth map are uncorrelated beyond this share of the image width.
+# Distance, as a share of the image width, beyond which errors of a depth map are uncorrelated.
 # tuned: benchmark scale on seeds from 1000; the range was not swept.
 CORRELATION_SHARE = 1.0 / 20.0
 
 
 def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> DisparityPlanes:
     """
-    Return the planes of regions over the slopes of rays.
+    Return the planes of regions as functions of ray slopes.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> Disparity
     Returns
     -------
     DisparityPlanes
-        Without regions that have too few pixels, or pixels on one line only.
+        Without regions that have too few pixels, or whose pixels are on a line.
 
     """
     pixels, moments = _whole_cells(regions)
@@ -56,7 +57,7 @@ def ray_planes(regions: PixelRegions, intrinsics: CameraIntrinsics) -> Disparity
     kept = np.flatnonzero((pixels >= MIN_PIXELS) & (width > MIN_RAY_VARIANCE))
     correlated_px = max((CORRELATION_SHARE * regions.grid.width_px) ** 2, 1.0)
     variances = _variances(regions, moments)[kept]
-    # The cells that lie on the border of the region tell as much for each pixel.
+    # Border pixels outside whole cells carry the same information per pixel.
     tells = (pixels / count)[kept] / (correlated_px * variances)
     information = products[kept] * tells[:, None, None]
     middle = moments[:, [X, Y, N]] / count[:, None] @ to_rays.T

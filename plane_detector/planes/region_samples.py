@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A sample of the pixels of each region: what its depth says about planes of given normals."""
+"""Samples of the pixels of each region, to compare their depth with planes of given normals."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from plane_detector.geometry.projection import pixel_rays
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
-# derived: they tell medians and spreads of regions of a hundredth of the image.
+# derived: enough for medians and spreads of regions of a hundredth of the image.
 SAMPLES = 5000
-# Cosine between ray and normal below which a pixel cannot be on the plane, as it is seen edge-on.
+# Cosine between ray and normal below which a plane is seen edge-on and cannot contain the pixel.
 MIN_COSINE = 0.02
 MIN_SAMPLES = 10
 MIN_POSSIBLE_SHARE = 0.5
@@ -35,9 +35,9 @@ class RegionSamples:
     region : (N,) int64
         Ascending.
     own_cosine : (N,) float64
-        Between ray and the normal of the region's own plane, times the length of the ray.
+        Cosine between ray and normal of the region's own plane, times the length of the ray.
     count : int
-        Of regions.
+        Number of regions.
 
     """
 
@@ -49,23 +49,23 @@ class RegionSamples:
 
     def depth_change(self, normals: np.ndarray) -> np.ndarray:
         """
-        Return by which factor planes of other normals (K, C, 3) would change the depth, (K, C).
+        Return the change of depth (K, C) if the planes had other normals (K, C, 3).
 
-        It is the standard deviation of the logarithm, so that the distance is at its best. The
-        reference is the plane that was fitted to the depth.
+        It is the standard deviation of the log ratio of depths, which is independent of the
+        distance. The reference is the plane fitted to the depth.
         """
         return _depth_change(self.rays, self.region, self.own_cosine,
                              np.ascontiguousarray(normals))
 
     def offsets(self, normals: np.ndarray) -> np.ndarray:
-        """Return the median distance (K,) of planes of given normals (K, 3); NaN where unknown."""
+        """Return the median distance (K,) of planes with normals (K, 3); NaN if unknown."""
         cosine = -(normals[self.region] * self.rays).sum(1)
         offset = np.where(cosine > MIN_COSINE, cosine / self.disparity, np.nan)
         pieces = np.split(offset, np.searchsorted(self.region, np.arange(1, self.count)))
         return np.array([_median(piece) for piece in pieces])
 
     def joined(self, group: np.ndarray) -> RegionSamples:
-        """Return the samples of regions that are joined: region k becomes ``group[k]``."""
+        """Return the samples after merging regions: region k becomes ``group[k]``."""
         region = group[self.region]
         order = np.argsort(region, kind='stable')
         return RegionSamples(self.rays[order], self.disparity[order], region[order],
@@ -75,7 +75,7 @@ class RegionSamples:
 def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
                    intrinsics: CameraIntrinsics) -> RegionSamples:
     """
-    Take pixels on a grid over the image.
+    Sample pixels on a regular grid over the image.
 
     Parameters
     ----------

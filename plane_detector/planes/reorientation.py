@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Regions of a network's depth laid onto planes of better orientation; agreeing pieces joined."""
+"""Planes in a network's depth with corrected orientation; coplanar pieces are merged."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
-# Pieces of one plane touch, and their normals and distances agree: these are off by about as many
-# radians and by this share of it, at most.
+# Pieces of one plane touch and have equal normals and distances: largest differences in degrees,
+# as share of the distance per radian, and as share of the distance.
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 0.1 to 0.15.
 SAME_NORMAL_DEG, OFFSET_PER_RAD, MAX_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.5, 0.1, 5
 
@@ -27,7 +27,7 @@ SAME_NORMAL_DEG, OFFSET_PER_RAD, MAX_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.5, 0
 def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
                    lines: ImageDirections | None) -> tuple[tuple[Plane, ...], np.ndarray]:
     """
-    Measure planes, turned by the lines of the image where these say anything.
+    Measure planes, rotated by the lines of the image if these give an orientation.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
         Of 1/z in one unit.
     intrinsics : CameraIntrinsics
     min_pixels : float
-        Planes of fewer pixels are left out.
+        Smaller planes are dropped.
     lines : ImageDirections or None
-        None: the planes stay as they are.
+        None: the planes are not rotated.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
 def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirections,
              intrinsics: CameraIntrinsics) -> PixelRegions:
     """
-    Turn regions to their most likely orientation, and join those that are then one plane.
+    Rotate regions to their most likely orientation, and merge those that are then coplanar.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     Returns
     -------
     PixelRegions
-        One region per plane; those joined to another have no pixels.
+        One region per plane; those merged into another have no pixels.
 
     """
     evidence = collect_evidence(lines.segments, lines.all_axes, regions.labels, len(planes))
@@ -94,7 +94,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
 
 
 def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigmas_rad: np.ndarray) -> np.ndarray:
-    """Return which planes (K, K) are one as far as a network of these errors (K,) can tell."""
+    """Return which planes (K, K) are equal within the errors (K,) of the network."""
     sigma_rad = np.maximum(sigmas_rad[:, None], sigmas_rad)
     same_offset = np.minimum(MAX_OFFSET_SHARE, OFFSET_PER_RAD * sigma_rad)
     same_normal = np.minimum(np.radians(SAME_NORMAL_DEG), sigma_rad)
@@ -103,7 +103,7 @@ def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigmas_rad: np.ndarray) 
 
 
 def _groups(joined: np.ndarray) -> np.ndarray:
-    """Return for each plane the first one that it is a piece of, (K,) int, by pairs (K, K)."""
+    """Return the index of the first plane that each is merged with, (K,) int, by pairs (K, K)."""
     group = np.arange(len(joined))
     for a, b in np.argwhere(np.triu(joined, 1)):
         first, second = sorted((group[a], group[b]))
@@ -113,7 +113,7 @@ def _groups(joined: np.ndarray) -> np.ndarray:
 
 @kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')
 def _touching(labels, count, reach):
-    """Return which regions (count, count) come within the reach of each other."""
+    """Return which regions (count, count) are within reach of each other."""
     touching = np.zeros((count, count), np.bool_)
     height, width = labels.shape
     for v in range(0, height, 2):

@@ -3,9 +3,9 @@
 """
 Memory of a process that works on one frame after the other.
 
-Every frame needs the same megabytes for a moment. By its defaults the GNU C library gives freed
-memory back to the kernel at once, and the kernel clears every page of it again for the next
-frame: measured 2000 to 9000 page faults and a fifth of the processor time per frame.
+Every frame needs the same megabytes for a short time. By default the GNU C library returns freed
+memory to the kernel at once, which clears every page again for the next frame: measured 2000 to
+9000 page faults and a fifth of the processor time per frame.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import ctypes
 import gc
 import os
 
-# The numbers of <malloc.h>.
+# Values from <malloc.h>.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -3, -8
 _LARGEST_MMAP_THRESHOLD = 32 * 1024 * 1024  # the library refuses more
 _KEPT = 256 * 1024 * 1024
@@ -22,16 +22,16 @@ _KEPT = 256 * 1024 * 1024
 
 def keep_freed_memory() -> bool:
     """
-    Let the C library keep freed memory for the next frame; at most 256 MB at the heap's end.
+    Make the C library keep freed memory for the next frame, at most 256 MB at the end of the heap.
 
-    There is one heap for all threads, because those of other threads are given back whole
-    whatever the thresholds. To be called before threads are started. What the user has set by
-    MALLOC_* or GLIBC_TUNABLES in the environment stands.
+    There is one heap for all threads, because those of other threads are returned completely
+    whatever the thresholds. Must be called before threads are started. Settings of the user by
+    MALLOC_* or GLIBC_TUNABLES in the environment take precedence.
 
     Returns
     -------
     bool
-        Whether it is so now; not where the C library is another one, or the user has set it.
+        False with another C library, or if the user has set the thresholds.
 
     """
     if any(name.startswith('MALLOC_') or name == 'GLIBC_TUNABLES' for name in os.environ):
@@ -45,9 +45,9 @@ def keep_freed_memory() -> bool:
 
 def freeze_loaded_objects() -> None:
     """
-    Let the garbage collector pass over what is there now, as modules and the network.
+    Exclude existing objects, such as modules and the network, from garbage collection.
 
-    Its full passes looked at 190000 objects, most of them numba's, which took .1 s in the middle
+    Full collections visited 190000 objects, most of them numba's, which took .1 s in the middle
     of a frame, every ten or twenty frames.
     """
     gc.unfreeze()

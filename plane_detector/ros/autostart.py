@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Configure and activate without a lifecycle manager, again and again where that can help."""
+"""Configure and activate without a lifecycle manager; retries if that can help."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 
 from plane_detector.ros.transitions import Transitions
 
-# derived: a host that is out of reach is asked about as often as people look, then ever less.
+# derived: an unreachable host is tried again as often as a user would, then less and less often.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 300.0
 _PAUSE_FACTOR = 2.0
 
@@ -28,12 +28,12 @@ class Autostart:
     transitions : Transitions
         Of this node.
     may_pass : callable
-        Whether the failure of the last transition may be gone at another try: a host out of
-        reach, but not a wrong setting.
+        Whether the cause of the last failure may be temporary: an unreachable host, but not a
+        wrong setting.
     failure : callable
-        What it was, in a sentence.
+        Describes the failure in a sentence.
     exits : bool
-        Raise at the first failure instead of trying again.
+        Raise at the first failure instead of retrying.
 
     """
 
@@ -45,18 +45,18 @@ class Autostart:
         self._wait(0.0)
 
     def _wait(self, pause_s: float) -> None:
-        """Try after a pause, in steady time: a simulation may stand still."""
+        """Try after a pause by the steady clock, because simulation time may stand still."""
         self._timer = self._node.create_timer(
             pause_s, self._try, self._transitions.group, Clock(clock_type=ClockType.STEADY_TIME))
 
     async def _try(self) -> None:
         """
-        Configure and activate, unless somebody else has configured the node in the meantime.
+        Configure and activate, unless the node has been configured by others in the meantime.
 
         Raises
         ------
         ValueError
-            It failed and ``exits`` is true; this ends the executor's spinning.
+            It failed and ``exits`` is true; this ends the spinning of the executor.
 
         """
         self._node.destroy_timer(self._timer)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A PointCloud2 as an array, by its own fields."""
+"""Reading of a PointCloud2 as an array, according to its fields."""
 
 from __future__ import annotations
 

@@ -17,27 +17,27 @@ from rclpy.node import Node
 from plane_detector.ros.qos import overriding_options
 
 HARDWARE_ID = 'plane_detector'
-"""Of all statuses of this package: viewers list them by it, whatever the node is called."""
+"""Hardware id of all statuses of this package, by which viewers group them."""
 _PERIOD_S = 1.0
 
 
 @dataclass(frozen=True)
 class Report:
     """
-    What happened since the report before, and in total.
+    Events since the last report, and totals.
 
     Attributes
     ----------
     processed, dropped, skipped : int
-        Frames in total: worked on; replaced by a newer one or without partner; not usable.
+        Totals of frames: processed; replaced by a newer one or without partner; unusable.
     rate_hz, arrival_hz : float
-        Frames worked on, and frames that came to be worked on, per second since the report before.
+        Processed frames, and frames that arrived, per second since the last report.
     stage_seconds : mapping of str to float
-        Mean time of each stage since the report before; empty without a frame.
+        Mean time of each stage since the last report; empty without frames.
     skipped_lately, unpaired_lately : bool
-        Whether frames were skipped, or images found no partner, since the report before.
+        Whether frames were skipped, or images had no partner, since the last report.
     last_error : str
-        Empty when there was none.
+        Empty if there was none.
 
     """
 
@@ -53,7 +53,7 @@ class Report:
 
 
 class Statistics:
-    """Counts frames and adds up times; the threads of the node may call it at once."""
+    """Counts frames and sums times; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -62,7 +62,7 @@ class Statistics:
         self._start_window()
 
     def add_processed(self, stage_seconds: Mapping[str, float]) -> None:
-        """Count a frame that was worked on."""
+        """Count a processed frame."""
         with self._lock:
             self._processed += 1
             self._window_processed += 1
@@ -70,13 +70,13 @@ class Statistics:
                 self._window_seconds[stage] += seconds
 
     def add_dropped(self, count: int) -> None:
-        """Count frames that were never looked at."""
+        """Count frames that were dropped unprocessed."""
         with self._lock:
             self._dropped += count
             self._window_dropped += count
 
     def add_unpaired(self, count: int) -> None:
-        """Count images that were dropped because calibration or depth did not come."""
+        """Count images dropped because their calibration or depth did not arrive."""
         with self._lock:
             self._dropped += count
             self._window_unpaired += count
@@ -89,7 +89,7 @@ class Statistics:
             self._last_error = error
 
     def set_error(self, error: str) -> None:
-        """Remember an error that is not one of a frame."""
+        """Store an error that does not belong to a frame."""
         with self._lock:
             self._last_error = error
 
@@ -115,17 +115,17 @@ class Statistics:
 
 class DiagnosticsPublisher:
     """
-    Publishes the state of the node on /diagnostics once a second, whatever its lifecycle state.
+    Publishes the state of the node on /diagnostics once a second, in every lifecycle state.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        The stamps are of its clock; the period is of the steady one, so that a simulation that
-        stands still does not silence the diagnostics.
+        Its clock gives the stamps; the period is by the steady clock, so that diagnostics are
+        published even if simulation time stands still.
     statistics : Statistics
-        The counts.
+        Counts and times.
     describe : callable
-        Report to (level, message, facts).
+        Returns (level, message, facts) for a report.
 
     """
 
@@ -151,14 +151,14 @@ class DiagnosticsPublisher:
 
 def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: str) -> list[str]:
     """
-    Return the log message at configure: source of depth and why, inputs and outputs.
+    Return the log lines at configure: source of depth and its reason, inputs and outputs.
 
     Parameters
     ----------
     facts : mapping of str to str
         Of the source of depth.
     topics : mapping of str to str
-        Of the inputs, ``image`` and ``camera_info`` among them.
+        Of the inputs, including ``image`` and ``camera_info``.
     planes : str
         Topic of the planes.
 
@@ -182,11 +182,11 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
     level : bytes
         DiagnosticStatus.OK, WARN or ERROR.
     message : str
-        In one line.
+        One line.
     report : Report
         Counts and times.
     facts : mapping of str to str
-        Further keys and values, put first.
+        Additional keys and values, which come first.
 
     """
     values = dict(facts)

@@ -32,11 +32,11 @@ class FrameOutputs:
     Attributes
     ----------
     messages : mapping of str to message
-        By the name of the output: the requested outputs that this frame has.
+        By name: the requested outputs that are available for this frame.
     result : ProcessedFrame
-        The data that the messages are made of.
+        Data that the messages are made from.
     stage_seconds : mapping of str to float
-        Time of each stage, conversion and messages included.
+        Time of each stage, including conversion and messages.
 
     """
 
@@ -59,9 +59,9 @@ class ObservedFrame:
     pose : CameraPose or None
     seen : Observation
     settings : NodeConfig
-        The settings that this frame is processed with.
+        Settings for this frame.
     past : tuple of int
-        Frames share a history only if this is equal.
+        Frames share their history only if this is equal.
     start_s, converted_s, end_s : float
         By time.perf_counter: start of the first half, end of the conversion, end of the half.
 
@@ -80,7 +80,7 @@ class ObservedFrame:
 
 class FrameProcessor:
     """
-    Processes frames, for the node and for the replay.
+    Processes frames for the node and for replay.
 
     One thread may run :meth:`finish` for a frame while another runs :meth:`observe` for the next.
     Each of the two processes one frame at a time, in order.
@@ -90,11 +90,11 @@ class FrameProcessor:
     detector : PlaneDetector
         The pipeline.
     settings : NodeConfig
-        Of the conversion and the outputs.
+        For the conversion and the outputs.
     image_topic : str
-        Topic of the images; its name shows whether they are rectified.
+        Topic of the images; its name indicates whether they are rectified.
     transforms : FrameTransforms, optional
-        TF, for the frames that the settings name; default: no transforms.
+        TF, for the frames named in the settings; default: no transforms.
 
     """
 
@@ -111,12 +111,12 @@ class FrameProcessor:
 
     @property
     def output(self) -> str:
-        """The kind of depth that the source returns."""
+        """Kind of depth that the source returns."""
         return self.detector.source.output
 
     def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> FrameOutputs:
         """
-        Find the planes of a frame and make the messages of the wanted outputs.
+        Find the planes of a frame and make the messages of the requested outputs.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class FrameProcessor:
             'wait': start_s - observed.end_s, 'messages': time.perf_counter() - detected_s})
 
     def reset(self) -> None:
-        """Forget the history before the next observed frame; any thread may call this."""
+        """Discard the history before the next observed frame; thread-safe."""
         self._resets += 1
 
     def _remember_markers(self, detection: Detection, made: Mapping[str, Any]) -> None:
@@ -177,12 +177,12 @@ class FrameProcessor:
 
 
 def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:
-    """Return the direction of gravity by the IMU, which measures a slope, or else by TF."""
+    """Return the direction of gravity from the IMU or else from TF, which cannot see a slope."""
     if frame.gravity_camera is not None or pose is None:
         return frame.gravity_camera
     return pose.gravity_camera
 
 
 def _height_m(pose: CameraPose | None) -> float | None:
-    """Return the height of the camera by TF; None if the base frame is above the camera."""
+    """Return the height of the camera from TF; None if the camera is below the base frame."""
     return pose.height_m if pose is not None and pose.height_m > 0 else None

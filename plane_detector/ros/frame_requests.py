@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Calls of ~/detect: each is answered when a frame that came after it is done."""
+"""Calls of ~/detect; each is answered when a frame that arrived after it is processed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 ANSWERED_WITHIN_S = 30.0
-"""A call that no frame comes for is answered then."""
+"""A call without a frame is answered after this time."""
 _REMEMBERED = 8
 
 
@@ -28,14 +28,14 @@ class _Call:
 
 class FrameRequests:
     """
-    Waiting calls; the executor's thread and the worker may use it at once.
+    Waiting calls; thread-safe for the executor and the worker.
 
     Parameters
     ----------
     wake : callable
-        Lets the executor look at answers that another thread has given.
+        Wakes the executor, so that it sends answers given by another thread.
     clock : callable
-        Seconds that only grow.
+        Monotonic time in seconds.
 
     """
 
@@ -48,25 +48,25 @@ class FrameRequests:
 
     @property
     def are_waiting(self) -> bool:
-        """Whether a frame is asked for that has not been accepted yet."""
+        """Whether there is a call for which no frame has been accepted yet."""
         with self._lock:
             return any(call.after == self._count for call in self._calls)
 
     def add(self) -> Future:
-        """Ask for the next frame; the future's result is (success, message)."""
+        """Request the next frame; the result of the future is (success, message)."""
         call = _Call(self._count, self._clock() + ANSWERED_WITHIN_S, Future())
         with self._lock:
             self._calls.append(call)
         return call.future
 
     def accept(self, frame: Any) -> None:
-        """Note that a frame goes to the worker, which answers all calls so far or a newer does."""
+        """Note that a frame goes to the worker; it, or a newer one, answers all calls so far."""
         with self._lock:
             self._count += 1
             self._accepted = [*self._accepted, (frame, self._count)][-_REMEMBERED:]
 
     def finish(self, frame: Any, success: bool, message: str) -> None:
-        """Answer the calls that this frame was accepted for, or an earlier one."""
+        """Answer the calls for which this frame, or an earlier one, was accepted."""
         with self._lock:
             number = next((n for other, n in self._accepted if other is frame), 0)
         self._answer(lambda call: call.after < number, success, message)
@@ -78,7 +78,7 @@ class FrameRequests:
                      f'no frame within {ANSWERED_WITHIN_S:.0f} s' + (reason and f': {reason}'))
 
     def refuse_all(self, reason: str) -> None:
-        """Answer all calls: no frame will be done."""
+        """Answer all calls: no frame will be processed."""
         self._answer(lambda _: True, False, reason)
 
     def _answer(self, is_due: Callable[[_Call], bool], success: bool, message: str) -> None:
@@ -92,7 +92,7 @@ class FrameRequests:
 
 
 async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.Response:
-    """Return the response of the service once its frame is done."""
+    """Return the response of the service when its frame is finished."""
     response.success, response.message = await future
     return response
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The two threads that work on frames, and the places where the next one waits."""
+"""Two threads that process frames, and the buffers between them."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.stopping import Background, Stop, Stopped
 
 SKIPPED = None
-"""Result of the first half for a frame without a second half."""
+"""Result of the first half for a frame that has no second half."""
 
 
 class FrameWorker:
     """
-    Works on two frames at a time, in the two halves of a pipeline; the freshest frame wins.
+    Processes two frames at a time, in the two halves of a pipeline; the newest frame wins.
 
-    While the second half works on a frame, the first half works on the next one. Each half takes
-    one frame at a time, and both take them in the same order. Before the first half one more frame
-    may wait; a newer one takes its place. The first half begins only when nothing waits for the
-    second, and where the second takes longer, so late that both end together as far as the frames
-    before tell: no work is thrown away, no queue grows, and what is worked on is fresh.
+    While the second half processes a frame, the first half processes the next one. Each half takes
+    one frame at a time, both in the same order. One more frame may wait for the first half; a
+    newer one replaces it. The first half starts only if nothing waits for the second. If the
+    second half is slower, the first starts so late that both are expected to end together. So no
+    work is discarded, no queue grows, and the processed frames are recent.
 
     Parameters
     ----------
     first : callable
-        Called in the first thread with each frame, under a stop of that frame; returns what the
-        second half takes, or SKIPPED. Must not raise, but for Stopped.
+        Called in the first thread with each frame, under a stop for that frame; returns the input
+        of the second half, or SKIPPED. Must not raise, except Stopped.
     second : callable
-        Called in the second thread with that, under the same stop. Must not raise, but for
+        Called in the second thread with this input, under the same stop. Must not raise, except
         Stopped.
 
     """
@@ -50,7 +50,7 @@ class FrameWorker:
                          Background(self._run_second, 'frame_finisher'))
 
     def put(self, frame: Frame) -> bool:
-        """Leave a frame; return whether it replaced one that still waited."""
+        """Set the next frame; return whether it replaced one that was waiting."""
         with self._changed:
             replaced = self._waiting is not None
             self._waiting = frame
@@ -59,10 +59,10 @@ class FrameWorker:
 
     def drop(self) -> None:
         """
-        Give up the frames that wait and those that are worked on, and return at once.
+        Drop the waiting frames, stop those being processed, and return at once.
 
-        The next frame is begun when the work on the last one has come to its end or to where it
-        looks at its stop.
+        The next frame starts when the work on the last one has ended, at the latest at its next
+        check for a stop.
         """
         with self._changed:
             stops = tuple(self._stops)
@@ -80,7 +80,7 @@ class FrameWorker:
         self.drop()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait, after `stop`, for the work to end; return whether it has."""
+        """Wait, after `stop`, for the work to end; return False after a timeout."""
         end_s = time.monotonic() + timeout_s
         ended = [thread.wait(max(end_s - time.monotonic(), 0.0)) for thread in self._threads]
         return all(ended)
@@ -92,7 +92,7 @@ class FrameWorker:
             observed = _called(first, frame, stop)
             self._first_s = time.monotonic() - start_s
             self._hand_over(observed, stop)
-            del frame, observed, taken  # keep no references while idle
+            del frame, observed, taken  # no references while waiting
 
     def _run_second(self) -> None:
         _, second = self._halves
@@ -117,7 +117,7 @@ class FrameWorker:
             return frame, self._stops[-1]
 
     def _delay_s(self) -> float | None:
-        """Return how long the first half should wait, None: until something changes."""
+        """Return the delay of the first half; None: wait for a change."""
         if self._waiting is None or self._between is not None:
             return None
         if self._second_since_s is None:
@@ -140,14 +140,14 @@ class FrameWorker:
                 return None
             taken, self._between = self._between, None
             self._second_since_s = time.monotonic()
-            self._changed.notify_all()  # the first half may begin the next frame
+            self._changed.notify_all()  # the first half may start the next frame
             return taken
 
 
 def _called(half: Callable[[Any], Any], given: Any, stop: Stop) -> Any:
-    """Call one half of the pipeline; skip the frame if it is stopped."""
+    """Call one half of the pipeline; the frame is skipped if it is stopped."""
     try:
         with stop.applies():
             return half(given)
-    except Stopped:  # nobody waits for this frame any more
+    except Stopped:  # the frame was dropped
         return SKIPPED

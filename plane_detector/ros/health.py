@@ -13,7 +13,7 @@ from plane_detector.ros.diagnostics import Report
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import Detection
 
-# derived: a network sees at most about 500 pixels on its short side; more than four times that
+# derived: a network uses at most about 500 pixels on its short side; more than four times that
 # only costs time in the other stages.
 _LARGE_PX = 2500
 FLOORLESS = 'points_without_floor'
@@ -22,19 +22,19 @@ GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
 class Health:
     """
-    Collects what goes wrong; the executor's thread and the worker may call it at once.
+    Collects problems; thread-safe for the executor and the worker.
 
     Parameters
     ----------
     logger : rclpy's logger
-        Takes one line for each problem and each change of the scale.
+        Gets one line for each problem and each change of the scale.
 
     Attributes
     ----------
     failure : str
-        Why the node could not be configured or activated; empty when it could.
+        Why the node could not be configured or activated; empty if it could.
     may_pass : bool
-        Whether that may be gone at another try, as a host that was out of reach.
+        Whether the cause may be temporary, such as an unreachable host.
 
     """
 
@@ -45,18 +45,18 @@ class Health:
         self.clear()
 
     def clear(self) -> None:
-        """Forget the frames so far: missing inputs are logged again."""
+        """Discard the state of earlier frames: missing inputs are logged again."""
         self._gap = ''
         self._told: set[str] = set()
         self._facts: dict[str, str] = {}
 
     @property
     def facts(self) -> dict[str, str]:
-        """Findings of the last frame: source of the unit, source of gravity, and advice."""
+        """Facts from the last frame: source of the unit, source of gravity, and advice."""
         return self._facts
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
-        """Note the result of a frame, whose outputs of these names have subscribers."""
+        """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
         self._facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
                        'gravity': detection.gravity_source,
                        **_advice(max(detection.labels.shape))}
@@ -70,7 +70,7 @@ class Health:
             self._logger.warning(self._gap)
 
     def tell_once(self, key: str, warning: str) -> None:
-        """Log a warning whose wording may change, but only the first of its kind."""
+        """Log a warning whose wording may vary, but only once per key."""
         if key not in self._told:
             self._told.add(key)
             self._logger.warning(warning)
@@ -82,11 +82,11 @@ class Health:
         Parameters
         ----------
         report : Report
-            What was counted since the last time.
+            Counts since the last report.
         silence : str
-            Which input is silent and why; empty if none is.
+            Names a silent input and the reason; empty if there is none.
         is_idle : bool
-            Nobody listens to an output, so that no frame is processed.
+            There are no subscribers, so no frame is processed.
 
         """
         if silence:
@@ -118,7 +118,7 @@ def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     detection : Detection
         Of the frame.
     wanted : collection of str
-        Names of the outputs that somebody listens to.
+        Names of the outputs that have subscribers.
 
     """
     if not detection.planes:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compile the loops of the configured stages before the first frame, not with it."""
+"""Compile the loops of the configured stages before the first frame."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The arguments of launch/plane_detector.launch.py and their use. Does not import launch."""
+"""Arguments of launch/plane_detector.launch.py and their use. Does not import launch."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 LAUNCH_FILE = 'plane_detector.launch.py'
-# By name: default, description. An empty default leaves the value of params_file.
+# By name: default, description. An empty default keeps the value of params_file.
 ARGUMENTS = {
     'params_file': ('', 'yaml file of the parameters; empty: the one that is installed'),
     'node_name': ('plane_detector', 'name of the node, and first part of its topics'),
@@ -41,12 +41,12 @@ _PARAMETERS = {'depth_source': 'depth.source', 'model': 'depth.model',
 
 class NodeArguments(NamedTuple):
     """
-    What launch_ros's Node takes.
+    Arguments for launch_ros's Node.
 
     Attributes
     ----------
     parameters : list
-        A file, then the values that win over it.
+        A file, then the values that override it.
     remappings : list of (str, str)
     respawn, rviz : bool
 
@@ -60,21 +60,21 @@ class NodeArguments(NamedTuple):
 
 def node_arguments(values: Mapping[str, str], installed_file: str) -> NodeArguments:
     """
-    Return the parameters that the node is started with.
+    Return the arguments that the node is started with.
 
     Parameters
     ----------
     values : mapping of str to str
         Of all `ARGUMENTS`.
     installed_file : str
-        The yaml file that is taken where none is given.
+        The yaml file that is used if none is given.
 
     Raises
     ------
     ValueError
-        A value that must be true or false is something else.
+        A value that must be true or false is neither.
     FileNotFoundError
-        There is no such file of parameters.
+        The parameter file does not exist.
 
     """
     file = Path(values['params_file'] or installed_file).expanduser()
@@ -93,20 +93,20 @@ def node_arguments(values: Mapping[str, str], installed_file: str) -> NodeArgume
 
 def check_command_line(argv: Iterable[str], program: Iterable[str]) -> None:
     """
-    Refuse arguments that do not exist, which launch takes silently.
+    Reject unknown arguments, which launch ignores silently.
 
     Parameters
     ----------
     argv : iterable of str
-        The arguments of the launch, ``name:=value``.
+        Arguments of the launch, ``name:=value``.
     program : iterable of str
-        The command line of the process. Where it does not name this launch file, another one
-        includes it, and the arguments may be that one's.
+        Command line of the process. If it does not name this launch file, another one includes it,
+        and the arguments may belong to that one.
 
     Raises
     ------
     ValueError
-        An argument is unknown; with the nearest one there is.
+        An argument is unknown; the message has the most similar one.
 
     """
     if not any(word.endswith(LAUNCH_FILE) for word in program):

@@ -3,8 +3,8 @@
 """
 The lifecycle node: subscribe, convert, call, publish, log.
 
-The executor's thread receives messages and answers services, two worker threads process frames:
-see frame_worker.py.
+The thread of the executor receives messages and answers services; two worker threads process
+frames, see frame_worker.py.
 """
 
 from __future__ import annotations
@@ -40,35 +40,36 @@ from plane_detector.ros.reloading import ReloadableNode
 from plane_detector.ros.transitions import Transitions
 from plane_detector.stopping import current_stop, raise_if_stopped
 
-# How long the end of the node waits for work to heed its stop.
+# Time that destroy_node waits for the work to stop.
 _HEEDING_S = 1.0
 
 
 class PlaneDetectorNode(ReloadableNode):
     """
-    The node ``plane_detector``; docs/topics.md holds its contract.
+    The node ``plane_detector``; docs/topics.md describes its interface.
 
     Subscribes to image or image/compressed, camera_info, depth, imu, clicked_point, and /tf. See
-    :mod:`~plane_detector.ros.inputs.subscriptions`.
-    Publishes ~/points, ~/points_without_floor, ~/planes, ~/boundaries, ~/plane_poses, ~/markers,
-    ~/shapes, ~/labels, ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info, ~/clicked_plane
-    and /diagnostics. See :mod:`~plane_detector.ros.outputs.topics`.
-    Serves ~/detect, ~/reset_tracking and those of a lifecycle node.
-    Its parameters are the fields of :mod:`~plane_detector.config`.
+    :mod:`~plane_detector.ros.inputs.subscriptions`. Publishes ~/points, ~/points_without_floor,
+    ~/planes, ~/boundaries, ~/plane_poses, ~/markers, ~/shapes, ~/labels, ~/depth, ~/overlay,
+    ~/overlay/compressed, ~/camera_info, ~/clicked_plane and /diagnostics. See
+    :mod:`~plane_detector.ros.outputs.topics`. Services: ~/detect, ~/reset_tracking and those of a
+    lifecycle node. Parameters: those of :mod:`~plane_detector.node_config`, and the groups depth,
+    scale, directions, segmentation, ransac, dbscan, tracking, shapes and paper of
+    :mod:`~plane_detector.config`.
 
     Parameters
     ----------
     depth_model : DepthModel or callable, optional
-        Takes the place of the network: rgb (H, W, 3) uint8 to depth (H, W) float32.
+        Used instead of the network: rgb (H, W, 3) uint8 to depth (H, W) float32.
     transforms : FrameTransforms, optional
-        Takes the place of TF.
+        Used instead of TF.
     **node_options
         Of rclpy.node.Node.
 
     Raises
     ------
     ValueError, rclpy.exceptions.ParameterException
-        A parameter has a value that is not possible.
+        A parameter has an invalid value.
 
     """
 
@@ -98,7 +99,7 @@ class PlaneDetectorNode(ReloadableNode):
                       lambda: self._health.failure, exits=self._live.settings.exit_on_failure)
 
     def destroy_node(self) -> None:
-        """Give up what runs and end the node; what heeds no stop is left behind in its thread."""
+        """Stop the work and destroy the node; work that does not stop is left in its thread."""
         end_s = time.monotonic() + _HEEDING_S
         self._transitions.stop()
         self._release()
@@ -109,20 +110,20 @@ class PlaneDetectorNode(ReloadableNode):
 
     @property
     def state(self) -> str:
-        """The lifecycle state: unconfigured, inactive, active, ..."""
+        """Lifecycle state: unconfigured, inactive, active, ..."""
         return self._state_machine.current_state[1]
 
     # Lifecycle
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Load the network and create the outputs; fail with the reason if one cannot."""
+        """Load the network and create the outputs; report the reason if that fails."""
         try:
             detector = self._transitions.prepared()
             self._outputs, self._query = OutputPublishers(self), PointQuery(self)
             if self._transforms is None and (self._live.settings.base_frame
                                              or self._live.settings.target_frame):
                 self._transforms = listen_to_tf(self)
-        except Exception as error:  # whatever a model file may provoke: the node stays
+        except Exception as error:  # whatever a model file may cause, the node keeps running
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
@@ -148,10 +149,10 @@ class PlaneDetectorNode(ReloadableNode):
         return super().on_activate(state)
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """End the subscriptions and drop the frames in work."""
+        """Destroy the subscriptions and drop the frames being processed."""
         self._unsubscribe()
         self._worker.drop()
-        self._processor.reset()  # the kept state may come from half a frame
+        self._processor.reset()  # its state may come from an incomplete frame
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -163,13 +164,13 @@ class PlaneDetectorNode(ReloadableNode):
         return self._release()
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Return to where the node can be configured again."""
+        """Return to a state from which the node can be configured again."""
         return self._release()
 
     # Frames
 
     def _accept(self, frame: Frame) -> None:
-        """Leave a frame to the worker, if anybody wants it; called in the executor's thread."""
+        """Pass a frame to the worker if it is wanted; called in the executor's thread."""
         if not self._is_wanted():
             return
         self._requests.accept(frame)
@@ -177,13 +178,13 @@ class PlaneDetectorNode(ReloadableNode):
             self._statistics.add_dropped(1)
 
     def _is_wanted(self) -> bool:
-        """Whether the next frame is asked for, or all are and somebody listens to an output."""
+        """Whether the next frame is requested, or all are and an output has subscribers."""
         if self._requests.are_waiting or self._query.is_waiting:
             return True
         return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
     def _observe(self, frame: Frame) -> ObservedFrame | None:
-        """Convert and estimate depth, or log why not; called in the first worker thread."""
+        """Convert and estimate depth, or log the reason; called in the first worker thread."""
         try:
             self._live.apply_to(self._processor)
             return self._processor.observe(frame)
@@ -191,7 +192,7 @@ class PlaneDetectorNode(ReloadableNode):
             return self._skip(frame, error)
 
     def _finish(self, observed: ObservedFrame) -> None:
-        """Find planes and publish, or log why not; called in the second worker thread."""
+        """Find planes and publish, or log the reason; called in the second worker thread."""
         try:
             wanted = self._outputs.wanted()
             processed = self._processor.finish(observed, wanted)
@@ -209,7 +210,7 @@ class PlaneDetectorNode(ReloadableNode):
             self._skip(observed.frame, error)
 
     def _skip(self, frame: Frame, error: Exception) -> None:
-        """Count and log a frame that failed; a stopped frame may fail in any way."""
+        """Count and log a frame that failed; if it was stopped, its error is ignored."""
         if not current_stop().is_set:
             reason = self._faults.tell(error)
             self._statistics.add_skipped(reason)
@@ -236,7 +237,7 @@ class PlaneDetectorNode(ReloadableNode):
         response.success = self._processor is not None
         if response.success:
             self._processor.reset()
-        response.message = ('tracking starts anew with the next frame' if response.success
+        response.message = ('labels and scale are reset with the next frame' if response.success
                             else 'the node is not configured')
         return response
 
@@ -261,9 +262,9 @@ class PlaneDetectorNode(ReloadableNode):
         return *self._health.status(report, silence, is_idle), facts
 
     def _load(self) -> PlaneDetector:
-        """Make the pipeline, whose network may have to be fetched; called in a thread."""
+        """Make the pipeline, which may download the network; called in a thread."""
         while self._retired is not None and not self._retired.wait(0.1):
-            raise_if_stopped()  # two networks at once could be more than the memory holds
+            raise_if_stopped()  # two networks at once could exceed the memory
         load_kernels(self._live.config, self.get_logger().info)
         detector = PlaneDetector(self._live.config, self._depth_model)
         fit_to_rate(detector)

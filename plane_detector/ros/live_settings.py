@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The settings of a running node: declared as parameters, checked, and changed between frames."""
+"""Settings of a running node: declared as parameters, checked, and changed between frames."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class LiveSettings:
     Parameters
     ----------
     node : rclpy.node.Node
-        Its parameters are declared.
+        The node that declares the parameters.
     is_active : callable
-        Whether the settings that are read at configure are fixed.
+        Whether the settings that are read at configure are fixed now.
     on_change : callable
         Called after each change.
 
@@ -36,7 +36,7 @@ class LiveSettings:
     Raises
     ------
     ValueError, rclpy.exceptions.ParameterException
-        A parameter has a value that is not possible.
+        A parameter has an invalid value.
 
     """
 
@@ -50,7 +50,7 @@ class LiveSettings:
         node.add_post_set_parameters_callback(self._take)
 
     def apply_to(self, processor: FrameProcessor) -> None:
-        """Give the settings to what processes frames, except those that are read at configure."""
+        """Apply the settings to a processor, except those that are read at configure."""
         processor.settings = parameters.with_live(processor.settings, self.settings)
         config = parameters.with_live(processor.detector.config, self.config)
         if processor.detector.config != config:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the network keeps the pace of the camera: made so at configure, told while it runs."""
+"""The rate of the network: fitted to the camera at configure, checked while the node runs."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from plane_detector.geometry.disparity import to_depth, to_disparity
 from plane_detector.pipeline import PlaneDetector, segment_planes
 from plane_detector.ros.diagnostics import Report
 
-# Like a network's depth: the plane stage is timed on it.
+# Noise and blur of a network's depth, for timing the plane stage.
 _NOISE_PER_M, _BLUR_PX = 0.005, 12.0
-# A pace that differs by less is that of the clocks.
+# Smaller differences are those of the clocks.
 _TOLERANCE = 1.1
 
 
 def fit_to_rate(detector: PlaneDetector) -> None:
-    """Let the network become as large as ``depth.target_rate`` allows beside the plane stage."""
+    """Choose the largest network input that keeps ``depth.target_rate`` beside the plane stage."""
     _, depth_m = corridor()
     rng = np.random.default_rng(0)
     smooth = cv2.GaussianBlur(rng.standard_normal(depth_m.shape), (0, 0), _BLUR_PX)
@@ -34,14 +34,15 @@ def fit_to_rate(detector: PlaneDetector) -> None:
 
 def slow_network(report: Report, advise: Callable[[float], str]) -> str:
     """
-    Return that the network takes longer than the camera's period and what would not; or nothing.
+    Return a message if the network takes longer than the period of the camera, else nothing.
 
     Parameters
     ----------
     report : Report
-        Of the last second or so.
+        Since the last one.
     advise : callable
-        Share of the present time to what brings the network there.
+        Returns advice for a share of the present time, see
+        :class:`~plane_detector.types.DepthModel`.
 
     """
     depth_s = report.stage_seconds.get('depth', 0.0)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The program `node`, also `python3 -m plane_detector.ros.node`; takes signals from the start."""
+"""The program `node`, also `python3 -m plane_detector.ros.node`; handles signals at once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def main(args: list[str] | None = None) -> int:
         stream = sys.stdout if is_asked else sys.stderr
         print(USAGE, end='' if is_asked else f'\nnot understood: {" ".join(own)}\n', file=stream)
         return 0 if is_asked else 2
-    # The imports take a second, in which SIGINT would give a traceback from anywhere in them.
+    # The imports take a second; SIGINT would raise KeyboardInterrupt somewhere in them.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     from plane_detector.ros.lifecycle_node import PlaneDetectorNode
     from plane_detector.ros.spinning import run
@@ -38,7 +38,7 @@ def main(args: list[str] | None = None) -> int:
 
 
 def not_of_ros(args: list[str]) -> list[str]:
-    """Return the arguments that stand outside of ``--ros-args ... --``."""
+    """Return the arguments outside of ``--ros-args ... --``."""
     own, is_of_ros = [], False
     for argument in args:
         if argument == '--ros-args':

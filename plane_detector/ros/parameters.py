@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The settings as ROS parameters: one parameter per field, declared and checked by a loop.
+Settings as ROS parameters: one parameter per field, declared and checked in a loop.
 
-A nested dataclass becomes a prefix: ``depth.model``. Nothing is named here twice; name, type,
-default, range and description all come from the fields.
+A nested dataclass becomes a prefix: ``depth.model``. Name, type, default, range and description
+are taken from the fields.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def declare(node: Node, defaults: AnySettings) -> AnySettings:
 
 def warn_of_unknown(node: Node) -> None:
     """
-    Log which initial values are of no declared parameter, each with the nearest one there is.
+    Warn of initial values for undeclared parameters, each with the most similar declared name.
 
-    Values of quality of service are left out: they are declared with their topics, later.
+    Values for qos_overrides are not checked: they are declared later, with their topics.
     """
     declared = node.list_parameters([], 0).names
-    given = node._parameter_overrides  # for these rclpy has no public name
+    given = node._parameter_overrides  # rclpy has no public name for these
     unknown = sorted(name for name in given
                      if name not in declared and not name.startswith('qos_overrides.'))
     told = [name + ''.join(f' (meant: {near}?)' for near in get_close_matches(name, declared, 1))
@@ -60,12 +60,12 @@ def warn_of_unknown(node: Node) -> None:
 
 def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettings:
     """
-    Return settings with the values of those parameters that are theirs; others are left out.
+    Return the settings with the values of those parameters that belong to them.
 
     Raises
     ------
     ValueError
-        A value is out of range, or does not go with another one.
+        A value is out of range, or inconsistent with another one.
 
     """
     values = {parameter.name: parameter.value for parameter in parameters}
@@ -73,7 +73,7 @@ def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettin
 
 
 def with_floats(settings: Settings, parameters: Iterable[Parameter]) -> list[Parameter]:
-    """Return the parameters, with whole numbers as floats where the setting is a float."""
+    """Return the parameters, with integers as floats if the setting is a float."""
     defaults = {name: value for name, _, value in parameters_of(settings)}
     return [Parameter(parameter.name, value=_as_float(defaults[parameter.name], parameter.value))
             if parameter.name in defaults else parameter for parameter in parameters]
@@ -87,7 +87,7 @@ def fixed_changes(old: AnySettings, new: AnySettings) -> list[str]:
 
 
 def with_live(configured: AnySettings, wanted: AnySettings) -> AnySettings:
-    """Return the new settings; those that are read only at configure stay unchanged."""
+    """Return the new settings, but keep those that are read only at configure."""
     changes = {}
     for field in fields(configured):
         old, new = getattr(configured, field.name), getattr(wanted, field.name)
@@ -100,10 +100,10 @@ def with_live(configured: AnySettings, wanted: AnySettings) -> AnySettings:
 
 def descriptor(field: Field, default: Any) -> ParameterDescriptor:
     """
-    Return what `ros2 param describe` shows: description, unit, range, choices.
+    Return the descriptor for `ros2 param describe`: description, unit, range, choices.
 
-    No parameter is read-only for ROS, which refuses even the same value again, as `ros2 param
-    load` of a dump sets it: what is fixed while the node is active the node refuses itself.
+    No parameter is read-only for ROS, because rclpy would then reject even its current value,
+    which `ros2 param load` of a dump sets. The node rejects changes while it is active.
     """
     meta = field.metadata
     unit = f' [{meta["unit"]}]' if meta['unit'] else ''
@@ -126,7 +126,7 @@ def descriptor(field: Field, default: Any) -> ParameterDescriptor:
 
 
 def _declare_one(node: Node, name: str, described: ParameterDescriptor, default: Any) -> Parameter:
-    """Declare a parameter; accept a whole number for a float, which rclpy refuses."""
+    """Declare a parameter; accepts an integer for a float, which rclpy rejects."""
     if isinstance(_first(default), float):
         given = node.declare_parameter(name, None, ParameterDescriptor(dynamic_typing=True)).value
         node.undeclare_parameter(name)
@@ -142,7 +142,7 @@ def _first(value: Any) -> Any:
 
 
 def _as_float(default: Any, value: Any) -> Any:
-    """Return a whole number, or an array of such, as floats where the default is one."""
+    """Return an integer, or an array of integers, as floats if the default is a float."""
     if not isinstance(_first(default), float) or type(_first(value)) is not int:
         return value
     if isinstance(default, tuple) != isinstance(value, (list, tuple, array.array)):
@@ -151,7 +151,7 @@ def _as_float(default: Any, value: Any) -> Any:
 
 
 def _constraints(meta: Any) -> str:
-    """Return in words the limits that a descriptor's range cannot express: choices, arrays."""
+    """Return the limits that the range of a descriptor cannot express: choices, arrays."""
     if meta['choices']:
         return 'one of ' + ', '.join(meta['choices'])
     limits = [f'at least {meta["low"]:g}' if meta['low'] is not None else '',
@@ -160,7 +160,7 @@ def _constraints(meta: Any) -> str:
 
 
 def _is_switch(meta: Any) -> bool:
-    """Whether true and false are among the choices: yaml files give them as bool."""
+    """Whether true and false are among the choices, which yaml files give as bool."""
     return 'true' in meta['choices']
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The plane at a point that somebody clicks: clicked_point to ~/clicked_plane."""
+"""The plane at a clicked point: clicked_point to ~/clicked_plane."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import ProcessedFrame
 
-# derived: a click is a few pixels off; a plane that is farther away is another one.
+# derived: a click is within a few pixels of its target; planes further away are not meant.
 REACH_PX = 8
-# derived: more than people click between two frames; nothing from outside may grow.
+# derived: more clicks than a user makes between two frames; limits the memory.
 _MOST_CLICKS = 16
 
 
@@ -48,7 +48,7 @@ class PointQuery:
         return bool(self._clicks)
 
     def destroy(self) -> None:
-        """End publisher and subscription."""
+        """Destroy publisher and subscription."""
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_lifecycle_publisher(self._publisher)
 
@@ -87,13 +87,13 @@ def point_in_camera(result: ProcessedFrame, click: PointStamped) -> np.ndarray:
     if frame == result.target_header.frame_id:
         return result.to_target.inverse().points(point_m)
     raise ValueError(f'it is in the frame {frame}, the planes are in '
-                     f'{result.target_header.frame_id}: take that as fixed frame, or set '
+                     f'{result.target_header.frame_id}: use that as fixed frame, or set '
                      f'target_frame to {frame}')
 
 
 def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
     """
-    Return the index of the plane of the pixel that shows a point, or of the nearest pixel.
+    Return the index of the plane at the pixel that shows a point, or at the nearest pixel.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
 
 
 def describe_plane(result: ProcessedFrame, index: int) -> str:
-    """Return the row of a plane in words."""
+    """Return a description of a plane in words."""
     detection = result.detection
     plane, rectangle = detection.planes[index], result.rectangles[index]
     label = messages.plane_labels(detection)[index]

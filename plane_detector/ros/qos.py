@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service: requested from the inputs, offered on the outputs."""
+"""Quality of service of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _RELIABILITY = {'auto': ReliabilityPolicy.BEST_AVAILABLE,
 def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | None = None
                        ) -> QoSOverridingOptions:
     """
-    Return which policies of an endpoint the qos_overrides parameters may change.
+    Return the policies of an endpoint that the qos_overrides parameters may change.
 
     Parameters
     ----------
     settle : callable, optional
-        Called with the profile once these parameters are applied; it may change or refuse it.
+        Called with the profile after these parameters are applied; may change or reject it.
 
     """
     return QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
@@ -36,18 +36,18 @@ def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | Non
 
 
 def output_profile() -> QoSProfile:
-    """Return the profile of the outputs: reliable, a short queue."""
+    """Return the profile of the outputs: reliable, short queue."""
     return QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 
 
 class InputSubscription:
     """
-    A subscription that keeps the last message only and can follow its publishers.
+    A subscription that keeps the last message only and can adapt to its publishers.
 
-    With reliability ``auto`` it starts with what matches everybody: best effort while no publisher
-    is known, reliable where all of them are. When they change, a second subscription with the
-    other reliability is opened, and the first one is closed once the second has received
-    something, so that no message is lost in between.
+    With reliability ``auto`` it starts compatible with every publisher: best effort if none is
+    known, reliable if all of them are. When they change, a second subscription with the other
+    reliability is created, and the first one is destroyed when the second has received a message,
+    so that no message is lost in between.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ class InputSubscription:
         self._current = self._subscribe(self._on_message)
 
     def destroy(self) -> None:
-        """End the subscription."""
+        """Destroy the subscription."""
         self._destroy_next()
         self._node.destroy_subscription(self._current)
 
@@ -87,14 +87,14 @@ class InputSubscription:
             event_callbacks=events, qos_overriding_options=overriding_options(self._settle))
 
     def _settle(self, profile: QoSProfile) -> SetParametersResult:
-        """Replace ``auto``, unless an override has done so, before the subscription is made."""
+        """Replace ``auto``, unless overridden, before the subscription is created."""
         self._follows = profile.reliability == ReliabilityPolicy.BEST_AVAILABLE
         if self._follows:
             profile.reliability = self._offered()
         return SetParametersResult(successful=True)
 
     def _offered(self) -> ReliabilityPolicy:
-        """Return the strongest reliability that matches all publishers, known or to come."""
+        """Return the strongest reliability compatible with all publishers, present and future."""
         infos = self._node.get_publishers_info_by_topic(self.topic)
         if infos and all(i.qos_profile.reliability == ReliabilityPolicy.RELIABLE for i in infos):
             return ReliabilityPolicy.RELIABLE
@@ -105,7 +105,7 @@ class InputSubscription:
         self._callback(msg)
 
     def _on_first_of_next(self, msg: Any, info: Mapping[str, int]) -> None:
-        """Close the first subscription; it may have delivered this very message already."""
+        """Destroy the first subscription, which may already have delivered this message."""
         self._node.destroy_subscription(self._current)
         self._current, self._next = self._next, None
         self._current.callback = self._on_message
@@ -130,7 +130,7 @@ class InputSubscription:
             self._follow()
 
     def _follow(self) -> None:
-        """Reopen a subscription if the publishers' offer has changed."""
+        """Recreate the subscription if the reliability of the publishers has changed."""
         offered = self._offered()
         if self._next is not None and self._next.qos_profile.reliability == offered:
             return

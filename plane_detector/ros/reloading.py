@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node that takes its own parameters back, as `ros2 param dump` writes them."""
+"""A node whose parameters can be loaded from a `ros2 param dump`."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rclpy.parameter import Parameter
 
 class ReloadableNode(LifecycleNode):
     """
-    A lifecycle node whose read-only parameters may be set to the value that they have.
+    A lifecycle node whose read-only parameters may be set to their current values.
 
-    `ros2 param load` sets everything that `ros2 param dump` has written, the qos_overrides among
-    it, which rclpy declares as read-only; without this, it reports a failure for each of them.
+    `ros2 param load` sets everything that `ros2 param dump` has written, including qos_overrides,
+    which rclpy declares as read-only; without this class it would report a failure for each.
     """
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:

@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A node as a process: spinning, signals, the end within bounded time, exit code.
+A node as a process: spinning, signals, exit within limited time, exit code.
 
-SIGINT and SIGTERM are noted, and the main thread ends when it comes to it. An exception raised by
-a signal would be swallowed where it meets a destructor or an error handler, and give a traceback
-where it meets the shutdown. Should the main thread not come to it in time, or a second signal
-come, a thread that does nothing else ends the process.
+SIGINT and SIGTERM are recorded, and the main thread ends at its next check. An exception raised by
+a signal would be lost in a destructor or an error handler, and give a traceback during shutdown.
+If the main thread does not end in time, or at a second signal, another thread ends the process.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ from plane_detector.stopping import end_process
 _SPIN_TIMEOUT_S = 0.2
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 MOST_ENDING_S = 2.5
-"""Time from the first signal until the process ends whatever it does."""
+"""Longest time from the first signal to the end of the process."""
 
 
 class _Ending:
-    """What SIGINT and SIGTERM lead to; once in a process."""
+    """Handling of SIGINT and SIGTERM; once per process."""
 
     def __init__(self) -> None:
         self.is_asked = False
@@ -44,14 +43,14 @@ class _Ending:
         os.set_blocking(self._written, False)
 
     def begin(self) -> None:
-        """Take the signals; the C level writes each into a pipe, whatever Python does then."""
+        """Install the handlers; Python's C code also writes each signal to a pipe at once."""
         signal.set_wakeup_fd(self._written, warn_on_full_buffer=False)
         for number in _SIGNALS:
             signal.signal(number, self._note)
         threading.Thread(target=self._watch, name='ending', daemon=True).start()
 
     def finish(self) -> None:
-        """Ignore further signals: the interpreter's end would put back that they kill."""
+        """Ignore further signals, because the interpreter's exit restores the default handlers."""
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
@@ -72,23 +71,23 @@ class _Ending:
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoReturn:
     """
-    Run a node until SIGINT or SIGTERM; once in a process.
+    Run a node until SIGINT or SIGTERM; once per process.
 
-    Both are taken by Python rather than by rclpy. After the first one the node has `MOST_ENDING_S`
+    Python handles both signals instead of rclpy. After the first one the node has `MOST_ENDING_S`
     to end; a second one ends the process at once.
 
     Parameters
     ----------
     make_node : callable
-        Called once rclpy is initialised.
+        Called after rclpy is initialised.
     args : list of str, optional
-        The command line; sys.argv if not given.
+        Command line; default: sys.argv.
 
     Notes
     -----
-    It does not return: the process ends with exit code 1 when the node cannot be made with these
-    arguments, else 0. The ordinary end of the interpreter would take a second or more, with all
-    the libraries that it unloads, and crash where one of them is still at work.
+    This function does not return: the process exits with code 1 if the node cannot be made with
+    these arguments, otherwise 0. The regular exit of the interpreter would take a second or more
+    to unload all libraries, and crash if one of them is still running.
 
     """
     ending, exit_code = _Ending(), 0
@@ -109,15 +108,15 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoRetur
 
 
 def _init(args: list[str] | None) -> None:
-    """Initialise rclpy; raise ValueError where it does not understand the command line."""
+    """Initialise rclpy; raises ValueError for an invalid command line."""
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # the base of rclpy's own, which it does not export
+    except RuntimeError as error:  # base class of rclpy's exception, which it does not export
         raise ValueError(f'rclpy refuses the arguments: {error}') from error
 
 
 def _close_middleware() -> None:
-    """Shut rclpy down, and let go of what holds its shared memory."""
+    """Shut rclpy down and release its shared memory."""
     context = rclpy.get_default_context()
     rclpy.try_shutdown()
     context.destroy()

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Transitions of a lifecycle node: slow ones beside the executor, impossible ones answered.
+Transitions of a lifecycle node: slow ones run in a thread, invalid ones are answered.
 
-rclpy calls ``on_configure`` in the executor, which could neither answer a service nor receive a
-message while a network is fetched and warmed up. Here that is done in a thread while the node is
-in the state ``configuring``, and the executor comes back to it when it is done.
+rclpy calls ``on_configure`` in the executor, which could neither answer services nor receive
+messages while a network is downloaded and warmed up. Here this work runs in a thread while the
+node is in the state ``configuring``, and the executor continues the transition when it is
+finished.
 """
 
 from __future__ import annotations
@@ -26,19 +27,19 @@ Prepared = TypeVar('Prepared')
 
 class Transitions(Generic[Prepared]):
     """
-    Answers the service ``~/change_state`` of a node in the place of rclpy.
+    Answers the service ``~/change_state`` of a node instead of rclpy.
 
     Parameters
     ----------
     node : LifecycleNode
         Its ``on_configure`` must call `prepared`.
     prepare : callable
-        What takes long of configuring; called in a thread.
+        The slow part of configuring; called in a thread.
 
     Attributes
     ----------
     group : CallbackGroup
-        For callbacks that call `configure`: others go on while these wait.
+        For callbacks that call `configure`: others run while these wait.
 
     """
 
@@ -54,7 +55,7 @@ class Transitions(Generic[Prepared]):
 
     async def configure(self) -> TransitionCallbackReturn:
         """
-        Do what ``trigger_configure`` of rclpy does, without keeping the executor from other work.
+        Do the same as ``trigger_configure`` of rclpy without blocking the executor.
 
         Raises
         ------
@@ -62,7 +63,7 @@ class Transitions(Generic[Prepared]):
             The state does not allow it.
 
         """
-        machine = self._node._state_machine  # for this rclpy has no public name
+        machine = self._node._state_machine  # rclpy has no public name for it
         number, label = machine.current_state
         machine.trigger_transition_by_id(Transition.TRANSITION_CONFIGURE, True)
         done = Future()
@@ -73,22 +74,22 @@ class Transitions(Generic[Prepared]):
         return code
 
     def prepared(self) -> Prepared:
-        """Return what was prepared, or prepare it now; raise what that raises."""
+        """Return the result of the preparation, running it now if needed; raises its exception."""
         call = self._call or Background(self._prepare, 'configure')
         self._call = None
         return call.result()
 
     def stop(self) -> None:
-        """Tell the preparation to stop."""
+        """Request that the preparation stops."""
         if self._call is not None:
             self._call.stop.set()
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait for the preparation to end; return whether none runs any more."""
+        """Wait for the preparation to end; return False after a timeout."""
         return self._call is None or self._call.wait(timeout_s)
 
     def _answering(self, by_rclpy: Callable[..., Any]) -> Callable[..., Any]:
-        """Return the callback of the service; by rclpy's an impossible one ends the process."""
+        """Return the callback of the service; in rclpy's own, an invalid one ends the process."""
         async def answer(request: ChangeState.Request, response: ChangeState.Response):
             try:
                 if not _asks_to_configure(request.transition):
@@ -105,7 +106,7 @@ class Transitions(Generic[Prepared]):
 
 
 def _asks_to_configure(transition: Transition) -> bool:
-    """Return whether it does, by its label if there is one, else by its number."""
+    """Return whether the transition is configure, by its label if it has one, else its number."""
     if transition.label:
         return transition.label == 'configure'
     return transition.id == Transition.TRANSITION_CONFIGURE

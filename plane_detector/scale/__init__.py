@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Disparity of unknown scale and shift to metres."""
+"""Conversion of disparity of unknown scale and shift to metres."""

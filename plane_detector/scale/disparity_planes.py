@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The planes of an image as affine functions of a disparity of unknown scale and shift.
+Planes of an image as affine functions of a disparity of unknown scale and shift.
 
 With the ray (x, y, 1) of a pixel, a plane is D = p x + q y + r in any disparity that is affine
 in 1/z. If 1/z = scale * (D + tau), its normal is proportional to (p, q, r + tau): the angles
@@ -18,7 +18,7 @@ import numpy as np
 @dataclass(frozen=True)
 class DisparityPlanes:
     """
-    The planes that were found in an image.
+    Planes found in an image.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class DisparityPlanes:
     information : (N, 3, 3) float64
         Inverse covariance of the coefficients.
     centers : (N, 2) float64
-        Mean ray slopes x, y of the pixels.
+        Mean ray slopes x, y of the pixels of each plane.
     pixel_share : (N,) float64
-        Share of the pixels of all these planes.
+        Share of each plane in the pixels of all these planes.
     labels : (N,) int64
         Index of each plane among those of the segmentation.
 
@@ -43,7 +43,7 @@ class DisparityPlanes:
 
     @classmethod
     def none(cls) -> DisparityPlanes:
-        """Return no plane at all."""
+        """Return an instance without planes."""
         return cls(np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 2)), np.zeros(0),
                    np.zeros(0, np.int64))
 
@@ -57,13 +57,13 @@ class DisparityPlanes:
 
     def scaled(self, scale: float, shift: float) -> np.ndarray:
         """
-        Return the coefficients (N, 3) of 1/z = scale * D + shift.
+        Return the coefficients (N, 3) of the planes in 1/z = scale * D + shift.
 
         The plane n . p + d = 0 has the coefficients -n / d.
         """
         return scale * self.coefficients + [0.0, 0.0, shift]
 
     def take(self, index: np.ndarray) -> DisparityPlanes:
-        """Return the chosen planes, in the order of the index."""
+        """Return the selected planes, in the order of the index."""
         return DisparityPlanes(self.coefficients[index], self.information[index],
                                self.centers[index], self.pixel_share[index], self.labels[index])

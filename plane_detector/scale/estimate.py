@@ -11,34 +11,33 @@ import numpy as np
 from plane_detector.geometry.disparity import to_depth
 
 RELATIVE = 'relative'
-# Depths beyond this multiple of the image's own unit are invalid where metres are unknown.
+# Depths beyond this multiple of the arbitrary unit are invalid if metres are unknown.
 MAX_RELATIVE_DEPTH = 1000.0
 
 
 @dataclass(frozen=True)
 class ScaleEstimate:
     """
-    1/z = scale * disparity + shift, and the method that found it.
+    1/z = scale * disparity + shift, and the method that estimated it.
 
     Attributes
     ----------
     scale, shift : float
-        1/metres, or 1/unit if the unit is unknown: the median depth of the image that the unit
-        was chosen on is then 1.
+        1/metres, or 1/unit if the unit is unknown; the unit is then the median depth of the
+        image for which it was chosen.
     method : str
         ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
     is_metric : bool
-        Whether depth is in metres. False for ``relative``, and for ``manhattan`` without a
-        height.
+        Whether depth is in metres; not for ``relative``, nor for ``manhattan`` without a height.
     has_true_angles : bool
-        Whether the angles between planes are those of the scene. False for ``relative``.
+        Whether the angles between planes are those of the scene; not for ``relative``.
     uncertainty : float
-        Standard deviation of depth due to scale and shift, as a share of depth, at the far tenth
-        of the image; NaN if unknown.
+        Standard deviation of depth due to scale and shift, as a share of depth, at the disparity
+        quantile of the farthest 10 % of the image; NaN if unknown.
     note : str
-        Finding of the method, or why the others refused; for the log and the diagnostics.
+        Result of the method, or why the others refused; for the log and the diagnostics.
     span : (3,) tuple of float
-        Disparity of the far tenth, the middle and the near tenth of the image.
+        The 10 %, 50 % and 90 % quantiles of disparity.
 
     """
 
@@ -53,11 +52,11 @@ class ScaleEstimate:
 
     @property
     def unit_method(self) -> str:
-        """The method that fixes the unit, or ``relative`` if none does."""
+        """Method that determined the unit; ``relative`` if none did."""
         return self.method if self.is_metric else RELATIVE
 
     def with_covariance(self, covariance: np.ndarray) -> ScaleEstimate:
-        """Return the estimate with the uncertainty of a covariance (2, 2) of scale and shift."""
+        """Return the estimate with its uncertainty from the covariance of scale and shift."""
         far = np.array([self.span[0], 1.0])
         inverse_depth = far @ [self.scale, self.shift]
         sigma = np.sqrt(max(far @ covariance @ far, 0.0))
@@ -80,7 +79,7 @@ def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,
     disparity : (H, W) floating
     estimate : ScaleEstimate
     max_depth_m : float
-        Applies only if the unit is the metre.
+        Larger depths are invalid; applies only if the unit is the metre.
 
     """
     farthest = max_depth_m if estimate.is_metric else MAX_RELATIVE_DEPTH

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Scale and shift of a disparity by the floor, whose height under the camera is known.
+Scale and shift of a disparity from the floor, whose distance below the camera is known.
 
-On a floor h below the camera, with down the unit vector g, the ray (x, y, 1) meets it where
-1/z = g . (x, y, 1) / h. There D = alpha / z + beta is linear in alpha and beta, so the least
-squares over the floor's pixels has a closed form; scale = 1 / alpha, shift = -beta / alpha.
+Let g be the unit direction of gravity. The ray (x, y, 1) meets a floor h below the camera where
+1/z = g . (x, y, 1) / h. There D = alpha / z + beta is linear in alpha and beta, so the
+least-squares solution over the pixels of the floor has a closed form; scale = 1 / alpha, shift =
+-beta / alpha.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ import numpy as np
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.scale.manhattan import ManhattanVote
 
-# The floor's share of the pixels of all planes: less of it is noise, or a table top before a
-# floor that is out of view.
+# Smallest share of the floor in the pixels of all planes; a smaller one is noise, or a table top
+# in front of a floor outside the image.
 MIN_FLOOR_SHARE = 0.02
-# Of the planes' pixels, how many may lie below a floor (noise, reflections), and how far.
+# Largest share of the planes' pixels below a floor (noise, reflections), and the margin to it.
 MAX_SHARE_BELOW, BELOW_MARGIN = 0.1, 1.1
 SAME_HEIGHT = 1.05
-# How far from level or upright planes may look beyond the tolerance of gravity, by their noise.
+# Tolerances of horizontal and vertical planes for noise, in addition to that of gravity.
 LEVEL_DEG = 3.0
 UPRIGHT_DEG = 6.0
 MAX_INNOVATION_SIGMAS = 3.0
@@ -32,17 +33,17 @@ MAX_INNOVATION_SIGMAS = 3.0
 @dataclass(frozen=True)
 class FloorFit:
     """
-    1/z = scale * D + shift by the floor.
+    1/z = scale * D + shift, determined by the floor.
 
     Attributes
     ----------
     scale, shift : float
     covariance : (2, 2) float64
-        Of scale and shift, by the noise of the disparity and the tolerance of gravity.
+        Of scale and shift, from the noise of the disparity and the tolerance of gravity.
     upright_share : float
-        Share of the pixels in planes that are then level or upright.
+        Share of the pixels in planes that are horizontal or vertical with this solution.
     label : int
-        The floor's.
+        Index of the floor's plane.
 
     """
 
@@ -56,7 +57,7 @@ class FloorFit:
 def fit_floor(planes: DisparityPlanes, lowest_disparity: float, gravity_camera: np.ndarray,
               height_m: float, down_tolerance_deg: float) -> FloorFit | None:
     """
-    Find the floor by a direction of gravity that is known well, and fit scale and shift to it.
+    Find the floor with an accurate direction of gravity, and fit scale and shift to it.
 
     Parameters
     ----------
@@ -68,14 +69,14 @@ def fit_floor(planes: DisparityPlanes, lowest_disparity: float, gravity_camera: 
     height_m : float
         Of the camera above the floor.
     down_tolerance_deg : float
-        How far gravity may be off.
+        Largest error of gravity.
 
     Returns
     -------
     FloorFit or None
-        None where no plane can be the floor: none is level, below the horizon and large enough,
-        leaves all depths positive and has hardly anything below it. A table before a floor that
-        is out of view cannot be told from it.
+        None if no plane can be the floor: it must be horizontal, below the horizon and large
+        enough, give positive depth everywhere and have almost nothing below it. A table in front
+        of a floor outside the image cannot be distinguished from it.
 
     """
     fits = [_fit_as_floor(planes, k, lowest_disparity, gravity_camera, height_m,
@@ -87,7 +88,7 @@ def fit_floor(planes: DisparityPlanes, lowest_disparity: float, gravity_camera: 
 def _fit_as_floor(planes: DisparityPlanes, k: int, lowest_disparity: float,
                   gravity_camera: np.ndarray, height_m: float,
                   down_tolerance_deg: float) -> FloorFit | None:
-    """Assume that plane k is the floor, together with all planes found at its height."""
+    """Fit to plane k as the floor, together with all planes at its height."""
     first = _solve(planes.take([k]), gravity_camera, height_m)
     if first is None:
         return None
@@ -115,7 +116,7 @@ def _near(ratio: np.ndarray) -> np.ndarray:
 
 
 def _solve(floor: DisparityPlanes, gravity_camera: np.ndarray, height_m: float):
-    """Return scale, shift and their covariance; None if the planes cannot fix them."""
+    """Return scale, shift and their covariance; None if the planes do not determine them."""
     design = np.stack([gravity_camera / height_m, [0.0, 0.0, 1.0]], axis=1)
     normal_matrix = design.T @ floor.information.sum(0) @ design
     if np.linalg.cond(normal_matrix) > 1e12:
@@ -131,7 +132,7 @@ def _solve(floor: DisparityPlanes, gravity_camera: np.ndarray, height_m: float):
 
 def _gravity_covariance(floor: DisparityPlanes, gravity_camera: np.ndarray, height_m: float,
                         tolerance_deg: float, solution: tuple[float, float]) -> np.ndarray:
-    """Return what an error of gravity of one tolerance does to scale and shift, (2, 2)."""
+    """Return the covariance (2, 2) of scale and shift due to the tolerance of gravity."""
     covariance = np.zeros((2, 2))
     for direction in np.linalg.svd(gravity_camera[None])[2][1:]:
         tilted = gravity_camera + np.tan(np.radians(tolerance_deg)) * direction
@@ -145,21 +146,21 @@ def _gravity_covariance(floor: DisparityPlanes, gravity_camera: np.ndarray, heig
 def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, gravity_camera: np.ndarray,
                        height_m: float) -> FloorFit | None:
     """
-    Find the floor by right angles and a coarse direction of gravity.
+    Find the floor with right angles and a coarse direction of gravity.
 
     Parameters
     ----------
     planes : DisparityPlanes
     vote : ManhattanVote
-        Shift and axes by the right angles.
+        Shift and axes from the right angles.
     gravity_camera : (3,) floating
-        Coarse unit direction of gravity: picks the axis.
+        Coarse unit direction of gravity, which selects the axis.
     height_m : float
 
     Returns
     -------
     FloorFit or None
-        None where no plane is level and below the camera.
+        None if no plane is horizontal and below the camera.
 
     """
     cosines, tau = vote.axes @ gravity_camera, vote.tau
@@ -181,16 +182,16 @@ def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, gravity_cam
 
 def with_right_angles(fit: FloorFit, tau: float, tau_sigma: float) -> FloorFit:
     """
-    Combine a fit to the floor with the shift that right angles give, by their uncertainties.
+    Combine a fit to the floor with the shift from right angles, weighted by their uncertainties.
 
-    An error of gravity tilts the floor and with it all walls, right angles hold them; one step
-    of an extended Kalman filter weighs the two. Unchanged where they contradict each other.
+    An error of gravity tilts the floor and all walls, but not the right angles between them. One
+    step of an extended Kalman filter combines both. Unchanged if they contradict each other.
 
     Parameters
     ----------
     fit : FloorFit
     tau, tau_sigma : float
-        Shift / scale by the right angles, and its standard deviation.
+        Shift / scale from the right angles, and its standard deviation.
 
     Returns
     -------
@@ -212,7 +213,7 @@ def with_right_angles(fit: FloorFit, tau: float, tau_sigma: float) -> FloorFit:
 
 def _level_and_height(planes: DisparityPlanes, solution: tuple, gravity_camera: np.ndarray,
                       tolerance_deg: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return which planes are level below the camera, and how far below their middle is, (N,)."""
+    """Return the mask (N,) of horizontal planes below the camera, and each plane's height."""
     metric = planes.scaled(*solution[:2])
     length = np.maximum(np.linalg.norm(metric, axis=1), 1e-30)
     level = metric @ gravity_camera / length >= np.cos(np.radians(tolerance_deg))
@@ -222,7 +223,7 @@ def _level_and_height(planes: DisparityPlanes, solution: tuple, gravity_camera: 
 
 
 def _anything_below(planes: DisparityPlanes, level: np.ndarray, ratio: np.ndarray) -> bool:
-    """Return whether a level plane, or much of the others, lies below the floor."""
+    """Return whether a horizontal plane, or many pixels of other planes, lie below the floor."""
     below = ratio > BELOW_MARGIN
     return bool((level & below).any() or planes.pixel_share[below].sum() > MAX_SHARE_BELOW)
 

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The shift of a disparity by right angles: the Manhattan world of Coughlan and Yuille (1999).
+Shift of a disparity from right angles: the Manhattan world of Coughlan and Yuille (1999).
 
-Two planes (p, q, r) of D = p x + q y + r are perpendicular where their normals
-(p, q, r + tau) are: tau is a root of tau^2 + (r1 + r2) tau + p1 p2 + q1 q2 + r1 r2 = 0. Every
-pair of planes proposes its roots; each is judged by the pixels of all planes that then lie along
-three axes at right angles. Bending a room without right angles leaves much of it off the axes,
-or more than one shift that is as good: the vote then refuses.
+The normal of a plane (p, q, r) of D = p x + q y + r is proportional to (p, q, r + tau). Two planes
+are perpendicular if tau is a root of tau^2 + (r1 + r2) tau + p1 p2 + q1 q2 + r1 r2 = 0. Every pair
+of planes proposes its roots; each is scored by the pixels of all planes along three perpendicular
+axes. A room without right angles leaves many planes off the axes, or has several shifts with
+similar scores; the vote then refuses.
 """
 
 from __future__ import annotations
@@ -21,37 +21,37 @@ from plane_detector.scale.disparity_planes import DisparityPlanes
 
 MAX_PLANES = 16
 MIN_PIXEL_SHARE = 0.004
-# A normal is off its axis beyond 3 sigma of its fit, but judged neither finer nor coarser than:
+# A normal is off its axis beyond 3 sigma of its fit, limited to this range.
 MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG = 2.0, 5.0
 SYSTEMATIC_DEG = 1.0
 POORLY_KNOWN_DEG = 4.0
 MIN_ALIGNED_SHARE = 0.68
 MIN_AXIS_SHARE = 0.04
 MIN_DISTINCT_PLANES = 3
-# A shift whose standard deviation turns a large plane by more is not known.
+# A shift is not determined if its standard deviation turns a large plane by more.
 MAX_UNSURE_DEG = 5.0
-# Another shift with this share of the winner's votes makes the answer ambiguous.
+# The answer is ambiguous if another shift has this share of the votes.
 RIVAL_SHARE = 0.85
-# So does one that leaves as many planes level or upright, up to this share of the pixels: a low
-# camera in a hexagonal room sees a floor that any shift keeps level.
+# Also if another one has as many planes horizontal or vertical, within this share of the pixels: a
+# low camera in a hexagonal room sees a floor that is horizontal for any shift.
 UPRIGHT_MARGIN = 0.03
 
 
 @dataclass(frozen=True)
 class ManhattanVote:
     """
-    Shift found from right angles.
+    Shift estimated from right angles.
 
     Attributes
     ----------
     tau : float
-        1/z is proportional to D + tau; NaN when the vote refuses.
+        1/z is proportional to D + tau; NaN if the vote refuses.
     sigma : float
         Standard deviation of tau.
     axes : (3, 3) float64
-        Rows: the axes of the frame in the camera frame.
+        Rows: unit axes in the camera frame.
     refusal : str
-        Why there is no answer; empty when there is.
+        Why there is no answer; empty if there is one.
 
     """
 
@@ -63,13 +63,13 @@ class ManhattanVote:
 
 @dataclass(frozen=True)
 class _Frames:
-    """C shifts, each with a frame, judged by N planes."""
+    """C shifts, each with a frame of axes, scored on N planes."""
 
     tau: np.ndarray          # (C,)
     axes: np.ndarray         # (C, 3, 3), rows are axes
-    axis: np.ndarray         # (C, N) int, the axis that each plane lies along, -1 none
+    axis: np.ndarray         # (C, N) int, index of the axis that each plane is aligned with, or -1
     weight: np.ndarray       # (C, N) pixel share, less where the normal is poorly known
-    votes: np.ndarray        # (C,) weight of the aligned planes, less where barely aligned
+    votes: np.ndarray        # (C,) weight of the aligned planes, less if barely aligned
     upright: np.ndarray      # (C,) the same for planes along or across the best single axis
 
 
@@ -77,7 +77,7 @@ def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
                gravity_camera: np.ndarray | None = None,
                down_tolerance_deg: float = 0.0) -> ManhattanVote:
     """
-    Find the shift that makes the planes lie along three perpendicular axes, or refuse.
+    Find the shift that aligns the planes with three perpendicular axes, or refuse.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
     gravity_camera : (3,) floating, optional
         Unit direction of gravity; one of the axes must agree with it.
     down_tolerance_deg : float
-        How well.
+        Largest angle between them.
 
     Returns
     -------
@@ -120,11 +120,11 @@ def _largest(planes: DisparityPlanes) -> DisparityPlanes:
 
 
 def _proposals(coefficients: np.ndarray, lowest_tau: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the shifts (C,) that make some pair perpendicular, and the pairs' frames."""
+    """Return the shifts (C,) that make some pair perpendicular, and the axes of these pairs."""
     i, j = np.triu_indices(len(coefficients), 1)
     first, second = coefficients[i], coefficients[j]
     middle = -0.5 * (first[:, 2] + second[:, 2])
-    # Noise may push a double root (both planes see the axis edge on) off the real line.
+    # Noise may make a double root complex (both planes contain the direction of the axis).
     reach = np.sqrt(np.maximum(middle**2 - (first * second).sum(1), 0.0))
     tau = np.concatenate([middle - reach, middle + reach])
     first, second = np.tile(first, (2, 1)), np.tile(second, (2, 1))
@@ -154,7 +154,7 @@ def _normals(planes: DisparityPlanes, tau: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Frames:
-    """Count the pixels of the planes along the axes of each frame."""
+    """Sum the pixels of the planes along the axes of each frame."""
     normals, sigma_deg = _normals(planes, tau)
     cosine = np.abs(np.einsum('cni,cki->cnk', normals, axes))
     angle_deg = np.degrees(np.arccos(cosine.clip(0, 1)))
@@ -169,12 +169,12 @@ def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Frame
 
 
 def _fit(off_deg: np.ndarray, tolerance_deg: np.ndarray) -> np.ndarray:
-    """Return 1 for none off, one half at the tolerance and 0 beyond."""
+    """Return 1 at no deviation, one half at the tolerance and 0 beyond."""
     return np.where(off_deg <= tolerance_deg, 1.0 - 0.5 * (off_deg / tolerance_deg) ** 2, 0.0)
 
 
 def _refine(planes: DisparityPlanes, frames: _Frames, best: int, lowest_tau: float):
-    """Return the shift, its standard deviation and the axes that fit the aligned planes best."""
+    """Return the shift, its standard deviation and the axes that best fit the aligned planes."""
     aligned = frames.axis[best] >= 0
     members, axis = planes.take(np.flatnonzero(aligned)), frames.axis[best][aligned]
     start, axes = frames.tau[best], frames.axes[best]
@@ -196,7 +196,7 @@ def _refine(planes: DisparityPlanes, frames: _Frames, best: int, lowest_tau: flo
 
 def _align(planes: DisparityPlanes, tau: float, axes: np.ndarray, axis: np.ndarray,
            weights: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the weighted squared angle (deg^2) to the best rotated axes, and those axes."""
+    """Return the weighted squared angle (deg^2) to the best rotated axes, and these axes."""
     normals = _normals(planes, np.array([tau]))[0][0]
     for _ in range(3):
         signs = np.sign((normals * axes[axis]).sum(1, keepdims=True))
@@ -210,7 +210,7 @@ def _align(planes: DisparityPlanes, tau: float, axes: np.ndarray, axis: np.ndarr
 
 def _reason_to_refuse(planes: DisparityPlanes, winner: _Frames, frames: _Frames,
                       sigma: float) -> str:
-    """Return why the winner must not be believed, empty if it may."""
+    """Return why the best shift is not reliable; empty if it is."""
     axis, share = winner.axis[0], winner.weight[0] / winner.weight[0].sum()
     aligned = share[axis >= 0].sum()
     if aligned < MIN_ALIGNED_SHARE:
@@ -222,24 +222,24 @@ def _reason_to_refuse(planes: DisparityPlanes, winner: _Frames, frames: _Frames,
     large = planes.pixel_share >= MIN_AXIS_SHARE
     unsure_deg = turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max(initial=0.0)
     if unsure_deg > MAX_UNSURE_DEG:
-        return f'the right angles leave a plane unsure by {unsure_deg:.0f} degrees'
+        return f'the right angles leave the angle of a plane uncertain by {unsure_deg:.0f} degrees'
     apart = turn_deg(planes, winner.tau, frames.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
     rival = frames.votes[apart].max(initial=0.0)
     if rival > RIVAL_SHARE * winner.votes[0]:
-        return 'another shift makes as many right angles'
+        return 'another shift gives as many right angles'
     if frames.upright[apart].max(initial=0.0) > winner.upright[0] - UPRIGHT_MARGIN:
         return 'another shift leaves as many planes upright, at other angles to each other'
     return ''
 
 
 def turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return how far each plane turns from a shift (1,) to others (C,), (C, N) degrees."""
+    """Return the angle by which each plane turns from a shift (1,) to others, (C, N) degrees."""
     here, there = _normals(planes, tau)[0], _normals(planes, other)[0]
     return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
 
 
 def _distinct(planes: DisparityPlanes) -> int:
-    """Count the planes of which no larger one is the continuation."""
+    """Count the planes, without those that continue a larger one."""
     centers = np.column_stack([planes.centers, np.ones(len(planes))])
     predicted = planes.coefficients @ centers.T
     spread = np.ptp(predicted.diagonal()) + 1e-30

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-From a disparity of unknown scale and shift to metres: 1/z = scale * disparity + shift.
+Scale methods: from a disparity of unknown scale and shift to metres, 1/z = scale * D + shift.
 
-A method finds both, or refuses with a reason. ``auto`` uses the first method that gives metres, in
-this order: the network's own metres, measured depth, the camera's height above the floor, right
-angles with that height, the given numbers. Right angles alone determine the shift only: angles
-are then true, and the unit stays unknown. If no method succeeds, both are unknown: ``relative``.
+A method estimates both, or refuses with a reason. ``auto`` uses the first method that gives
+metres, in this order: metres of the network, measured depth, height of the camera above the floor,
+right angles with that height, given numbers. Right angles alone determine only the shift: angles
+are then true, but the unit is unknown. If no method succeeds, both are unknown: ``relative``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from plane_detector.scale.manhattan import ManhattanVote, estimate_manhattan_shi
 from plane_detector.scale.sensor_depth import fit_measured_depth
 
 COARSE_GRAVITY_DEG = 5.0
-# The farthest pixels are judged by this quantile, so that noise at the horizon does not count.
+# The farthest pixels are those at this quantile, so that noise at the horizon does not count.
 FAR_QUANTILE = 0.01
 SPAN_QUANTILES = (0.1, 0.5, 0.9)
 
@@ -35,7 +35,7 @@ SPAN_QUANTILES = (0.1, 0.5, 0.9)
 @dataclass(frozen=True)
 class ScaleEvidence:
     """
-    What may tell the scale and shift of an image's disparity.
+    Observations that may determine the scale and shift of a disparity.
 
     Attributes
     ----------
@@ -46,15 +46,15 @@ class ScaleEvidence:
     output : str
         Output of the network: ``metric_depth``, ``disparity`` or ``relative_disparity``.
     is_measured : bool
-        The disparity is that of a sensor, whose metres are not questioned.
+        The disparity is measured by a sensor, in 1/metres.
     gravity_camera : (3,) floating or None
-        Direction of gravity in the optical frame, of any length; None or 0: not known.
+        Direction of gravity in the optical frame, of any length; None or 0: unknown.
     down_tolerance_deg : float
-        How far it may be off.
+        Its largest error.
     level_axes : (A, 3) float64
-        Horizontal directions parallel and perpendicular to the walls, as far as known.
+        Known horizontal directions parallel and perpendicular to the walls.
     sensor_depth_m : (H, W) floating or None
-        Measured depth, sparse or dense.
+        Measured depth in metres, sparse or dense; NaN invalid.
 
     """
 
@@ -69,12 +69,12 @@ class ScaleEvidence:
 
     @cached_property
     def down(self) -> np.ndarray | None:
-        """Unit direction of gravity, None if not known."""
+        """Unit direction of gravity; None if unknown."""
         return None if self.gravity_camera is None else unit_direction(self.gravity_camera)
 
     @property
     def knows_gravity_well(self) -> bool:
-        """Whether angles to the direction of gravity mean anything."""
+        """Whether gravity is accurate enough for angles."""
         return self.down is not None and self.down_tolerance_deg <= COARSE_GRAVITY_DEG
 
     @property
@@ -84,7 +84,7 @@ class ScaleEvidence:
 
     @property
     def span(self) -> tuple[float, float, float]:
-        """Disparity of the far tenth, the middle and the near tenth of the image."""
+        """Disparity quantiles of 10, 50 and 90 %."""
         return self._quantiles[1:]
 
     @cached_property
@@ -97,7 +97,7 @@ class ScaleEvidence:
 
 def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -> ScaleEstimate:
     """
-    Find scale and shift of one image by the configured method.
+    Estimate scale and shift of one image by the configured method.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -
             return estimate
         else:
             unitless = unitless or estimate
-    return unitless or _relative(evidence, '; '.join(refusals) or 'asked for by scale.method')
+    return unitless or _relative(evidence, '; '.join(refusals) or 'requested by scale.method')
 
 
 def _methods(config: ScaleConfig) -> tuple[str, ...]:
@@ -139,13 +139,13 @@ def _methods(config: ScaleConfig) -> tuple[str, ...]:
 
 
 def _relative(evidence: ScaleEvidence, note: str) -> ScaleEstimate:
-    """Return no shift, or the smallest that makes the disparity positive."""
+    """Return the scale 1, with the smallest shift that makes the disparity positive."""
     return _unitless(evidence, max(0.0, -1.01 * evidence.lowest), RELATIVE, False, np.nan, note)
 
 
 def _unitless(evidence: ScaleEvidence, tau: float, method: str, has_true_angles: bool,
               tau_sigma: float, note: str) -> ScaleEstimate:
-    """Choose the unit so that the median depth of the image is 1."""
+    """Return an estimate in the unit that makes the median depth of the image 1."""
     middle = evidence.span[1] + tau
     scale = 1.0 / middle if middle > 0 else 1.0
     estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
@@ -155,8 +155,8 @@ def _unitless(evidence: ScaleEvidence, tau: float, method: str, has_true_angles:
 
 def _metric(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:
     if evidence.output == 'relative_disparity':
-        return 'the network gives no metres'
-    note = 'measured depth' if evidence.is_measured else 'the network\'s metres'
+        return 'the network does not give metres'
+    note = 'measured depth' if evidence.is_measured else 'metres of the network'
     return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, note, evidence.span)
 
 
@@ -175,7 +175,7 @@ def _camera_height(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimat
     if config.camera_height == 0 or evidence.down is None:
         return 'scale.camera_height and the direction of gravity are not both known'
     if not evidence.knows_gravity_well:
-        return 'gravity is known too coarsely'
+        return 'the direction of gravity is too inaccurate'
     fit = fit_floor(evidence.planes, evidence.lowest, evidence.down, config.camera_height,
                     evidence.down_tolerance_deg)
     if fit is None:
@@ -201,7 +201,7 @@ def _manhattan(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | 
 
 
 def _vote(evidence: ScaleEvidence) -> ManhattanVote:
-    """Return the shift by gravity, by gravity and level axes, or by right angles alone."""
+    """Return the shift from gravity, from gravity and axes, or from right angles alone."""
     if evidence.knows_gravity_well:
         axes = np.vstack([evidence.down, evidence.level_axes])
         for count in sorted({1, len(axes)}):

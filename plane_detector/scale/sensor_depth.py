@@ -3,9 +3,10 @@
 """
 Scale and shift of a disparity from measured depth of the same camera, sparse or dense.
 
-D = alpha / z + beta is fitted with the measured 1/z as the exact variable, since the error is the
-network's: median of slopes over far-apart pairs (Siegel's and Theil and Sen's idea; holds with a
-quarter of wrong points), then least squares with Tukey's weights.
+D = alpha / z + beta is fitted with the measured 1/z as the exact variable, because the error is
+that of the network. The start is the median of slopes over distant pairs of points (after Theil,
+Sen and Siegel; robust against a quarter of wrong points), refined by least squares with Tukey's
+weights.
 """
 
 from __future__ import annotations
@@ -21,9 +22,9 @@ MIN_POINTS = 5
 MAX_POINTS = 20_000
 TUKEY_SIGMAS = 4.685
 ITERATIONS = 10
-# Errors of a depth map are correlated: more points than these add no precision.
+# Errors of a depth map are correlated: more points than this do not add precision.
 INDEPENDENT_POINTS = 300
-# Scale and shift need near and far points: without them the scale is more uncertain than this.
+# Without near and far points the scale is more uncertain than this.
 MAX_SCALE_SIGMA_SHARE = 0.1
 
 
@@ -35,11 +36,11 @@ class DepthFit:
     Attributes
     ----------
     scale, shift : float
-        NaN when refused.
+        NaN if refused.
     covariance : (2, 2) float64
         Of scale and shift.
     point_count : int
-        Points that agree.
+        Number of points that agree.
     refusal : str
         Why there is no result; empty if there is one.
 
@@ -54,14 +55,14 @@ class DepthFit:
 
 def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> DepthFit:
     """
-    Fit scale and shift robustly to measured depth.
+    Fit scale and shift to measured depth, robustly.
 
     Parameters
     ----------
     disparity : (H, W) floating
         Of unknown scale and shift; not finite where invalid.
     sensor_depth_m : (H, W) floating
-        Metres; not finite or not positive where there is none.
+        Metres; not finite or not positive where not measured.
 
     Returns
     -------
@@ -96,7 +97,7 @@ def _refused(reason: str) -> DepthFit:
 
 
 def _median_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """Return slope and intercept by the median over pairs half the order apart."""
+    """Return slope and intercept by medians over pairs half the sorted order apart."""
     order = np.argsort(x, kind='stable')
     x, y = x[order], y[order]
     half = len(x) // 2
@@ -109,7 +110,7 @@ def _median_line(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
 
 
 def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return Tukey's biweights and the standard deviation of the residual."""
+    """Return Tukey's biweights and the standard deviation of the residuals."""
     sigma = SIGMA_PER_MEDIAN * float(np.median(np.abs(residual)))
     sigma = max(sigma, 1e-9 * float(np.abs(residual).max()), 1e-12)
     ratio = residual / (TUKEY_SIGMAS * sigma)
@@ -119,7 +120,7 @@ def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
 def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, sigma: float):
     design = np.stack([x, np.ones_like(x)], axis=1)
     normal_matrix = design.T @ (weights[:, None] * design)
-    # Points at one depth make it singular: the variance becomes huge, and the fit is refused.
+    # Points at one depth make it singular: the variance becomes large, and the fit is refused.
     normal_matrix += 1e-12 * (1.0 + np.trace(normal_matrix)) * np.eye(2)
     inverse = np.linalg.inv(normal_matrix)
     alpha, beta = inverse @ (design.T @ (weights * y))

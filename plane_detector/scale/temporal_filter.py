@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Temporal filter of scale and shift: smoothing, holding without a measurement, outlier rejection.
+Temporal filter of scale and shift: smoothing, holding without an estimate, outlier rejection.
 
-Two estimates are compared by the change of depth between them. A small change is blended in; a
-large one is ignored until several frames in a row agree on it: then the scene has changed.
+Two estimates are compared by the change of depth between them. A small change is averaged; a
+large one is ignored until several consecutive frames agree on it, because the scene has changed.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from plane_detector.config import ScaleConfig
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.methods import METHODS
 
-# Methods that measure in each frame; the results of the others are used unfiltered.
+# Methods that estimate in each frame; the results of the others are used unfiltered.
 MEASURED = ('depth_topic', 'camera_height', 'manhattan')
 
 
 @dataclass(frozen=True)
 class ScaleState:
     """
-    The scale in use, and the memory for the next frame.
+    The scale in use, and the state for the next frame.
 
     Attributes
     ----------
     estimate : ScaleEstimate
-        In use.
+        Currently used.
     outliers : tuple of ScaleEstimate
-        The last consecutive frames that disagree with it and agree with each other.
+        The most recent frames that disagree with it and agree with each other.
     missed : int
-        Frames since the method in use last succeeded.
+        Frames since the method in use succeeded last.
     event : str
         Change at this frame, for the log; empty if none.
 
@@ -53,9 +53,9 @@ def update_scale(state: ScaleState | None, measured: ScaleEstimate,
     Parameters
     ----------
     state : ScaleState or None
-        None at the start, or for a reset (time jumped back).
+        None at the start, or to reset the filter (time jumped back).
     measured : ScaleEstimate
-        Of the new frame alone.
+        Estimate of the new frame.
     config : ScaleConfig
 
     Returns
@@ -78,7 +78,7 @@ def update_scale(state: ScaleState | None, measured: ScaleEstimate,
 
 
 def depth_change(estimate: ScaleEstimate, other: ScaleEstimate) -> float:
-    """Return the largest change of depth between two scales, as a share, over other's span."""
+    """Return the largest relative change of depth between two scales, over the span of other."""
     disparity = np.array(other.span)
     inverse = estimate.scale * disparity + estimate.shift
     other_inverse = other.scale * disparity + other.shift
@@ -92,13 +92,13 @@ def _kind(estimate: ScaleEstimate) -> tuple[str, bool]:
 
 
 def _rank(estimate: ScaleEstimate) -> tuple[bool, int]:
-    """Return a smaller value for a better kind of estimate."""
+    """Return the rank of an estimate; a smaller value is a better method."""
     order = (*METHODS, RELATIVE)
     return not estimate.is_metric, order.index(estimate.method)
 
 
 def _in_same_unit(measured: ScaleEstimate, current: ScaleEstimate) -> ScaleEstimate:
-    """Keep the unit of the first frame if it is not the metre: only the shift is measured."""
+    """Keep the unit of the first frame unless it is the metre: only the shift is estimated."""
     if measured.is_metric:
         return measured
     middle = measured.span[1]

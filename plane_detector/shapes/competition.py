@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Is it one curved surface or a few small planes? Both are judged on the same pixels."""
+"""Choice between one curved surface and a few small planes, scored on the same pixels."""
 
 from __future__ import annotations
 
@@ -18,21 +18,20 @@ from plane_detector.shapes.refinement import (
 from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.shapes.views import DepthView, FoundShape
 
-# A plane is a facet of a shape that explains this share of its pixels, or it stays a plane.
+# A plane is a facet of a shape if the shape explains this share of its pixels.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 times, at 1.4 times 2 of 197
-# finds less.
+# fewer are found.
 _MIN_FACET_SHARE = 0.7
-# Enough to tell a share.
+# Enough pixels to estimate a share.
 _FACET_PIXELS = 300
 
 
 def instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
     """
-    Return the shape with the planes that it takes the place of, or None if the planes win.
+    Return the shape together with the planes that it replaces, or None if the planes fit better.
 
-    A plane is taken whole or not at all. The shape must explain the pixels better than the planes
-    do, by the Bayesian information criterion; pixels that nothing explains cost the same on both
-    sides.
+    A plane is replaced completely or not at all. The shape must explain the pixels better than the
+    planes by the Bayesian information criterion; unexplained pixels cost the same for both.
     """
     counts = view.label_counts(found.members)[:-1]
     absorbed = found.absorbed.copy()
@@ -52,7 +51,7 @@ def _shape_cost(found: FoundShape, pixels: Pixels) -> float:
 
 
 def _plane_cost(view: DepthView, pixels: Pixels, labels: np.ndarray) -> float:
-    """Return the criterion of the planes on the pixels; without a plane they are outliers."""
+    """Return the criterion of the planes on the pixels; pixels without a plane are outliers."""
     residual = np.full(len(labels), DEVIATIONS)
     present = np.unique(labels[labels >= 0])
     for k in present:

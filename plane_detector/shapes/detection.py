@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recipe: spheres, cylinders and cones in the pixels that belong to no plane."""
+"""Detection of spheres, cylinders and cones in the pixels without a plane: the stages in order."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.shapes.windows import free_shares
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation, Shape, ShapeType
 
-# A plane of more than this share of the image is no facet of a curved surface.
-# tuned: benchmark shapes --first-seed 100 --scenes 40; at 1.7 times 1 of 197 finds more.
+# A plane with more than this share of the image is not a facet of a curved surface.
+# tuned: benchmark shapes --first-seed 100 --scenes 40; at 1.7 times 1 of 197 more is found.
 _MAX_FACET_SHARE = 0.06
-# derived: with fewer cells the normals do not tell shapes apart.
+# derived: the normals of fewer cells do not distinguish shapes.
 _MIN_CELLS = 6
-# A shape whose surface goes on smoothly over more than this share of its border is a part of
-# something else: an ellipsoid, a curtain.
+# A shape whose surface continues smoothly across more than this share of its border is part of a
+# larger surface, such as an ellipsoid or a curtain.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat to 1.4 times, at 0.7 times 6 of 197
-# finds less.
+# fewer are found.
 _MAX_OPEN_SHARE = 0.3
-# Of the pixels of its cells a shape explains at least this share.
+# A shape explains at least this share of the pixels of its cells.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat up to 0.86, at 0.56 two pieces of a
-# torus are taken for cylinders.
+# torus are found as cylinders.
 _MIN_EXPLAINED_SHARE = 0.8
-# A component that gives so many parts of something else is left alone.
+# The search in a component ends after this many rejected shapes.
 _MAX_FAILURES = 2
-# A size that is known no better, by the covariance of the fit, is none.
+# A shape is rejected if its size is less certain than this, by the covariance of the fit.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 to 1.4 times.
 _MAX_RADIUS_ERROR_SHARE, _MAX_ANGLE_ERROR_RAD = 0.25, np.radians(12.0)
 
@@ -62,20 +62,20 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelReg
     """
     Find spheres, cylinders and cones where there is no plane, or only facets of a curved surface.
 
-    1. Cells without a plane become oriented points; those that go on smoothly are components.
-    2. In each component the best hypothesis of each kind is searched (RANSAC), fitted to its
-       pixels, and the kind with the least Bayesian information criterion is kept, unless a plane
+    1. Cells without a plane become oriented points; smoothly connected cells form components.
+    2. In each component the best hypothesis of each kind is found by RANSAC and fitted to its
+       pixels. The kind with the lowest Bayesian information criterion is kept, unless a plane
        explains the pixels as well.
-    3. A shape is refused if its size is not determined, or if its surface goes on across much of
-       its border.
-    4. Pieces of one shape are joined, and pixels within the noise get its label.
+    3. A shape is rejected if its size is not determined, or if its surface continues across much
+       of its border.
+    4. Pieces of one shape are merged, and the pixels within the noise get its label.
 
     Parameters
     ----------
     depth_m : (H, W) floating
-        NaN where invalid.
+        Metres, NaN where invalid.
     found : PlaneSegmentation
-        The planes of this depth, measured on these regions of 1/depth_m.
+        Planes of this depth, measured on these regions of 1/depth_m.
     regions : PixelRegions
     intrinsics : CameraIntrinsics
     config : ShapesConfig
@@ -84,7 +84,7 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelReg
     Returns
     -------
     PlaneSegmentation
-        Without the planes that are facets of a shape; with K left, K + i labels shape i.
+        Without the planes that are facets of a shape; with K planes left, label K + i is shape i.
     shapes : tuple of Shape
         Largest first.
 
@@ -106,7 +106,7 @@ def _view(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelRegions,
 
 def _search(view: DepthView, models: Sequence[ShapeModel], config: ShapesConfig,
             rng: np.random.Generator) -> Iterator[FoundShape]:
-    """Yield shapes, component by component, until none is left in it."""
+    """Yield the shapes of all components."""
     min_pixels = config.min_share * view.labels.size
     share = free_shares(view.image, view.size_px, *view.shape)
     component = smooth_components(view.surfels.table, view.surfels.usable & (share > 0.5),
@@ -128,7 +128,7 @@ def _search(view: DepthView, models: Sequence[ShapeModel], config: ShapesConfig,
 
 def _next_shape(view: DepthView, left: np.ndarray, models: Sequence[ShapeModel],
                 config: ShapesConfig, rng: np.random.Generator) -> FoundShape | None:
-    """Return the shape that explains most of the cells that are left, or None."""
+    """Return the shape that explains most of the remaining cells, or None."""
     surfels, among = view.surfels, np.flatnonzero(left)
     if is_flat(view.free_pixels(left)[0]):
         return None
@@ -154,13 +154,13 @@ def _next_shape(view: DepthView, left: np.ndarray, models: Sequence[ShapeModel],
 
 def _best_fit(view: DepthView, candidates: Sequence[Candidate],
               cells: np.ndarray) -> FittedShape | None:
-    """Return the candidate that explains the pixels of some cells best; None if a plane does."""
+    """Return the candidate that best explains the pixels of some cells; None if a plane does."""
     pixels, _ = view.free_pixels(cells)
     around, best, least = dilated_cells(view, cells), None, plane_cost(pixels)
     silhouette = None
     alone = [fit for one in candidates if (fit := fit_shape(one.model, one.shape, pixels))]
     for fit in sorted(alone, key=lambda one: one.cost):
-        if fit.cost >= least:  # silhouette and rays only add to it
+        if fit.cost >= least:  # silhouette and rays can only add to it
             break
         silhouette = silhouette or view.silhouette(cells, around)
         fit = fit_silhouette(fit, pixels, silhouette)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes from image to image: found in what the planes leave over, with stable labels."""
+"""Shapes in consecutive images, with stable labels."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Found = tuple[PlaneSegmentation, tuple[Shape, ...], tuple[int, ...]]
 
 
 class ShapeDetector:
-    """Finds the shapes that the settings name; call it with every image in order."""
+    """Finds the shapes that the settings request; must be called with every image in order."""
 
     def __init__(self) -> None:
         self._tracks: tuple[ShapeTrack, ...] = ()
 
     def reset(self) -> None:
-        """Forget all shapes."""
+        """Discard all known shapes."""
         self._tracks = ()
 
     def detect(self, depth_m: np.ndarray, planes: PlaneSegmentation, regions: PixelRegions,
@@ -35,20 +35,20 @@ class ShapeDetector:
         depth_m : (H, W) floating
             NaN where invalid.
         planes : PlaneSegmentation
-            The planes of this depth.
+            Planes of this depth.
         regions : PixelRegions
-            That they were measured on, in 1/m.
+            The regions that they were measured on, in 1/m.
         intrinsics : CameraIntrinsics
         config : Config
             Its ``shapes``, ``tracking`` and the seed of ``ransac``.
 
         in_metres : bool
-            Sizes in metres mean nothing otherwise, and no shapes are searched.
+            Whether depth is in metres; otherwise no shapes are searched for.
 
         Returns
         -------
         PlaneSegmentation
-            As :func:`find_shapes` returns it; unchanged if no shapes are wanted.
+            As returned by :func:`find_shapes`; unchanged if no shapes are requested.
         tuple of Shape
             Largest first.
         tuple of int

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far a shape reaches in the image, and whether it ends there or is a part of something."""
+"""Extent of a shape in the image, and whether its surface ends at its border."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from plane_detector.shapes.surfels import depth_sigma_m
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.shapes.windows import THROUGH_STEP_PX, pixels_on, rays_through
 
-# derived: cells that the silhouette cuts are no members; a border is up to two of them wide.
+# derived: cells cut by the silhouette are not members; they form a border of at most two cells.
 _BORDER_CELLS = 2
-# The pixels of a silhouette are mixtures; what is looked at lies so many pixels outside.
+# Pixels at a silhouette are mixtures, so the surroundings are examined this far outside.
 _RING_PX = 3
-# derived: over as many pixels a surface at 45 degrees to the ray goes as far in depth.
+# derived: over this many pixels a surface at 45 degrees to the ray changes as much in depth.
 _MAX_GAP_PX = _RING_PX + 1.0
 
 
 def on_image(view: DepthView, found: FoundShape) -> FoundShape:
-    """Return a shape with the free pixels that lie on it, connected with its cells."""
+    """Return a shape with the free pixels that lie on it and are connected with its cells."""
     cells = dilated_cells(view, found.members)
     window = view.window_of(cells)
     ends = tuple(end for side in window for end in (side.start, side.stop))
@@ -43,10 +43,10 @@ def on_image(view: DepthView, found: FoundShape) -> FoundShape:
 def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray,
                       around: np.ndarray) -> float:
     """
-    Return what rays cost that go through the surface of a shape: each counts as an outlier.
+    Return the cost of rays that pass through the surface of a shape; each counts as an outlier.
 
     A cylinder may fit the depth of a cone, but not its silhouette. The rays are those of the cells
-    (R, C) around its members (R * C,).
+    (R, C) around the members (R * C,) of the shape.
     """
     along_m = surface_of(fit.shape, view.surfels.points_m[members]).along_m
     ends_m = (along_m.min(), along_m.max()) if fit.shape[AXIS].any() else (-np.inf, np.inf)
@@ -56,9 +56,9 @@ def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray,
 
 def open_share(view: DepthView, found: FoundShape) -> float:
     """
-    Return the share, 0 to 1, of a shape's border in the image where the surface goes on.
+    Return the share, 0 to 1, of the border of a shape across which the surface continues.
 
-    It does where pixels just outside belong to no plane and lie at the depth of those inside.
+    It continues where pixels just outside have no plane and the same depth as those inside.
     """
     window, mask = found.window, found.mask
     near, far = (cv2.dilate(mask.astype(np.uint8), np.ones((2 * k + 1, 2 * k + 1), np.uint8))
@@ -79,5 +79,5 @@ def open_share(view: DepthView, found: FoundShape) -> float:
 
 
 def dilated_cells(view: DepthView, members: np.ndarray) -> np.ndarray:
-    """Return the cells (R, C) bool that the silhouette around some cells (R * C,) may reach."""
+    """Return the cells (R, C) bool that the silhouette of some cells (R * C,) may cross."""
     return np.ascontiguousarray(dilated(members.reshape(view.shape), _BORDER_CELLS), bool)

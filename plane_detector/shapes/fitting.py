@@ -3,12 +3,12 @@
 """
 Compiled least squares: shapes and planes fitted to points with noise along their rays.
 
-Rays along the silhouette touch the shape, wherever the noise puts the depth. Their points are
-those where they come nearest to the surface; since the distance is least there, its derivatives
-are those of any other point.
+Rays along the silhouette touch the shape, whatever the noise of the depth. Each is represented by
+its point closest to the surface. The distance is minimal there, so its derivatives are the same as
+for any other point.
 
-scipy's Levenberg-Marquardt gives the same shapes, which a test verifies, but most of its time goes
-into calls for a few hundred points.
+A test verifies that scipy's Levenberg-Marquardt gives the same shapes; it is slower, because most
+of its time is the overhead of calls for a few hundred points.
 
 References
 ----------
@@ -31,12 +31,12 @@ from plane_detector.shapes.surface import (
     turn_of,
 )
 
-# A shape is fitted, then its inliers are chosen anew.
+# Number of times that a shape is fitted and its inliers selected.
 _ROUNDS = 2
 _MOST_STEPS = 12
-# derived: of a sum of 500 squares that is a twentieth of one deviation.
+# derived: for a sum of 500 squares, a twentieth of one standard deviation.
 _TOLERANCE = 1e-4
-# after: Marquardt 1963, who damps ten times more after a bad step, ten times less after a good.
+# after: Marquardt 1963, ten times more damping after a bad step, ten times less after a good one.
 _FIRST_DAMPING, _DAMPING_STEP = 1e-3, 10.0
 
 
@@ -53,7 +53,7 @@ def distances_deviations(shape, points, noise):
 
 @kernel('float64[::1](float64[:, ::1], float64[::1])')
 def solved(matrix, vector):
-    """Return the solution (F,) of a positive definite system by Cholesky's method, else NaN."""
+    """Return the solution (F,) of a positive definite system by Cholesky's method, or NaN."""
     count = len(vector)
     lower, result = np.zeros((count, count)), vector.copy()
     for i in range(count):
@@ -81,12 +81,12 @@ def solved(matrix, vector):
 @kernel('float64(float64[::1], UniTuple(float64, 2), float64[:, ::1], float64[::1], '
         'float64[::1])')
 def gradient(shape, turn, frame, point, result):
-    """Return the distance of a point (3,); give its derivatives with respect to ``moved`` (7,)."""
+    """Return the distance of a point (3,); write its derivatives for ``moved`` (7,)."""
     cosine, sine = turn
     along, away, x, y, z = about_axis(shape, point[0], point[1], point[2])
     n_x, n_y = cosine * x - sine * shape[3], cosine * y - sine * shape[4]
     n_z = cosine * z - sine * shape[5]
-    # Turning the axis changes both the way along it and the distance from it.
+    # Rotating the axis changes both the position along it and the distance from it.
     lever = along * cosine + away * sine
     for k in range(3):
         result[k] = -(n_x * frame[k, 0] + n_y * frame[k, 1] + n_z * frame[k, 2])
@@ -99,7 +99,7 @@ def gradient(shape, turn, frame, point, result):
 
 @kernel('float64[:, ::1](float64[::1], float64[:, ::1], float64[:, ::1])')
 def touching(shape, points, rays):
-    """Return points (N, 3), then where rays (M, 4) come nearest to a shape, (N + M, 3)."""
+    """Return the points (N, 3) and the points of rays (M, 4) closest to a shape, (N + M, 3)."""
     turn, result = turn_of(shape), np.empty((len(points) + len(rays), 3))
     result[:len(points)] = points
     for i in range(len(rays)):
@@ -144,9 +144,9 @@ def weighted_square(shape, points, weight):
 @kernel('float64[::1](float64[::1], int64[::1], float64[:, ::1], float64[:, ::1], float64[::1])')
 def least_squares(shape, freedoms, points, rays, weight):
     """
-    Return the shape (8,) of least squares, by Levenberg and Marquardt's method.
+    Return the least-squares shape (8,) by the method of Levenberg and Marquardt.
 
-    The squares are of the weighted distances of points (N, 3) and touching rays (M, 4).
+    The residuals are the weighted distances of points (N, 3) and touching rays (M, 4).
     """
     damping, places = _FIRST_DAMPING, touching(shape, points, rays)
     before = weighted_square(shape, places, weight)
@@ -161,7 +161,7 @@ def least_squares(shape, freedoms, points, rays, weight):
         other = moved(shape, steps, frame_of(shape))
         places = touching(other, points, rays)
         after = weighted_square(other, places, weight)
-        if not after < before:  # NaN is no improvement either
+        if not after < before:  # also if it is NaN
             damping *= _DAMPING_STEP
             continue
         shape, damping = other, damping / _DAMPING_STEP
@@ -175,9 +175,9 @@ def least_squares(shape, freedoms, points, rays, weight):
 @kernel('float64[::1](float64[::1], float64[:, ::1], float64, float64)')
 def weights_of_rays(shape, rays, pixel, slack_px):
     """
-    Return 1 / side of a pixel where rays (M, 4) touch a shape.
+    Return the weights of rays (M, 4) on a shape, 1 / side of a pixel.
 
-    It is 0 if they are off by more than that, or their pixel is not as near as the silhouette.
+    The weight is 0 if a ray is further off than the slack, or its pixel is behind the silhouette.
     """
     turn, weight = turn_of(shape), np.zeros(len(rays))
     for i in range(len(rays)):
@@ -201,14 +201,14 @@ def fitted(shape, freedoms, points, noise, rays, trust):
     shape : (8,) float64
     freedoms : (F,) int64
     points : (N, 3) float64
-        Outliers are cut off. If too few points agree the shape is NaN.
+        Outliers are rejected. If too few points agree, the shape is NaN.
     noise : (N, 2) float64
-        Deviation of the depth, and side of the pixel there.
+        Standard deviation of the depth, and side of the pixel at that depth.
     rays : (M, 4) float64
-        Along the silhouette: x and y at depth 1, depth and deviation of the pixel beside it.
+        Along the silhouette: x and y at depth 1, depth and deviation of the adjacent pixel.
     trust : (float, float, float)
-        Share of the points that are independent, side of a pixel at depth 1, and how many pixels
-        rays may be off at first.
+        Share of independent points, side of a pixel at depth 1, and largest initial error of the
+        rays in pixels.
 
     """
     weight, slack_px = np.empty(0), trust[2]
@@ -226,7 +226,7 @@ def fitted(shape, freedoms, points, noise, rays, trust):
 
 @kernel('float64(float64[::1], float64[:, ::1], float64[:, ::1])')
 def shape_misfit(shape, points, noise):
-    """Return the mean squared distance of points in deviations; none counts for more than 9."""
+    """Return the mean squared distance of points in deviations, each limited to 9."""
     turn, total = turn_of(shape), 0.0
     for i in range(len(points)):
         distance, deviation = distance_deviation(
@@ -237,7 +237,7 @@ def shape_misfit(shape, points, noise):
 
 @kernel('float64(float64[:, ::1], float64[:, ::1])')
 def plane_misfit(points, noise):
-    """Return the same for the best plane of points (N, 3), fitted in 1/z, where it is affine."""
+    """Return the same for the best plane of points (N, 3), fitted to 1/z."""
     matrix, vector, ray, total = np.zeros((3, 3)), np.zeros(3), np.ones(3), 0.0
     for i in range(len(points)):
         ray[0], ray[1] = points[i, 0] / points[i, 2], points[i, 1] / points[i, 2]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled loops over samples: their cells, the shapes through them, how many cells agree."""
+"""Compiled loops over samples: draw cells, fit shapes through them, score the shapes."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from plane_detector.shapes.surface import (
     turn_of,
 )
 
-# Below this the determinant of three unit normals says that they lie in a plane.
+# Determinant of three unit normals below which they are coplanar.
 _MIN_DETERMINANT = 1e-6
-# Partners that are tried for each cell of a sample, since windows reach beyond the component.
+# Partners drawn for each cell of a sample, since windows extend beyond the component.
 TRIES = 4
 
 
 @kernel('int64[:, ::1](boolean[:, ::1], int64[::1], int64[::1], float64[:, :, ::1])')
 def draw_samples(inside, seeds, reach, chances):
     """
-    Return triples (H, 3) of different cells; -1 where no partner was met.
+    Return triples (H, 3) of different cells; -1 if no partner was found.
 
     Parameters
     ----------
     inside : (R, C) bool
-        The cells to draw from.
+        Cells to draw from.
     seeds, reach : (H,) int64
-        First cell of each sample, and how far its partners may be.
+        First cell of each sample, and largest distance of its partners in cells.
     chances : (H, 2 * TRIES, 2) float64
-        Even numbers from 0 to 1.
+        Uniform random numbers from 0 to 1.
 
     """
     rows, columns = inside.shape
@@ -60,7 +60,7 @@ def draw_samples(inside, seeds, reach, chances):
 
 @kernel('float64(float64[:, ::1], float64[:, ::1])')
 def radius_of_pair(points, normals):
-    """Return the radius for which points less radius times normals (2, 3) coincide, or NaN."""
+    """Return the radius for which points minus radius times normals (2, 3) coincide, or NaN."""
     product = square = 0.0
     for k in range(3):
         turn = normals[0, k] - normals[1, k]
@@ -82,7 +82,7 @@ def sphere_through(points, normals):
 
 @kernel('float64[::1](float64[::1], float64[::1])')
 def unit_cross(a, b):
-    """Return the unit vector (3,) across two; NaN where they are parallel."""
+    """Return the unit vector (3,) perpendicular to two vectors; NaN if they are parallel."""
     result = np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
                        a[0] * b[1] - a[1] * b[0]])
     length = np.sqrt((result * result).sum())
@@ -102,7 +102,7 @@ def cylinder_through(points, normals):
 
 @kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
 def apex_of(points, normals):
-    """Return where the planes of three oriented points (3, 3) meet, (3,); NaN if they do not."""
+    """Return the intersection (3,) of the planes of three oriented points (3, 3), or NaN."""
     apex, determinant = np.zeros(3), 0.0
     for i in range(3):
         a, b = normals[(i + 1) % 3], normals[(i + 2) % 3]
@@ -141,7 +141,7 @@ def shape_through(kind, points, normals):
 
 @kernel('boolean(float64[::1], UniTuple(float64, 2), float64[::1])')
 def agrees(shape, turn, cell):
-    """Say whether a cell, a row of :attr:`Surfels.table`, agrees in distance and in normal."""
+    """Return whether a cell, a row of :attr:`Surfels.table`, agrees in distance and normal."""
     distance, x, y, z = distance_normal(shape, turn, cell[0], cell[1], cell[2])
     if not x * cell[3] + y * cell[4] + z * cell[5] > cell[11]:
         return False
@@ -161,7 +161,7 @@ def agreeing_cells(shape, table, among):
 
 @kernel('boolean[::1](float64[::1], float64[:, ::1], boolean[:, ::1], int64)')
 def members_of(shape, table, inside, seed):
-    """Return the cells (R * C,) that agree with a shape and are connected with one that does."""
+    """Return the cells (R * C,) that agree with a shape and are connected with the seed."""
     rows, columns = inside.shape
     turn, found = turn_of(shape), np.zeros(rows * columns, np.bool_)
     stack, top = np.empty(rows * columns, np.int64), 1
@@ -180,7 +180,7 @@ def members_of(shape, table, inside, seed):
 
 @kernel('boolean(float64[::1], float64[::1], float64[::1])')
 def is_sane(shape, seed, bounds):
-    """Say whether a shape (8,) is of a size that is looked for: radii, half angles."""
+    """Return whether radius and half angle of a shape (8,) are within the bounds."""
     for value in shape:
         if not np.isfinite(value):
             return False
@@ -194,7 +194,7 @@ def is_sane(shape, seed, bounds):
 
 @kernel('float64(float64[::1], float64[:, ::1], int64[::1], float64, float64)')
 def score_of(shape, table, among, most, total):
-    """Return how many pixels of some cells agree with a shape; 0 once it cannot exceed most."""
+    """Return the number of agreeing pixels of some cells; 0 if it cannot exceed ``most``."""
     turn, score, left = turn_of(shape), 0.0, total
     for i in among:
         left -= table[i, 12]
@@ -207,7 +207,7 @@ def score_of(shape, table, among, most, total):
 
 @kernel('float64[:, ::1](int64, int64[:, ::1], float64[:, ::1], float64[:, ::1])')
 def shapes_of_kind(kind, samples, patches, table):
-    """Return the shapes (., 9) of samples (H, 3), then of patches, with the cell of each."""
+    """Return the shapes (., 9) from samples (H, 3), then from patches, with a cell of each."""
     points, normals = np.empty((3, 3)), np.empty((3, 3))
     needed, each = (3, CONES_PER_PATCH) if kind == CONE else (2, 1)
     shapes = np.full((len(samples) + each * len(patches), 9), np.nan)
@@ -226,18 +226,18 @@ def shapes_of_kind(kind, samples, patches, table):
 @kernel('float64[::1](float64[:, ::1], float64[::1], float64[:, ::1], int64[::1])')
 def best_hypothesis(shapes, bounds, table, among):
     """
-    Return the shape of a sane size with which most pixels agree, with its cell (9,), or NaN.
+    Return the shape within the bounds that agrees with most pixels, with its cell (9,), or NaN.
 
     Parameters
     ----------
     shapes : (H, 9) float64
-        Each with the number of a cell on it; may be NaN.
+        Each with the index of a cell on it; may be NaN.
     bounds : (4,) float64
-        Least and largest radius, least and largest half angle.
+        Smallest and largest radius, smallest and largest half angle.
     table : (R * C, 13) float64
         Of :class:`Surfels`.
     among : (n,) int64
-        The cells that are looked at.
+        Cells to compare with.
 
     """
     best, most, total = np.full(9, np.nan), 0.0, 0.0

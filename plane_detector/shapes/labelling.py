@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From cells to pixels: pieces of one shape are joined, labelled and measured."""
+"""From cells to pixels: merging of pieces of one shape, labels and measurement."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
 
-# A few outliers do not lengthen a shape.
+# Quantiles, so that a few outliers do not lengthen a shape.
 _LENGTH_QUANTILES = (0.01, 0.99)
-# Of the pixels of both pieces, what one shape must explain for them to be one.
+# Pieces are merged if one shape explains this share of the pixels of both.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.63 to 0.93.
 _MIN_JOINT_SHARE = 0.9
-# derived: a fit costs a third of a millisecond; further off, no other fit would explain both.
+# derived: saves a fit of a third of a millisecond; no fit explains pieces that are further apart.
 _FAR_DEVIATIONS = 10 * DEVIATIONS
 
 
 def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
                  config: ShapesConfig) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
     """
-    Return the planes that are left, with labels (H, W) that hold the shapes above them.
+    Return the remaining planes, with labels (H, W) that include the shapes after the planes.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
     planes : PlaneSegmentation
     found : sequence of FoundShape
     config : ShapesConfig
-        Bounds their size and number.
+        Limits size and number of the shapes.
 
     """
     gone, kept = np.zeros(len(planes.planes), bool), []
@@ -63,7 +63,7 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
 
 def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
                   gone: np.ndarray) -> tuple[np.ndarray, tuple[Plane, ...]]:
-    """Return new labels (H, W) and the planes without those that are gone (K,) bool."""
+    """Return new labels (H, W) and the planes without those marked in ``gone`` (K,) bool."""
     if not gone.any():
         return labels.copy(), planes
     number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1).astype(labels.dtype)
@@ -71,7 +71,7 @@ def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
 
 
 def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
-    """Join pieces of one shape, which a plane or something nearer cuts apart."""
+    """Merge pieces of one shape that a plane or a nearer object separates."""
     for k, one in enumerate(found):
         for other in found[k + 1:]:
             if one.fit.model is other.fit.model and (both := _as_one(view, one, other)):
@@ -81,7 +81,7 @@ def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
 
 
 def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape | None:
-    """Return the shape that explains both, if there is one."""
+    """Return the shape that explains both, or None."""
     large, small = sorted((one, other), key=lambda piece: -piece.members.sum())
     off = np.abs(shape_residuals(large.fit.shape, view.free_pixels(small.members)[0]))
     if np.median(off) > _FAR_DEVIATIONS:
@@ -89,7 +89,7 @@ def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape |
     members = one.members | other.members
     pixels, _ = view.free_pixels(members)
     fit = fit_shape(large.fit.model, large.fit.shape, pixels)
-    if fit is not None:  # pixels of the smaller piece, which were outliers at first, may fit now
+    if fit is not None:  # pixels of the smaller piece that were outliers may fit now
         fit = fit_shape(fit.model, fit.shape, pixels)
     if fit is None or explained_share(fit, pixels) < _MIN_JOINT_SHARE:
         return None

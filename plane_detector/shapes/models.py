@@ -5,12 +5,12 @@ Sphere, cylinder and cone as one surface with eight parameters.
 
 A shape is a row: position (3), unit axis (3), radius, half angle. The position is the centre of a
 sphere, a point on the axis of a cylinder, or the apex of a cone, whose axis points from the apex
-into the cone. Parameters that a kind does not have are 0; then all three are
+into the cone. Parameters that a kind does not have are 0. The surface of all three is the zero of
 
     distance = away cos(half angle) - along sin(half angle) - radius,
 
-with the way along the axis and the distance away from it. Shapes are convex and seen from outside:
-normals point away from the axis.
+where ``along`` is the coordinate along the axis and ``away`` the distance from it. Shapes are
+convex and seen from outside: normals point away from the axis.
 
 References
 ----------
@@ -33,7 +33,7 @@ POSITION, AXIS, RADIUS, HALF_ANGLE = np.s_[..., 0:3], np.s_[..., 3:6], np.s_[...
 @dataclass(frozen=True)
 class Surface:
     """
-    Points (N, 3) as one shape sees them.
+    Points (N, 3) relative to a shape.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Surface:
     normal : (N, 3) float64
         Gradient of the distance.
     along_m : (N,) float64
-        Way along the axis from the position; 0 for a sphere.
+        Coordinate along the axis from the position; 0 for a sphere.
 
     """
 
@@ -60,7 +60,7 @@ class ShapeModel:
     ----------
     type : ShapeType
     freedoms : tuple of int
-        What is fitted, of the seven steps of
+        Fitted parameters, as indices of the seven steps of
         :func:`plane_detector.shapes.surface.moved`.
 
     """
@@ -70,7 +70,7 @@ class ShapeModel:
 
 
 def surface_of(shape: np.ndarray, points: np.ndarray) -> Surface:
-    """Return how points (N, 3) lie to a shape (8,)."""
+    """Return points (N, 3) relative to a shape (8,)."""
     return Surface(*surface_at(shape, np.ascontiguousarray(points, float)))
 
 

@@ -3,9 +3,9 @@
 """
 Compiled: shapes from the curvature of windows of cells.
 
-Under noise the normals of single cells say little. A paraboloid through the cells of a window
-averages it: its principal curvatures give the radius of a sphere or a cylinder, and the direction
-without curvature is that of the lines in a cylinder or cone.
+Under noise the normals of single cells are inaccurate. A paraboloid fitted to the cells of a
+window averages the noise: its principal curvatures give the radius of a sphere or a cylinder, and
+the direction without curvature is that of the straight lines on a cylinder or cone.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from plane_detector.shapes.surface import CONE, SPHERE, frame_of
 
 # derived: twice the unknowns of a paraboloid.
 _MIN_CELLS = 12
-# Half angles of the cones that are tried, with the apex on either side; the fit finds the angle.
-# derived: each is within a factor 1.5 of any angle from 7 to 50 degrees.
+# Half angles of the cones to try, with the apex on either side; the fit refines the angle.
+# derived: each angle from 7 to 50 degrees is within a factor 1.5 of one of them.
 _CONE_ANGLES_RAD = np.radians(np.array([10.0, 20.0, 35.0]))
 CONES_PER_PATCH = 2 * len(_CONE_ANGLES_RAD)
 
@@ -34,9 +34,9 @@ def curved_patches(table, inside, seeds, reach):
     table : (R * C, 13) float64
         Of :class:`Surfels`.
     inside : (R, C) bool
-        The cells that count.
+        Cells to use.
     seeds, reach : (H,) int64
-        Middle of each window and how far it reaches. A row is NaN where there are too few cells.
+        Centre of each window and its half width in cells. A row is NaN if it has too few cells.
 
     """
     rows, columns = inside.shape
@@ -56,7 +56,7 @@ def curved_patches(table, inside, seeds, reach):
 
 @kernel('float64[::1](float64[:, ::1], int64[::1], float64[::1])')
 def paraboloid(table, cells, middle):
-    """Return the paraboloid (11,) through some cells (n,) about a point (3,)."""
+    """Return the paraboloid (11,) fitted to some cells (n,) about a point (3,)."""
     upright, result = np.zeros(8), np.empty(11)
     for i in cells:
         upright[3:6] += table[i, 3:6]
@@ -90,7 +90,7 @@ def paraboloid(table, cells, middle):
 
 @kernel('float64[::1](int64, float64[::1], int64)')
 def shape_of_patch(kind, patch, choice):
-    """Return a shape (8,) of a :class:`ShapeType` that curves as a patch; cones are a choice."""
+    """Return a shape (8,) with the curvature of a patch; ``choice`` is the cone's angle."""
     shape, radius = np.zeros(8), patch[9]
     if kind == SPHERE:
         radius = 2 / (1 / patch[9] + 1 / patch[10])
@@ -98,7 +98,7 @@ def shape_of_patch(kind, patch, choice):
         point, normal, line = patch[k], patch[3 + k], patch[6 + k]
         if kind == CONE:
             angle, side = _CONE_ANGLES_RAD[choice // 2], 1.0 - 2 * (choice % 2)
-            # A cone at its distance d from the apex has the radius d tan(angle) of curvature.
+            # At distance d from the apex a cone has the radius of curvature d tan(angle).
             shape[k] = point - side * radius / np.tan(angle) * line
             shape[3 + k] = side * np.cos(angle) * line - np.sin(angle) * normal
             shape[7] = angle

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes fitted to pixels by least squares, and how well they explain them."""
+"""Least-squares fit of shapes to pixels, and its quality."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from plane_detector.shapes.models import HALF_ANGLE, RADIUS, ShapeModel, surface
 from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.types import Plane
 
-# A silhouette is looked for where the fit to the depth puts it within three deviations, but no
-# further away than this.
+# The silhouette is searched for within three deviations of the fit to the depth, but at most this
+# far away.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 to 1.4 times.
 _MOST_SLACK_PX = 12.0
-# derived: the smallest shape, of a thousandth of 640 x 480 pixels, has twice as many around it. Of
-# sensors that measure nothing beside an edge only a few rays come, which may lie anywhere.
+# derived: the smallest shape, a thousandth of 640 x 480 pixels, has twice as many around it.
+# Sensors that measure nothing next to an edge give only a few rays, at arbitrary positions.
 _MIN_RAYS = 30
 _NO_RAYS = np.zeros((0, 4))
 
@@ -40,9 +40,9 @@ class Pixels:
     ----------
     points_m : (N, 3) float64
     noise_m : (N, 2) float64
-        Deviation of the depth, and side of a pixel at the depth of the point.
+        Standard deviation of the depth, and side of a pixel at the depth of the point.
     independent : float
-        As many pixels of independent noise would be as good: noise is smooth over some of them.
+        Equivalent number of pixels with independent noise, which is less if the noise is smooth.
 
     """
 
@@ -54,7 +54,7 @@ class Pixels:
 @dataclass(frozen=True)
 class Silhouette:
     """
-    Rays between something and what lies far behind it.
+    Rays between a surface and a background far behind it.
 
     Attributes
     ----------
@@ -79,9 +79,9 @@ class FittedShape:
     model : ShapeModel
     shape : (8,) float64
     information : (F, F) float64
-        Of the model's freedoms.
+        Of the fitted parameters.
     cost : float
-        Bayesian information criterion on the pixels that it was chosen by; less is better.
+        Bayesian information criterion on the pixels used for the choice; lower is better.
 
     """
 
@@ -92,7 +92,7 @@ class FittedShape:
 
     @cached_property
     def covariance(self) -> np.ndarray:
-        """Of the model's freedoms, (F, F) float64."""
+        """Covariance of the fitted parameters, (F, F) float64."""
         return np.linalg.pinv(self.information)
 
 
@@ -116,12 +116,12 @@ def plane_residuals(plane: Plane, pixels: Pixels) -> np.ndarray:
 
 
 def fit_shape(model: ShapeModel, shape: np.ndarray, pixels: Pixels) -> FittedShape | None:
-    """Fit a shape to pixels by least squares, outliers cut off; None if too few agree with it."""
+    """Fit a shape to pixels by least squares without outliers; None if too few pixels agree."""
     return _fit(model, shape, pixels, Silhouette(_NO_RAYS, 0.0), 0.0)
 
 
 def fit_silhouette(alone: FittedShape, pixels: Pixels, silhouette: Silhouette) -> FittedShape:
-    """Return a shape that was fitted to pixels, fitted to its silhouette, if seen, as well."""
+    """Return a shape fitted to its pixels and, if visible, to its silhouette as well."""
     if len(silhouette.rays) < _MIN_RAYS:
         return alone
     lever_m = 1.0
@@ -130,7 +130,7 @@ def fit_silhouette(alone: FittedShape, pixels: Pixels, silhouette: Silhouette) -
     uncertain_px = size_sigma(alone) * lever_m / float(pixels.noise_m[:, 1].mean())
     slack_px = min(DEVIATIONS * (1 + uncertain_px), _MOST_SLACK_PX)
     both = _fit(alone.model, alone.shape, pixels, silhouette, slack_px)
-    # A silhouette that contradicts the depth by three deviations is that of something else.
+    # A silhouette that contradicts the depth by three deviations belongs to something else.
     return both if both and both.cost < alone.cost + DEVIATIONS**2 else alone
 
 
@@ -147,7 +147,7 @@ def _fit(model: ShapeModel, start: np.ndarray, pixels: Pixels,
 
 
 def is_determined(fit: FittedShape, max_radius_share: float, max_angle_rad: float) -> bool:
-    """Say whether the size of a shape is known well enough for it to be one."""
+    """Return whether the size of a shape is certain enough."""
     if fit.shape[HALF_ANGLE]:
         return size_sigma(fit) < max_angle_rad
     return size_sigma(fit) < max_radius_share * fit.shape[RADIUS]
@@ -161,7 +161,7 @@ def size_sigma(fit: FittedShape) -> float:
 
 
 def criterion(misfit: float, freedoms: int, independent: float) -> float:
-    """Return the Bayesian information criterion of a misfit of so many independent pixels."""
+    """Return the Bayesian information criterion of a misfit, for independent pixels."""
     return misfit * independent + freedoms * math.log(independent + 1)
 
 
@@ -171,5 +171,5 @@ def plane_cost(pixels: Pixels) -> float:
 
 
 def is_flat(pixels: Pixels) -> bool:
-    """Say whether the least-squares plane leaves no more than the noise."""
+    """Return whether the residuals of the least-squares plane are within the noise."""
     return plane_misfit(pixels.points_m, pixels.noise_m) <= 1.0

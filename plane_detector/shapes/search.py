@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Shapes among the cells that belong to no plane: RANSAC on oriented points.
+Search for shapes among the cells without a plane: RANSAC on oriented points.
 
-1. Free cells form components that go on smoothly.
-2. In a component, seeds are drawn with partners from a window around them; pairs give spheres and
+1. Group the free cells into smoothly connected components.
+2. In a component, draw seeds with partners from a window around them; pairs give spheres and
    cylinders, triples give cones.
-3. Hypotheses are scored by the pixels of the cells that agree in distance and in normal.
-4. The best one of each kind keeps the cells that are connected with its seed.
+3. Score hypotheses by the pixels of the cells that agree in distance and normal.
+4. Reduce the best hypothesis of each kind to the cells that are connected with its seed.
 
 References
 ----------
@@ -35,19 +35,19 @@ from plane_detector.shapes.models import ShapeModel
 from plane_detector.shapes.patches import curved_patches
 from plane_detector.shapes.surfels import Surfels
 
-# after: Schnabel 2007 takes samples from the cells of an octree of random level.
+# after: Schnabel 2007, who draws samples from the cells of an octree at a random level.
 _WINDOWS_CELLS = (2, 4, 8)
-# derived: a cone of less is a cylinder within its length, of more a plane with a dent.
+# derived: with a smaller angle it resembles a cylinder, with a larger one a plane with a dent.
 _HALF_ANGLES_RAD = (np.radians(4.0), np.radians(70.0))
-# derived: with 99 % one of so many samples of three is good if a third of the cells are.
+# derived: if a third of the cells are inliers, one sample of three is correct with 99 %.
 _HYPOTHESES = 120
-# Paraboloids are fitted to windows that reach so far, and to all cells at once.
+# Paraboloids are fitted to windows with these half widths, and to all cells at once.
 _PATCH_REACHES_CELLS = np.repeat([3, 6, 12, 1000], [8, 8, 8, 1])
-# Hypotheses are compared by a sample of the cells.
+# Hypotheses are compared on a sample of the cells.
 _SCORED_CELLS = 80
-# A kind of shape that explains less than this share of what the best one does is not fitted.
+# A kind of shape is not fitted if it explains less than this share of what the best one explains.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.7 times, at 1.4 times 11 of 197
-# finds less.
+# fewer are found.
 _MIN_SCORE_SHARE = 0.7
 
 
@@ -64,7 +64,7 @@ class Candidate:
 def best_candidates(surfels: Surfels, among: np.ndarray, models: Sequence[ShapeModel],
                     config: ShapesConfig, rng: np.random.Generator) -> list[Candidate]:
     """
-    Return the best hypotheses among some cells, at most one of each model.
+    Return the best hypotheses for some cells, at most one per model.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def best_candidates(surfels: Surfels, among: np.ndarray, models: Sequence[ShapeM
     models : sequence of ShapeModel
     config : ShapesConfig
     rng : numpy.random.Generator
-        Draws the samples.
+        For the samples.
 
     """
     inside = np.zeros(surfels.shape, bool)
@@ -101,19 +101,19 @@ def _patches(surfels: Surfels, inside: np.ndarray, among: np.ndarray,
 
 
 def agreeing(surfels: Surfels, shape: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Return those of some cells that agree with a shape (8,) in distance and in normal."""
+    """Return those of some cells that agree with a shape (8,) in distance and normal."""
     return among[agreeing_cells(shape, surfels.table, among)]
 
 
 def connected(surfels: Surfels, shape: np.ndarray, agree: np.ndarray, seed: int) -> np.ndarray:
-    """Return the cells (R * C,) bool of some that agree (n,), connected with one of them."""
+    """Return the agreeing cells (n,) that are connected with one another, (R * C,) bool."""
     inside = np.zeros(surfels.shape, bool)
     inside.flat[agree] = True
     return members_of(shape, surfels.table, inside, int(seed))
 
 
 def _draw(inside: np.ndarray, among: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return triples (H, 3) of different cells: seeds, and others from windows around them."""
+    """Return triples (H, 3) of different cells: seeds, and partners from windows around them."""
     seeds = among[rng.integers(0, len(among), _HYPOTHESES)]
     reach = np.array(_WINDOWS_CELLS)[rng.integers(0, len(_WINDOWS_CELLS), _HYPOTHESES)]
     return draw_samples(inside, seeds, reach, rng.random((_HYPOTHESES, 2 * TRIES, 2)))

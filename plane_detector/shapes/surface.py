@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled geometry of one shape (8,): distances, moves, rays."""
+"""Compiled geometry of one shape (8,): distances, motions, rays."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from plane_detector.compilation import kernel
 from plane_detector.types import ShapeType
 
 TINY = 1e-12
-# The kinds as ShapeType numbers them, which compiled code cannot look up.
+# Values of ShapeType, which compiled code cannot look up.
 SPHERE, CYLINDER, CONE = (int(kind) for kind in ShapeType)
-# after: the usual three deviations of a normal distribution.
+# after: the usual limit of three standard deviations.
 DEVIATIONS = 3.0
 
 
 @kernel('UniTuple(float64, 5)(float64[::1], float64, float64, float64)')
 def about_axis(shape, x, y, z):
-    """Return way along the axis of a shape (8,), distance from it and unit vector away from it."""
+    """Return the coordinate along the axis (8,), the distance and the unit vector from it."""
     x, y, z = x - shape[0], y - shape[1], z - shape[2]
     along = x * shape[3] + y * shape[4] + z * shape[5]
     x, y, z = x - along * shape[3], y - along * shape[4], z - along * shape[5]
@@ -29,7 +29,7 @@ def about_axis(shape, x, y, z):
 
 @kernel('UniTuple(float64, 4)(float64[::1], UniTuple(float64, 2), float64, float64, float64)')
 def distance_normal(shape, turn, x, y, z):
-    """Return the distance of a point from a shape and its gradient; turn is cos, sin of it."""
+    """Return the distance of a point from a shape and its gradient; turn is :func:`turn_of`."""
     along, away, out_x, out_y, out_z = about_axis(shape, x, y, z)
     cosine, sine = turn
     return (away * cosine - along * sine - shape[6], cosine * out_x - sine * shape[3],
@@ -44,7 +44,7 @@ def turn_of(shape):
 
 @kernel('Tuple((float64[::1], float64[:, ::1], float64[::1]))(float64[::1], float64[:, ::1])')
 def surface_at(shape, points):
-    """Return distances (N,), normals (N, 3) and ways along the axis (N,) of points (N, 3)."""
+    """Return distances (N,), normals (N, 3) and axis coordinates (N,) of points (N, 3)."""
     turn, count = turn_of(shape), len(points)
     distance, normal, along = np.empty(count), np.empty((count, 3)), np.empty(count)
     for i in range(count):
@@ -61,8 +61,8 @@ def distance_deviation(shape, turn, point, noise):
     """
     Return the distance of a point from a shape and its standard deviation.
 
-    A point moves along its ray; towards the silhouette that changes its distance less and less.
-    What remains are the side of the pixel and the curvature.
+    Noise moves a point along its ray, which changes its distance less the closer the ray is to a
+    tangent. Then the side of the pixel and the curvature dominate.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def distance_deviation(shape, turn, point, noise):
         Cosine and sine of its half angle.
     point : (float, float, float)
     noise : (float, float)
-        Deviation of z and side of the pixel at z.
+        Standard deviation of z, and side of the pixel at z.
 
     """
     x, y, z = point
@@ -81,17 +81,17 @@ def distance_deviation(shape, turn, point, noise):
     outward = (out_x * x + out_y * y + out_z * z) / z
     facing = abs(cosine * outward - sine * (shape[3] * x + shape[4] * y + shape[5] * z) / z)
     slant2 = 1 - min(facing, 1.0) ** 2
-    # A pixel of width w, seen at an angle, spans w * tan(angle) of depth.
+    # A pixel of width w on a surface inclined by an angle covers w * tan(angle) of depth.
     spread2 = noise[1] * noise[1] * slant2 / 12
-    # A step n of the depth changes the distance by n^2 / 2 of the curvature along the ray, too;
-    # for a normal deviate the mean square of that is 3 / 4.
+    # A change n of the depth also changes the distance by n^2 / 2 times the curvature along the
+    # ray; for a normal variable the mean square of that factor is 3 / 4.
     bend = slant2 * noise[0] * noise[0] / max(away, TINY)
     return distance, np.sqrt((facing * noise[0]) ** 2 + spread2 + 0.75 * bend * bend)
 
 
 @kernel('float64[:, ::1](float64[::1])')
 def frame_of(shape):
-    """Return an orthonormal frame (3, 3) whose last row is the axis of a shape (8,), if any."""
+    """Return an orthonormal frame (3, 3) with the axis of a shape (8,), if any, as last row."""
     x, y, z = shape[3], shape[4], shape[5]
     frame = np.eye(3)
     if x == 0 and y == 0 and z == 0:
@@ -117,10 +117,10 @@ def moved(shape, steps, frame):
     ----------
     shape : (8,) float64
     steps : (7,) float64
-        Three of the position along the rows of the frame, two of the axis along the first two
+        Three of the position along the rows of the frame, two of the axis towards the first two
         rows, the radius and the half angle.
     frame : (3, 3) float64
-        Of :func:`frame_of`.
+        As returned by :func:`frame_of`.
 
     """
     result = shape.copy()
@@ -139,10 +139,10 @@ def moved(shape, steps, frame):
 @kernel('float64(float64[::1], UniTuple(float64, 2), float64, float64)')
 def nearest_on_ray(shape, turn, ray_x, ray_y):
     """
-    Return the depth at which a ray of depth 1 comes nearest to the surface, or deepest inside.
+    Return the depth at which a ray of depth 1 is closest to the surface, or deepest inside.
 
     Along the ray the distance is cos(half angle) sqrt(A t^2 + D) - sin(half angle) (E t + ...),
-    where t counts from the point nearest to the axis.
+    with t measured from the point closest to the axis.
     """
     towards = ray_x * shape[3] + ray_y * shape[4] + shape[5]
     start = shape[0] * shape[3] + shape[1] * shape[4] + shape[2] * shape[5]
@@ -151,7 +151,7 @@ def nearest_on_ray(shape, turn, ray_x, ray_y):
     middle = product / max(across, TINY)
     square = shape[0] ** 2 + shape[1] ** 2 + shape[2] ** 2 - start * start - product * middle
     slope = turn[1] / turn[0] * towards
-    if slope * slope >= across:  # steeper than the cone: into its open end
+    if slope * slope >= across:  # steeper than the cone: enters its open end
         return middle
     return middle + slope * np.sqrt(max(square, 0.0) / (across * (across - slope * slope)))
 
@@ -159,11 +159,11 @@ def nearest_on_ray(shape, turn, ray_x, ray_y):
 @kernel('float64(float64[::1], float64, float64, float64, float64)')
 def depth_on_ray(shape, ray_x, ray_y, low, high):
     """
-    Return the depth at which a ray of depth 1 meets the near side of a shape (8,), else inf.
+    Return the depth at which a ray of depth 1 meets the near side of a shape (8,), or inf.
 
     With w = z r - position and h = w . axis, all three are |w|^2 - k h^2 = radius^2: k is 0 for a
-    sphere, 1 for a cylinder and 1 + tan^2 of the half angle for a cone. The ends along the axis
-    are low and high; a sphere, which has no axis, is met anywhere.
+    sphere, 1 for a cylinder and 1 + tan^2 of the half angle for a cone. ``low`` and ``high`` are
+    the ends along the axis; a sphere has none.
     """
     factor = 1 + np.tan(shape[7]) ** 2
     x, y, z = shape[0], shape[1], shape[2]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cells of the depth image as points with normals and noise, and which of them go on smoothly."""
+"""Cells of the depth image as points with normals and noise, and their smooth connections."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.types import CameraIntrinsics
 
-# derived: the planes of two cells that meet at less than 90 degrees deviate at each other's centre
-# by less than half the distance of the centres; a larger gap in depth is a step.
+# derived: if the planes of two cells meet at less than 90 degrees, each deviates at the other's
+# centre by less than half the distance of the centres; a larger gap in depth is a step.
 _MAX_GAP_SHARE = 0.5
-# after: Schnabel 2007 uses 10 to 20 degrees between the normal of a point and of the shape.
+# after: Schnabel 2007 uses 10 to 20 degrees between the normals of a point and of the shape.
 _NORMAL_TOLERANCE_RAD = np.radians(15.0)
-# derived: the mean of a cell on a ball as wide as four cells lies 1/8 of the cell's side below it.
+# derived: on a ball four cells wide the mean of a cell is 1/8 of the cell's side below the
+# surface.
 _CELL_TOLERANCE = 0.125
-# Columns of Surfels.table: point (3), normal (3), ray (3), deviation of the depth, what a curved
-# cell may lie off, least cosine between normals, pixels.
+# Columns of Surfels.table: point (3), normal (3), ray (3), deviation of the depth, tolerance for
+# the curvature of a cell, smallest cosine between normals, pixels.
 POINT, NORMAL, SIGMA, CURVED, MIN_COSINE, COUNT = np.s_[:, 0:3], np.s_[:, 3:6], 9, 10, 11, 12
 
 
@@ -37,8 +38,8 @@ class Surfels:
     shape : (int, int)
         Rows and columns of cells, R x C.
     table : (R * C, 13) float64
-        See the column names of this module. Points are in the optical frame, in metres, with rays
-        of depth 1; normals look at the camera.
+        Columns as listed in this module. Points are in the optical frame, in metres; rays have
+        depth 1; normals point to the camera.
     usable : (R * C,) bool
 
     """
@@ -54,24 +55,24 @@ class Surfels:
 
     @property
     def count(self) -> np.ndarray:
-        """The pixels with a depth, (R * C,) float64."""
+        """Number of pixels with depth, (R * C,) float64."""
         return self.table[:, COUNT]
 
     @cached_property
     def median_disparity(self) -> float:
-        """1/depth of the middle cell; 0 where there is none."""
+        """1/depth of the median cell; 0 if there is none."""
         z_m = self.table[self.usable, 2]
         return 1 / float(np.median(z_m)) if z_m.size else 0.0
 
 
 def depth_sigma_m(depth_m: np.ndarray, disparity_sigma: float, floor_m: float) -> np.ndarray:
-    """Return the standard deviation of depths: noise is constant in 1/depth, with a floor."""
+    """Return the standard deviation of depths: constant in 1/depth, with a lower bound."""
     return np.sqrt((disparity_sigma * np.square(depth_m)) ** 2 + floor_m**2)
 
 
 def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) -> Surfels:
     """
-    Return the cells as oriented points.
+    Return the cells of a grid as oriented points.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
         Of 1/depth in 1/m.
     intrinsics : CameraIntrinsics
     noise : Noise
-        Of the cells of this grid.
+        Noise of the cells of this grid.
 
     """
     camera = np.array([
@@ -104,9 +105,9 @@ def surfel_table(cells, usable, camera, sigmas):
         Mean x, y and 1/depth, their slopes, rms about the cell's plane, pixels.
     usable : (n,) bool
     camera : (6,) float64
-        fx, fy, cx and cy from the middle of the image, unit of x and y, side of a cell; pixels.
+        fx, fy, cx and cy from the centre of the image, unit of x and y, side of a cell; pixels.
     sigmas : (4,) float64
-        Noise of means, slopes and pixels, in 1/m, and the floor of the depth in metres.
+        Noise of means, slopes and pixels, 1/m, and the lower bound of the depth noise in metres.
 
     """
     table, good = np.full((len(cells), 13), np.nan), np.zeros(len(cells), np.bool_)
@@ -130,7 +131,7 @@ def surfel_table(cells, usable, camera, sigmas):
         row[9] = np.hypot(sigmas[0] * z * z, sigmas[3])
         row[10] = _CELL_TOLERANCE * width
         row[11] = np.cos(min(_NORMAL_TOLERANCE_RAD + DEVIATIONS * slope_sigma / length, 1.0))
-        # A step within a cell bends it by more than any curved surface that the cell can show.
+        # A step within a cell bends it more than any curved surface that cells can resolve.
         grain = np.hypot(sigmas[2] * z * z, sigmas[3])
         good[i] = cells[i, 5] * z * z < np.hypot(DEVIATIONS * grain, _MAX_GAP_SHARE * width)
     return table, good
@@ -139,9 +140,9 @@ def surfel_table(cells, usable, camera, sigmas):
 @kernel('boolean(float64[::1], float64[::1])')
 def goes_on(one, other):
     """
-    Say whether the surface goes on without a step between adjacent cells, rows of the table.
+    Return whether the surface continues without a step between adjacent cells, rows of the table.
 
-    The gap between two cells is how far each centre lies off the plane of the other.
+    The gap between two cells is the distance of each centre from the plane of the other.
     """
     square = first = second = 0.0
     for k in range(3):
@@ -155,7 +156,7 @@ def goes_on(one, other):
 
 @kernel('int64[::1](float64[:, ::1], boolean[::1], int64)')
 def smooth_components(table, free, columns):
-    """Return the component (n,) of the free cells that go on smoothly, -1 for the others."""
+    """Return the component (n,) of smoothly connected free cells, -1 for other cells."""
     component, stack = np.full(len(free), -1), np.empty(len(free), np.int64)
     count = 0
     for start in range(len(free)):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The depth image as the search for shapes looks at it: by cells, and by the pixels of cells."""
+"""The depth image as cells and as pixels of cells, for the search for shapes."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from plane_detector.types import CameraIntrinsics, Plane
 
 Window = tuple[slice, slice]
 Image = tuple[np.ndarray, np.ndarray, np.ndarray]
-# Bounds of the time of a fit, and of the measurement of a shape.
-# tuned: benchmark shapes --first-seed 100 --scenes 40; with 500 pixels and 200 rays the same.
+# Limits on the time of a fit and of the measurement of a shape.
+# tuned: benchmark shapes --first-seed 100 --scenes 40; equal with 500 pixels and 200 rays.
 FITTED_PIXELS, SILHOUETTE_RAYS, MEASURED_PIXELS = 300, 120, 2000
-# derived: smooth noise is about the same in a cell and its eight neighbours.
+# derived: smooth noise is about equal in a cell and its eight neighbours.
 CORRELATED_CELLS = 9.0
 
 
@@ -43,11 +43,11 @@ class FoundShape:
     members : (R * C,) bool
         Its cells.
     open_share : float
-        Share of its border across which the surface goes on.
+        Share of its border across which the surface continues.
     absorbed : (K,) bool
-        The planes that it takes the place of.
+        Planes that it replaces.
     window, mask : (slice, slice), (h, w) bool
-        Where it is in the image.
+        Its position in the image.
 
     """
 
@@ -62,16 +62,16 @@ class FoundShape:
 @dataclass(frozen=True)
 class DepthView:
     """
-    What the search works on.
+    Data of the search for shapes.
 
     Attributes
     ----------
     depth_m : (H, W) float32
     labels : (H, W) int32
-        Plane of each pixel, -1 none.
+        Plane of each pixel, or -1.
     planes : tuple of Plane
     is_open : (K,) bool
-        The planes that a shape may take the place of.
+        Planes that a shape may replace.
     noise : Noise
     intrinsics : CameraIntrinsics
     shape : (int, int)
@@ -94,7 +94,7 @@ class DepthView:
 
     @cached_property
     def camera(self) -> np.ndarray:
-        """What :mod:`plane_detector.shapes.windows` knows of rays and noise, (7,) float64."""
+        """Camera and noise for :mod:`plane_detector.shapes.windows`, (7,) float64."""
         camera, noise = self.intrinsics, self.noise
         return np.array([camera.fx, camera.fy, camera.cx, camera.cy,
                          (noise.mean_sigma**2 + noise.pixel_sigma**2) ** 0.5, noise.depth_floor_m,
@@ -102,48 +102,49 @@ class DepthView:
 
     @cached_property
     def correlated(self) -> float:
-        """How many pixels are as good as one with independent noise."""
+        """Number of pixels that carry the information of one with independent noise."""
         smooth, grain = self.noise.mean_sigma**2, self.noise.pixel_sigma**2
         floor = self.noise.variance_floor(self.surfels.median_disparity)
         return ((smooth * CORRELATED_CELLS * self.size_px**2 + grain + floor)
                 / (smooth + grain + floor))
 
     def window_of(self, cells: np.ndarray) -> Window:
-        """Return the window around some cells (R, C) bool."""
+        """Return the smallest window that contains some cells (R, C) bool."""
         ends = [np.flatnonzero(cells.any(axis=axis))[[0, -1]] + [0, 1] for axis in (1, 0)]
         return tuple(slice(int(low) * self.size_px, min(int(high) * self.size_px, side))
                      for (low, high), side in zip(ends, self.labels.shape, strict=True))
 
     def label_counts(self, cells: np.ndarray) -> np.ndarray:
-        """Return how many pixels with a depth some cells (R * C,) have by plane; last, without."""
+        """Return the number of pixels with depth in cells (R * C,) by plane; last: no plane."""
         return label_counts(self.depth_m, self.labels, cells.reshape(self.shape), self.size_px,
                             len(self.planes))
 
     @cached_property
     def image(self) -> Image:
-        """The image as compiled loops know it, with the open planes."""
+        """The image for compiled loops, with the open planes."""
         return self.image_with(self.is_open)
 
     def image_with(self, open_planes: np.ndarray) -> Image:
-        """Return the image as compiled loops know it, with planes (K,) that may be taken."""
-        # An entry more serves the label -1.
+        """Return the image for compiled loops, with planes (K,) bool that may be replaced."""
+        # The additional last entry is for the label -1.
         return self.depth_m, self.labels, np.append(open_planes, True)
 
     def free_pixels(self, cells: np.ndarray, open_planes: np.ndarray | None = None,
                     ) -> tuple[Pixels, np.ndarray]:
         """
-        Return pixels of some cells, at most FITTED_PIXELS, which stand for all, and their labels.
+        Return a sample of the free pixels of some cells, at most FITTED_PIXELS, and their labels.
 
         Parameters
         ----------
         cells : (R * C,) bool
         open_planes : (K,) bool, optional
-            They have a depth and no plane but one of these; the open ones of the view by default.
+            Pixels are free if they have depth and no plane except one of these; default: the open
+            planes of the view.
 
         """
         where = np.flatnonzero(cells)
         step = -(-len(where) * self.size_px**2 // FITTED_PIXELS) or 1
-        # Without a common divisor all rows and columns of the cells are looked at.
+        # With a common divisor some rows and columns of the cells would never be sampled.
         while math.gcd(step, self.size_px) > 1:
             step += 1
         image = self.image if open_planes is None else self.image_with(open_planes)
@@ -158,7 +159,7 @@ class DepthView:
         ----------
         cells : (R * C,) bool
         around : (R, C) bool
-            They and those that the silhouette may reach.
+            These cells and those that the silhouette may cross.
 
         """
         inside = cv2.erode(cells.reshape(self.shape).astype(np.uint8), np.ones((3, 3), np.uint8))
@@ -168,12 +169,12 @@ class DepthView:
         return Silhouette(np.ascontiguousarray(rays[::step]), 1 / self.intrinsics.fx)
 
     def plane_pixels(self, k: int, most: int) -> Pixels:
-        """Return the pixels of a plane, thinned to about so many."""
+        """Return the pixels of a plane, subsampled to about ``most``."""
         step = max(1, int(np.sqrt(self.planes[k].inlier_count / most)))
         return self._pixels(plane_pixels(self.depth_m, self.labels, k, step), step * step)
 
     def points_in(self, window: Window, mask: np.ndarray) -> Pixels:
-        """Return the points of pixels (h, w) bool of a window, at most MEASURED_PIXELS."""
+        """Return the points of pixels (h, w) bool in a window, at most MEASURED_PIXELS."""
         inside = np.flatnonzero(mask)
         step = -(-len(inside) // MEASURED_PIXELS) or 1
         v, u = np.divmod(inside[::step], mask.shape[1])
@@ -181,10 +182,10 @@ class DepthView:
         return self._pixels(where, step)
 
     def is_free(self, window: Window) -> np.ndarray:
-        """Say which pixels (h, w) have a depth and no plane but an open one."""
+        """Return the pixels (h, w) bool that have depth and no plane, or an open one."""
         return self.image[2][self.labels[window]] & np.isfinite(self.depth_m[window])
 
     def _pixels(self, where: np.ndarray, step: int) -> Pixels:
-        """Return the pixels v * W + u (N,), each of which stands for as many as the step."""
+        """Return the points of pixels v * W + u (N,), each representing ``step`` pixels."""
         return Pixels(*points_of(self.depth_m, where, self.camera),
                       len(where) * step / self.correlated)

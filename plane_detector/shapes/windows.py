@@ -3,9 +3,9 @@
 """
 Compiled loops over the pixels of cells.
 
-Of an image they know the depth (H, W), the plane of each pixel (H, W), -1 none, and which planes
-may be taken (K + 1,), the last entry for -1. The camera is seven numbers: fx, fy, cx, cy, the
-deviation of 1/depth, the least deviation of the depth, and the side of a cell in pixels.
+The image is given as the depth (H, W), the plane of each pixel (H, W), -1 for none, and a mask (K
++ 1,) of planes that may be replaced; its last entry is for -1. The camera is given as fx, fy, cx,
+cy, standard deviation of 1/depth, smallest standard deviation of depth, side of a cell in pixels.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.shapes.surface import DEVIATIONS, depth_on_ray, distance_deviation, turn_of
 
-# Rays are looked at in steps of this many pixels, to save time.
+# For speed only every third ray is tested.
 THROUGH_STEP_PX = 3
-# derived: the surface of a ball of 30 pixels radius ends with a step of as many pixels.
+# derived: the surface of a ball with a radius of 30 pixels ends with a step of this many pixels.
 STEEP = 8.0
 
 
 @kernel('UniTuple(float64, 2)(float64, float64[::1])')
 def noise_at(z, camera):
-    """Return the deviation of the depth of a pixel, and its side there."""
+    """Return the standard deviation of the depth z of a pixel, and the side of a pixel there."""
     return np.sqrt((camera[4] * z * z) ** 2 + camera[5] ** 2), z / camera[0]
 
 
@@ -41,7 +41,7 @@ def free_shares(image, size, rows, columns):
 
 @kernel('int64[::1](float32[:, ::1], int32[:, ::1], boolean[:, ::1], int64, int64)')
 def label_counts(depth, labels, cells, size, count):
-    """Return how many pixels of cells (R, C) have a depth, by label; the last are without."""
+    """Return the number of pixels of cells (R, C) with depth, by label; the last: no plane."""
     result = np.zeros(count + 1, np.int64)
     for row in range(cells.shape[0]):
         for column in range(cells.shape[1]):
@@ -56,7 +56,7 @@ def label_counts(depth, labels, cells, size, count):
 @kernel('int64[::1](Tuple((float32[:, ::1], int32[:, ::1], boolean[::1])), int64[::1], int64, '
         'int64, int64)')
 def free_pixels(image, cells, columns, size, step):
-    """Return the free ones among every step-th pixel of cells (n,), as v * width + u."""
+    """Return every step-th free pixel of cells (n,) as v * width + u."""
     depth, labels, may_take = image
     height, width = depth.shape
     area = size * size
@@ -76,9 +76,9 @@ def free_pixels(image, cells, columns, size, step):
         'int64, float64[::1])')
 def silhouette_rays(image, cells, columns, camera):
     """
-    Return rays (M, 4) between free pixels of cells (n,) and what lies far behind them.
+    Return rays (M, 4) between free pixels of cells (n,) and a background far behind them.
 
-    Their x and y at depth 1, the depth of the free pixel, and its deviation.
+    The columns are x and y at depth 1, depth of the free pixel, and its standard deviation.
     """
     depth, labels, may_take = image
     (height, width), size, count = depth.shape, int(camera[6]), 0
@@ -94,7 +94,7 @@ def silhouette_rays(image, cells, columns, camera):
                         continue
                     step = depth[y, x] - z
                     if not (step > STEEP * z / camera[0] and may_take[labels[v, u]]):
-                        continue  # NaN is no step
+                        continue  # NaN is not a step
                     sigma, behind = noise_at(z, camera)[0], noise_at(depth[y, x], camera)[0]
                     if step > DEVIATIONS * np.hypot(sigma, behind) + STEEP * z / camera[0]:
                         found[count, 0] = (u + right / 2 - camera[2]) / camera[0]
@@ -106,7 +106,7 @@ def silhouette_rays(image, cells, columns, camera):
 
 @kernel('int64[::1](float32[:, ::1], int32[:, ::1], int64, int64)')
 def plane_pixels(depth, labels, k, step):
-    """Return the pixels of plane k that have a depth, every step-th row and column."""
+    """Return the pixels of plane k with depth, every step-th row and column."""
     height, width = depth.shape
     found = np.empty(((height - 1) // step + 1) * ((width - 1) // step + 1), np.int64)
     count = 0
@@ -120,7 +120,7 @@ def plane_pixels(depth, labels, k, step):
 
 @kernel('UniTuple(float64[:, ::1], 2)(float32[:, ::1], int64[::1], float64[::1])')
 def points_of(depth, where, camera):
-    """Return points (N, 3) of pixels v * width + u (N,), and :func:`noise_at` them (N, 2)."""
+    """Return points (N, 3) of pixels v * width + u (N,), and their :func:`noise_at` (N, 2)."""
     count, width = len(where), depth.shape[1]
     points, noise = np.empty((count, 3)), np.empty((count, 2))
     for i in range(count):
@@ -136,7 +136,7 @@ def points_of(depth, where, camera):
 @kernel('uint8[:, ::1](Tuple((float32[:, ::1], int32[:, ::1], boolean[::1])), boolean[:, ::1], '
         'UniTuple(int64, 4), float64[::1], float64[::1])')
 def pixels_on(image, cells, window, shape, camera):
-    """Return which free pixels of cells (R, C) lie on a shape, (h, w) of v0, v1, u0, u1."""
+    """Return which free pixels of cells (R, C) lie on a shape, (h, w) for v0, v1, u0, u1."""
     depth, labels, may_take = image
     v0, v1, u0, u1 = window
     size, turn = int(camera[6]), turn_of(shape)
@@ -155,14 +155,14 @@ def pixels_on(image, cells, window, shape, camera):
 @kernel('int64(float32[:, ::1], boolean[:, ::1], float64[::1], UniTuple(float64, 2), '
         'float64[::1])')
 def rays_through(depth, cells, shape, ends, camera):
-    """Return how many rays of cells (R, C) go through a shape between its ends."""
+    """Return the number of rays of cells (R, C) that pass through a shape between its ends."""
     through, size = 0, int(camera[6])
     for v in range(0, min(depth.shape[0], cells.shape[0] * size), THROUGH_STEP_PX):
         ray_y = (v - camera[3]) / camera[1]
         for column in range(cells.shape[1]):
             if not cells[v // size, column]:
                 continue
-            # The first pixel of the cell that is a whole number of steps from the border.
+            # First pixel of the cell at a multiple of the step from the border of the image.
             first = -(-column * size // THROUGH_STEP_PX) * THROUGH_STEP_PX
             for u in range(first, min((column + 1) * size, depth.shape[1]), THROUGH_STEP_PX):
                 z = depth[v, u]

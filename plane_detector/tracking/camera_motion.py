@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The motion of the camera between two images, estimated from their planes.
+Motion of the camera between two images, estimated from their planes.
 
 A point moves from p to scale * R p + t, so a plane (n, d) becomes (R n, scale * d - R n . t). The
-scale is needed for depth of unknown unit, which may jump from image to image. Motion that the
-planes do not show, for example a turn about the only visible normal, is taken to be zero.
+scale is needed for depth of unknown unit, which may change from image to image. Motion that the
+planes do not constrain, such as a rotation about the only visible normal, is assumed to be zero.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 from plane_detector.types import Plane
 
 _ROUNDS = 8
-# Weight of the prior of no rotation; all planes together weigh 1.
+# Weight of the prior for no rotation; all planes together have weight 1.
 _NO_TURN_WEIGHT = 0.03
-# Normals differ by at least this, however small the covariance of their fit.
+# Lower bound of the deviation between normals, however small the covariance of their fit.
 _NORMAL_SPREAD_RAD = np.radians(1.0)
 _TURN_SPREAD_RAD = np.radians(2.0)
-# Spread of the offsets of one rigid scene, and of the step of a camera between two images, as
-# shares of the distance of what it sees.
+# Spread of the offsets of a rigid scene, and of the translation of the camera between two images,
+# as shares of the distance to the scene.
 _OFFSET_SPREAD, _STEP_SPREAD, _SCALE_SPREAD = 0.02, 0.1, 0.04
-# In the first round any turn, and any change of the unit, is nearly as likely as none.
+# In the first round, large rotations and changes of the unit are nearly as likely as none.
 _FIRST_CAUTION = 0.01
 
 
@@ -40,7 +40,7 @@ class PlaneMotion:
     translation_m : (3,) float64
         In the unit of the present image.
     scale : float
-        Factor on lengths; 1 where the unit is known.
+        Factor on lengths; 1 if the unit is known.
 
     """
 
@@ -66,12 +66,12 @@ NO_MOTION = PlaneMotion(np.eye(3), np.zeros(3), 1.0)
 
 def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray) -> PlaneMotion:
     """
-    Estimate the motion from planes seen in both images.
+    Estimate the motion from planes visible in both images.
 
-    1. The rotation between the normals (Kabsch 1976).
-    2. Translation and scale by least squares.
+    1. Estimate the rotation between the normals (Kabsch 1976).
+    2. Estimate translation and scale by least squares.
 
-    Both are iteratively reweighted with Cauchy's function, so that a few wrong pairs do no harm.
+    Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray
 
 
 def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return the rotation (3, 3) that turns normals (N, 3) into each other."""
+    """Return the rotation (3, 3) that maps the normals (N, 3) before to those after."""
     rotation = np.eye(3)
     robust, caution = weights, _FIRST_CAUTION
     for _ in range(_ROUNDS):

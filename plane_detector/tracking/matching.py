@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Similarity of planes of two images: by their pixels, their place, their coefficients."""
+"""Similarity of planes in two images: by their pixels, position and coefficients."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _TINY = 1e-12
 @dataclass(frozen=True)
 class Overlap:
     """
-    Pixels that known planes share with found ones.
+    Pixels that known planes share with found planes.
 
     Attributes
     ----------
     of_union : (T, N) float64
-        As a share of the pixels of either: 1 only for the same pixels.
+        As a share of the union of their pixels: 1 only for identical pixels.
     of_known : (T, N) float64
-        As a share of the pixels of the known plane: 1 also for each part of planes that merged.
+        As a share of the pixels of the known plane: 1 also for each part of a merged plane.
 
     """
 
@@ -33,7 +33,7 @@ class Overlap:
 
 
 def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> Overlap:
-    """Return what planes share; each plane is given by the indices of its pixels."""
+    """Return the overlap of planes; each plane is given by the indices of its pixels."""
     size = 1 + max((int(pixels.max(initial=0)) for pixels in (*before, *after)), default=0)
     plane = np.zeros(size, np.intp)
     for index, pixels in enumerate(after):
@@ -48,10 +48,10 @@ def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -
 
 def places_agree(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap) -> np.ndarray:
     """
-    Return the degree to which planes are at the same place, (T, N), 0 to 1.
+    Return how well the positions of planes agree, (T, N), 0 to 1.
 
-    By the pixels that they share or, where the camera turned so far that they share none, by the
-    distance of their centroids relative to their size.
+    Measured by shared pixels or, if the camera has turned so far that there are none, by the
+    distance of the centroids relative to the size of the planes.
     """
     shared = (overlap.of_union + overlap.of_known) / 2
     return np.maximum(shared, _nearness(_stack(before), _stack(after)))
@@ -67,10 +67,10 @@ def squared_deviation(before: Sequence[Plane], after: Sequence[Plane], angle_deg
     before, after : sequence of Plane
         T and N planes, in one camera frame.
     angle_deg : float
-        Standard deviation of the angle between normals, to which that of the fits is added.
+        Standard deviation of the angle between normals, in addition to that of the fits.
     offset_share : float
-        The same for the distance of one plane's centroid from the other plane, as a share of
-        its distance from the camera.
+        The same for the distance from one plane to the centroid of the other, as a share of the
+        distance of the centroid from the camera.
     growth : (T,) float or float
         Factor on these variances.
 
@@ -117,7 +117,7 @@ def _stack(planes: Sequence[Plane]) -> _Stack:
 
 
 def _nearness(before: _Stack, after: _Stack) -> np.ndarray:
-    """Return (T, N): 1 for the same centroid; falls with distance over the smaller size."""
+    """Return (T, N): 1 for equal centroids, less with the distance over the smaller size."""
     apart_m = before.centroid_m[:, None] - after.centroid_m
     smaller_m2 = np.maximum(np.minimum.outer(before.area_m2, after.area_m2), _TINY)
     larger_m2 = np.maximum(np.maximum.outer(before.area_m2, after.area_m2), _TINY)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which label a plane has taken over: two labels that have become one."""
+"""Detection of merged labels: two labels that have become one plane."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from plane_detector.config import TrackingConfig
 from plane_detector.tracking.matching import squared_deviation
 from plane_detector.types import Detection
 
-# derived: more than half of the pixels, so that a plane can only become part of one other.
+# derived: more than half of the pixels, so that a plane can be merged into only one other.
 _MIN_SHARE = 0.5
 # derived: three standard deviations, as for other decisions on coefficients.
 _MOST_DEVIATIONS = 3.0
@@ -19,22 +19,22 @@ _MOST_DEVIATIONS = 3.0
 def merged_labels(before: Detection | None, after: Detection,
                   config: TrackingConfig) -> tuple[int, ...]:
     """
-    Return, for each plane of an image, the label that it has taken over since the one before.
+    Return, for each plane of an image, the label that was merged into it since the last image.
 
-    A label that is gone has been taken over by a plane that was there before too, that now has
-    most of its pixels, and in whose plane it lay.
+    A label that has disappeared was merged into a plane that existed before, now covers most of
+    its pixels, and is coplanar with it.
 
     Parameters
     ----------
     before, after : Detection
-        Of two images in a row; None: there is none before.
+        Of consecutive images; ``before`` is None for the first one.
     config : TrackingConfig
-        How far the coefficients of the same plane may differ.
+        States how far the coefficients of one plane may differ.
 
     Returns
     -------
     tuple of int
-        0 for none; of several the largest.
+        0 for none; the largest plane if there are several.
 
     """
     taken = np.zeros(len(after.planes), int)
@@ -46,7 +46,7 @@ def merged_labels(before: Detection | None, after: Detection,
         if label in after.track_labels:
             continue
         pixels = after.labels[before.labels == old]
-        # The first entry counts the pixels of no plane, those after the planes are of shapes.
+        # Entry 0 counts the pixels without a plane; entries after the planes are of shapes.
         counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:len(after.planes) + 1]
         new = int(np.argmax(counts))
         if (counts[new] > max(_MIN_SHARE * pixels.size, most[new])
@@ -57,7 +57,7 @@ def merged_labels(before: Detection | None, after: Detection,
 
 def _is_taken(before: Detection, old: int, after: Detection, new: int,
               config: TrackingConfig) -> bool:
-    """Whether the other label was there before, and both are one plane."""
+    """Return whether the other label existed before, and both are one plane."""
     if after.track_labels[new] not in before.track_labels:
         return False
     deviation = squared_deviation([before.planes[old]], [after.planes[new]],

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The same sphere, cylinder or cone keeps its label from image to image."""
+"""Tracking of spheres, cylinders and cones: a shape keeps its label from image to image."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from scipy.optimize import linear_sum_assignment
 from plane_detector.tracking.matching import measure_overlap
 from plane_detector.types import Shape
 
-# Shapes are small and move far for their size: sharing little of the image is enough, but a shape
-# that has moved by less than its own size since is as good.
+# Shapes are small and move far relative to their size, so a small overlap suffices, or a motion by
+# less than their own size.
 _MIN_SCORE = 0.2
 _ROWS = 240
-# A size that differs by this share is another shape.
+# A shape whose size differs by more than this share is a different shape.
 _MAX_SIZE_CHANGE = 0.5
 
 
 @dataclass(frozen=True)
 class ShapeTrack:
     """
-    A shape that has been seen.
+    A known shape.
 
     Attributes
     ----------
     label : int
         Above 0.
     shape : Shape
-        As it was seen last.
+        As last seen.
     pixels : (M,) int
-        Indices into the thinned image where it was seen last.
+        Indices of its pixels in the subsampled image in which it was last seen.
     missed : int
-        Images since.
+        Images since it was last seen.
 
     """
 
@@ -59,7 +59,7 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     shapes : sequence of Shape
         Of the next image.
     labels : (H, W) int32
-        ``first_label`` + i where shape i is.
+        ``first_label`` + i in the pixels of shape i.
     first_label : int
     keep_frames : int
         A shape that is not found keeps its label for this many images.
@@ -69,7 +69,7 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     known : tuple of ShapeTrack
         The tracks after this image.
     labels : tuple of int
-        Label of each shape, above 0, no label twice.
+        Label of each shape, above 0 and unique.
 
     """
     step = max(1, min(labels.shape) // _ROWS)
@@ -89,7 +89,7 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
 
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
            pixels: Sequence[np.ndarray]) -> dict[int, int]:
-    """Return the track of each shape; shapes without one are left out."""
+    """Return the track of each shape; unmatched shapes are left out."""
     if not tracks or not shapes:
         return {}
     overlap = measure_overlap([track.pixels for track in tracks], pixels).of_union
@@ -101,13 +101,13 @@ def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
 
 
 def _are_alike(before: Shape, after: Shape) -> bool:
-    """Say whether two shapes are of one type and about one size."""
+    """Return whether two shapes have the same type and about the same size."""
     sizes = [(before.radius_m, after.radius_m), (before.half_angle_rad, after.half_angle_rad)]
     return before.type == after.type and all(
         abs(a - b) <= _MAX_SIZE_CHANGE * max(a, b) for a, b in sizes)
 
 
 def _nearness(before: Shape, after: Shape) -> float:
-    """Return 1 at the same place, less the farther apart for their size."""
+    """Return 1 at the same position, less with the distance relative to the size."""
     size_m = max(before.radius_m, before.length_m / 2, 1e-6)
     return float(np.exp(-np.sum((before.position_m - after.position_m) ** 2) / size_m**2))

@@ -1,14 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The same plane keeps its label from image to image, without odometry.
+Tracking of planes without odometry: a plane keeps its label from image to image.
 
-1. Planes that overlap in two images give the motion of the camera; known planes move with it.
-2. A known and a found plane score by the pixels or the place that they share, and by how well
-   their coefficients agree within their uncertainty.
-3. The Hungarian method [Kuhn 1955] assigns them one to one.
+1. Estimate the motion of the camera from planes that overlap in two images, and move the known
+   planes with it.
+2. Score each pair of a known and a found plane by shared pixels or position, and by how well their
+   coefficients agree within their uncertainty.
+3. Assign them one to one by the Hungarian method [Kuhn 1955].
 
-A label is used again only after its plane is forgotten.
+A label is reused only after its plane has been dropped.
 """
 
 from __future__ import annotations
@@ -30,12 +31,12 @@ from plane_detector.tracking.matching import (
 )
 from plane_detector.types import Plane, PlaneSegmentation
 
-# Overlap is measured on about this many rows.
+# The overlap is measured on about this many rows.
 _ROWS = 120
 _MIN_SCORE = 0.05
-# A plane that was missed in the last image counts less than one that was seen in it.
+# Weight of a plane that was missed in the last image, relative to one that was seen in it.
 _MISSED = 0.3
-# A plane seen only once counts least: it may be a fragment of an older one.
+# Weight of a plane seen only once, which may be a fragment of an older one.
 _YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
 _MOTION_MAX_TURN_RAD = np.radians(30.0)
@@ -46,7 +47,7 @@ _NOISE_DEVIATIONS, _NOISE_ANGLE_DEG, _NOISE_OFFSET = 3.0, 0.3, 0.003
 @dataclass(frozen=True)
 class Track:
     """
-    A plane that has been seen.
+    A known plane.
 
     Attributes
     ----------
@@ -55,11 +56,11 @@ class Track:
     plane : Plane
         Its coefficients in the latest camera frame.
     pixels : (M,) int
-        Indices into the thinned image where it was seen last.
+        Indices of its pixels in the subsampled image in which it was last seen.
     streak : int
         Number of consecutive images in which it was found, up to the last one.
     missed : int
-        Images since it was found last.
+        Images since it was last found.
 
     """
 
@@ -72,7 +73,7 @@ class Track:
 
 class PlaneTracker:
     """
-    Gives planes their labels; call it with every image in order.
+    Assigns labels to planes; must be called with every image in order.
 
     Examples
     --------
@@ -92,21 +93,21 @@ class PlaneTracker:
     def update(self, found: PlaneSegmentation, config: TrackingConfig
                ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         """
-        Match the planes of the next image and give them their labels.
+        Match the planes of the next image and assign labels to them.
 
         Parameters
         ----------
         found : PlaneSegmentation
-            In any unit, which may change from image to image. An image of another size starts
-            anew.
+            In any unit, which may change from image to image. An image of another size resets
+            the tracker.
         config : TrackingConfig
 
         Returns
         -------
         PlaneSegmentation
-            The same planes, their coefficients smoothed when the settings say so.
+            The same planes, with smoothed coefficients if ``config.smoothing`` is above 0.
         tuple of int
-            Label of each plane, above 0, no label twice.
+            Label of each plane, above 0 and unique.
 
         """
         if found.labels.shape != self._shape:
@@ -117,14 +118,14 @@ class PlaneTracker:
         return replace(found, planes=planes), tuple(track.label for track in seen)
 
     def reset(self) -> None:
-        """Forget all planes."""
+        """Discard all known planes."""
         self._tracks = ()
 
 
 def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: TrackingConfig
                   ) -> tuple[tuple[Track, ...], tuple[Track, ...]]:
     """
-    Match the planes of an image with the known ones.
+    Match the planes of an image with known planes.
 
     Parameters
     ----------
@@ -137,7 +138,8 @@ def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: T
     Returns
     -------
     known : tuple of Track
-        The tracks after this image: its planes and those missing for a while.
+        The tracks after this image: those of its planes, and those that have been missing for a
+        short time.
     seen : tuple of Track
         The track of each plane of this image, in its order.
 
@@ -162,7 +164,7 @@ def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: T
 
 
 def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
-    """Return the indices of each plane's pixels in the thinned image."""
+    """Return the indices of each plane's pixels in the subsampled image."""
     step = max(1, min(found.labels.shape) // _ROWS)
     labels = found.labels[::step, ::step].ravel()
     order = np.argsort(labels, kind='stable')
@@ -172,7 +174,7 @@ def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
 
 def _move_along(tracks: Sequence[Track], planes: Sequence[Plane], pixels: Sequence[np.ndarray],
                 overlap: Overlap) -> list[Track]:
-    """Move known planes by the motion of those that are certainly in both images."""
+    """Move the known planes with the motion of those that are reliably found in both images."""
     if not tracks:
         return []
     share = overlap.of_union
@@ -212,7 +214,7 @@ def _free_labels(taken: Collection[int]) -> Iterator[int]:
 
 
 def _smoothed(track: Track, plane: Plane, share: float) -> Plane:
-    """Return the plane averaged with its past, unless it changed by more than the noise."""
+    """Return the plane averaged with its past, unless the change exceeds the noise."""
     old = track.plane
     if share == 0 or track.missed:
         return plane

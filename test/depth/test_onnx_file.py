@@ -143,7 +143,7 @@ def test_a_field_that_comes_twice_hides_nothing(tmp_path):
     b'\x09\x00'])
 def test_what_is_no_onnx_file_is_refused(tmp_path, content):
     (tmp_path / 'n.onnx').write_bytes(content)
-    with pytest.raises(ValueError, match=r'n\.onnx is (no whole ONNX file|empty)'):
+    with pytest.raises(ValueError, match=r'n\.onnx is (not a complete ONNX file|empty)'):
         check_external_data(tmp_path / 'n.onnx')
 
 
@@ -154,7 +154,7 @@ def test_a_file_cut_anywhere_is_refused_or_names_nothing_new(tmp_path):
         try:
             assert external_locations(tmp_path / 'n.onnx') == set()
         except ValueError as error:
-            assert 'no whole ONNX file' in str(error)
+            assert 'not a complete ONNX file' in str(error)
 
 
 def test_a_file_of_nothing_but_fields_ends(tmp_path, monkeypatch):

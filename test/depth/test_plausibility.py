@@ -79,7 +79,7 @@ def write_corridor_network(path, *, disparity):
 @pytest.mark.parametrize(('gives_disparity', 'output', 'said'), [
     (True, 'metric_depth', r'declared as metric_depth, but its output falls with distance'),
     (False, 'disparity', r'declared as disparity, but its output rises with distance'),
-    (False, 'relative_disparity', r'it seems to give depth')])
+    (False, 'relative_disparity', r'it seems to be depth')])
 def test_depth_called_disparity_and_disparity_called_depth_are_refused(
         tmp_path, gives_disparity, output, said):
     path = write_corridor_network(tmp_path / 'n.onnx', disparity=gives_disparity)
@@ -142,8 +142,8 @@ def seen_empty_network(path):
 @pytest.mark.parametrize(('write', 'said'), [
     (sequence_network, 'output depth must be a tensor of numbers'),
     (string_network, 'output depth must be a tensor of numbers'),
-    (empty_network, 'output depth holds nothing'),
-    (seen_empty_network, r'output depth is \(1, 3, 0, 8\), which holds nothing')])
+    (empty_network, 'output depth is empty'),
+    (seen_empty_network, r'output depth is \(1, 3, 0, 8\), which is empty')])
 def test_outputs_that_are_no_numbers_or_hold_nothing_are_refused_at_configure(
         tmp_path, write, said):
     with pytest.raises(ValueError, match=rf'n\.onnx does not fit: .*{said}.*inputs: image'):

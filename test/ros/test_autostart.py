@@ -14,7 +14,7 @@ from plane_detector.ros.diagnostics import introduction
 @pytest.fixture
 def tries(monkeypatch):
     """Let the pipeline be made at the third try only, and return the errors to come."""
-    errors = [ConnectionError('out of reach'), FileNotFoundError('out of reach')]
+    errors = [ConnectionError('unreachable'), FileNotFoundError('unreachable')]
     make = lifecycle_node.PlaneDetector
 
     def make_detector(*arguments):
@@ -30,7 +30,7 @@ def tries(monkeypatch):
 def test_what_may_pass_is_tried_again_after_growing_pauses(robot, tries):
     node = start(robot, lambda rgb: None, wait=False)
     assert robot.spin(lambda: node.state == 'active')
-    assert robot.log().count('out of reach') == 2
+    assert robot.log().count('unreachable') == 2
     assert not robot.diagnosis()[1]['state'].startswith('unconf')
 
 
@@ -54,16 +54,16 @@ def test_who_configures_by_hand_is_left_alone(robot, tries):
 
 def test_with_exit_on_failure_the_spinning_ends_with_the_reason(robot, tries):
     start(robot, lambda rgb: None, wait=False, exit_on_failure=True)
-    with pytest.raises(ValueError, match='cannot be configured: out of reach'):
+    with pytest.raises(ValueError, match='cannot be configured: unreachable'):
         robot.spin(timeout_s=5.0)
 
 
 def test_the_log_at_configure_is_three_lines():
-    facts = {'depth_model': 'a network', 'depth_model_reason': 'as asked for',
+    facts = {'depth_model': 'a network', 'depth_model_reason': 'as requested',
              'execution_provider': 'on a GPU'}
     topics = {'image': '/image', 'camera_info': '/camera_info'}
     assert introduction(facts, topics, '/plane_detector/planes') == [
-        'depth from a network, on a GPU', 'as asked for',
+        'depth from a network, on a GPU', 'as requested',
         '/image, /camera_info -> /plane_detector/planes and the other outputs']
 
 

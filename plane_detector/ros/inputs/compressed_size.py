@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The size of a compressed image from its header, before anything is decoded.
+Size of a compressed image from its header, before anything is decoded.
 
-A file of some hundred bytes may declare an image of gigabytes. The formats are those of PNG
+A file of a few hundred bytes may declare an image of gigabytes. The formats are those of PNG
 (ISO/IEC 15948) and JPEG (ITU-T T.81, annex B).
 """
 
@@ -16,16 +16,16 @@ _PNG_SIGNATURE_BYTES = 8
 _PNG_CHUNK_BYTES = 12  # length, type and checksum of a chunk
 _JPEG_BEGIN = b'\xff\xd8\xff'
 _START_OF_SCAN = b'\xff\xda'
-# Markers of the frame's header: those from C0 to CF but for tables and what is reserved.
+# Markers of a frame header: C0 to CF, except tables and reserved markers.
 _FRAME_MARKERS = set(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _NO_SEGMENT = {0x01, *range(0xD0, 0xD9)}
 MOST_SCANS = 100
-"""Of a JPEG; encoders write 10 to 20, and each costs a pass over the whole image."""
+"""Of a JPEG; encoders write 10 to 20, and each requires a pass over the whole image."""
 
 
 def compressed_size(data: bytes) -> tuple[int, int]:
     """
-    Return width and height as the header of a JPEG or PNG file says.
+    Return width and height from the header of a JPEG or PNG file.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def compressed_size(data: bytes) -> tuple[int, int]:
     ------
     ValueError
         It is neither, has no such header, is empty, is a PNG whose chunks are longer than the
-        file, or a JPEG of very many scans.
+        file, or a JPEG with too many scans.
 
     """
     if data.startswith(_PNG_BEGIN):
@@ -54,7 +54,7 @@ def compressed_size(data: bytes) -> tuple[int, int]:
 
 
 def _check_png_chunks(data: bytes) -> None:
-    """Refuse chunks that the file does not hold: OpenCV 5.0 makes room for all they declare."""
+    """Reject truncated chunks: OpenCV 5.0 allocates memory for the declared lengths."""
     at = _PNG_SIGNATURE_BYTES
     while at + _PNG_CHUNK_BYTES <= len(data):
         (length,) = struct.unpack('>I', data[at:at + 4])
@@ -65,7 +65,7 @@ def _check_png_chunks(data: bytes) -> None:
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
-    """Go from segment to segment until the frame's header; (0, 0) where there is none."""
+    """Skip segments up to the frame header; return (0, 0) if there is none."""
     at = 2
     while at + 9 <= len(data) and data[at] == 0xFF:
         marker = data[at + 1]

@@ -42,7 +42,7 @@ class ConvertedFrame:
     covered : (H, W) bool or None
         True where the original image had pixels; None: everywhere.
     lens : Lens
-        The distortion that is left in the image.
+        Remaining distortion of the image.
 
     """
 
@@ -55,12 +55,12 @@ class ConvertedFrame:
 
 class FrameConverter:
     """
-    Converts frames; the maps of the rectification are kept until the calibration changes.
+    Converts frames; the maps of the rectification are cached until the calibration changes.
 
     Parameters
     ----------
     image_topic : str
-        Its name shows whether the images are rectified.
+        Its name indicates whether the images are rectified.
 
     """
 
@@ -118,7 +118,7 @@ class FrameConverter:
 
 
 def is_rectified_name(topic: str) -> bool:
-    """Return whether a topic's name ends in a word for rectified: image_rect, rect/image, ..."""
+    """Return whether a topic name ends in a word for rectified: image_rect, rect/image, ..."""
     parts = [part for part in topic.split('/') if part not in _TRANSPORTS]
     words = [word for part in parts[-2:] for word in part.split('_')]
     return not _RECTIFIED_NAMES.isdisjoint(words)
@@ -168,7 +168,7 @@ def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
 
 
 def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """A registered depth image has the image's field of view, so the same aspect."""
+    """Resize registered depth to the image; the field of view, and so the aspect, is equal."""
     height, width = depth_m.shape
     aspect = (width * intrinsics.height) / (height * intrinsics.width)
     if abs(aspect - 1) > _ASPECT_TOLERANCE:

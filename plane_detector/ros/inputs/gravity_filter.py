@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The direction of gravity from the readings of an accelerometer."""
+"""Direction of gravity from the readings of an accelerometer."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _SILENT_S = 1.0
 
 class GravityFilter:
     """
-    Smooths readings over time; readings of a jolt are left out.
+    Smooths readings over time; readings during acceleration are ignored.
 
     Parameters
     ----------
     imu_to_camera : (4,) float
-        Quaternion x y z w that turns vectors of the IMU's frame into the optical frame.
+        Quaternion x y z w that rotates vectors from the frame of the IMU into the optical frame.
 
     """
 
@@ -29,12 +29,12 @@ class GravityFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all readings."""
+        """Discard all readings."""
         self._down_camera: np.ndarray | None = None
         self._stamp_s = -np.inf
 
     def add(self, stamp_s: float, acceleration: Sequence[float]) -> None:
-        """Take a reading (x, y, z) in m/s^2."""
+        """Add a reading (x, y, z) in m/s^2."""
         reading = gravity_from_acceleration(acceleration, self._imu_to_camera)
         if reading is None:
             return

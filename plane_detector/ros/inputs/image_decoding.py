@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Image messages to arrays.
+Decoding of image messages to arrays.
 
-The encodings are those of sensor_msgs/image_encodings.hpp and of REP-118 for depth. A row takes
-``step`` bytes, of which the pixels may leave some unused; ``is_bigendian`` matters where a
-channel has more than one byte.
+The encodings are those of sensor_msgs/image_encodings.hpp and of REP-118 for depth. A row has
+``step`` bytes, which may include padding; ``is_bigendian`` matters for channels of more than one
+byte.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from plane_detector.ros.inputs.compressed_size import compressed_size
 _CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1,
              'uyvy': 2, 'yuv422': 2, 'yuyv': 2, 'yuv422_yuy2': 2,
              '8uc3': 3, 'bayer_rggb8': 1, 'bayer_bggr8': 1, 'bayer_gbrg8': 1, 'bayer_grbg8': 1}
-# OpenCV names a Bayer pattern after the second row, second column; ROS after the first pixels.
-# 8UC3 does not say what its channels are; OpenCV, whose name it is, takes them as BGR.
+# OpenCV names a Bayer pattern after the second row and column; ROS after the first pixels.
+# 8UC3 does not define its channels; as in OpenCV, where the name comes from, they are BGR.
 _TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
            'rgba8': cv2.COLOR_RGBA2RGB, 'bgra8': cv2.COLOR_BGRA2RGB,
            'mono8': cv2.COLOR_GRAY2RGB,
@@ -29,7 +29,7 @@ _TO_RGB = {'bgr8': cv2.COLOR_BGR2RGB, '8uc3': cv2.COLOR_BGR2RGB,
            'yuyv': cv2.COLOR_YUV2RGB_YUYV, 'yuv422_yuy2': cv2.COLOR_YUV2RGB_YUYV,
            'bayer_rggb8': cv2.COLOR_BayerBG2RGB, 'bayer_bggr8': cv2.COLOR_BayerRG2RGB,
            'bayer_gbrg8': cv2.COLOR_BayerGR2RGB, 'bayer_grbg8': cv2.COLOR_BayerGB2RGB}
-# The luma of all pixels, then the colour of each 2 x 2, as half as many rows again.
+# The luma of all pixels, followed by the colour of each 2 x 2 block, half as many rows.
 _HALF_COLOUR = {'nv12': cv2.COLOR_YUV2RGB_NV12, 'nv21': cv2.COLOR_YUV2RGB_NV21}
 _DEPTH_ENCODINGS = ('16uc1', '32fc1')
 
@@ -52,7 +52,7 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     Raises
     ------
     ValueError
-        The encoding is another one, or size, step and length of the data do not agree.
+        The encoding is not supported, or size, step and length of the data are inconsistent.
 
     """
     encoding = msg.encoding.lower()
@@ -79,16 +79,16 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
 def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
                             most_pixels: int) -> np.ndarray:
     """
-    Decode a JPEG or PNG image, once its header shows that it is of the right size.
+    Decode a JPEG or PNG image after checking the size in its header.
 
     Parameters
     ----------
     msg : sensor_msgs.msg.CompressedImage
-        Its ``format`` is not looked at: the first bytes tell.
+        Its ``format`` is ignored; the first bytes identify the format.
     expected : (width, height)
-        Its size; (0, 0) where that is not known.
+        Its size; (0, 0) if not known.
     most_pixels : int
-        More are refused.
+        Larger images are rejected.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
     Raises
     ------
     ValueError
-        The data is no such image, damaged, or of another size.
+        The data is not such an image, is damaged, or has another size.
 
     """
     data = bytes(msg.data)
@@ -128,7 +128,7 @@ def _decompressed(data: bytes, size: tuple[int, int]) -> np.ndarray:
 
 
 def wrong_size(size: tuple[int, int], expected: tuple[int, int]) -> str:
-    """Return the error message for an image whose size differs from its CameraInfo's."""
+    """Return the error message for an image whose size differs from that of its CameraInfo."""
     return (f'the image is {size[0]} x {size[1]}, its CameraInfo is for {expected[0]} x '
             f'{expected[1]} (after region of interest and binning)')
 
@@ -151,7 +151,7 @@ def depth_from_msg(msg: Image) -> np.ndarray:
     Raises
     ------
     ValueError
-        The encoding is another one, or size, step and length of the data do not agree.
+        The encoding is not supported, or size, step and length of the data are inconsistent.
 
     """
     encoding = msg.encoding.upper()
@@ -168,9 +168,9 @@ def depth_from_msg(msg: Image) -> np.ndarray:
 
 def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = None) -> np.ndarray:
     """
-    Return the message's pixels (H, W, channels), a view of its data without the padding.
+    Return the pixels (H, W, channels) of a message, a view of its data without the padding.
 
-    ``rows`` is the number of rows in the data, where that is not the height.
+    ``rows`` is the number of rows in the data, if that is not the height.
     """
     rows = msg.height if rows is None else rows
     dtype = np.dtype(channel_type).newbyteorder('>' if msg.is_bigendian else '<')
@@ -188,7 +188,7 @@ def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = Non
 
 
 def _check_sides(msg: Image, encoding: str) -> None:
-    """Colour that is shared between neighbouring pixels needs those neighbours."""
+    """Check that the sides fit colours that neighbouring pixels share."""
     if encoding in _HALF_COLOUR and (msg.width % 2 or msg.height % 2):
         raise ValueError(f'the sides of a {msg.encoding} image must be even, not {msg.width} x '
                          f'{msg.height}')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The subscriptions of the node, and the frames that come of them."""
+"""The subscriptions of the node, and the frames made from their messages."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Which messages belong together.
+Assembly of frames from the messages that belong together.
 
-The same code pairs the messages of live topics and those of a bag: what goes with what depends
-on the stamps and on the order within each topic, not on how the topics interleave.
+The same code is used for live topics and for bags: the result depends on the stamps and on the
+order within each topic, not on how the topics interleave.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ class Frame:
     image : sensor_msgs.msg.Image or CompressedImage
         The image.
     camera_info : sensor_msgs.msg.CameraInfo
-        With the same stamp if there is one, else the latest. An image of another size waits for
-        the next one while CameraInfo messages keep coming.
+        With the same stamp if there is one, otherwise the latest. An image of another size waits
+        for the next CameraInfo while these keep arriving.
     depth : sensor_msgs.msg.Image or None
         Measured depth, if used.
     gravity_camera : (3,) float64 or None
         Direction of gravity in the optical frame, if there is an IMU.
     epoch : int
-        Increases when time jumps back: frames of different epochs share no history.
+        Increases if time jumps back: frames of different epochs share no history.
 
     """
 
@@ -60,9 +60,9 @@ def depth_use(config: Config, output: str) -> str:
     Parameters
     ----------
     config : Config
-        Where depth and its unit come from.
+        Source of depth and of its unit.
     output : str
-        Output of the network: only relative disparity needs the unit of measured depth.
+        Output of the network: only relative disparity uses the unit of measured depth.
 
     """
     if config.depth.source == 'topic':
@@ -81,10 +81,10 @@ class FrameSynchronizer:
     ----------
     depth : str
         ``unused``; ``required``: an image without depth is dropped; ``optional``: depth is used
-        if there is one, and waited for until the next image at most.
+        if available, and waited for until the next image at most.
     stamp_slop_s : float
-        A depth image with exactly the image's stamp is used. If a later one shows that there is
-        none, the nearest within this time is used.
+        A depth image with exactly the stamp of the image is used. If a later one shows that there
+        is none, the nearest within this time is used.
     imu_to_camera : (4,) float
         Quaternion x y z w of the mounting of the IMU.
 
@@ -102,7 +102,7 @@ class FrameSynchronizer:
         self.epoch = 0
 
     def take_dropped(self) -> int:
-        """Return how many images were dropped for lack of a partner since the last call."""
+        """Return the number of images dropped without a partner since the last call."""
         count, self._dropped = self._dropped, 0
         return count
 
@@ -120,7 +120,7 @@ class FrameSynchronizer:
         first = self._infos.latest is None
         self._infos.add(msg)
         self._infos.shrink_to(_CACHED)
-        if first:  # of the images before it only the one with its stamp is usable
+        if first:  # of the images before it, only one with its stamp is usable
             self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == _stamp_ns(msg))
         return self._complete()
 
@@ -131,11 +131,11 @@ class FrameSynchronizer:
         return self._complete()
 
     def finish(self) -> list[Frame]:
-        """Return the frames that still wait for a better partner, when no more will come."""
+        """Return the frames still waiting for a better partner, when no more messages come."""
         return self._complete(at_end=True)
 
     def add_imu(self, msg: Imu) -> None:
-        """Add an accelerometer reading, for the frames that are complete later."""
+        """Add an accelerometer reading, for frames that are completed later."""
         force = msg.linear_acceleration
         self._gravity.add(_stamp_ns(msg) * 1e-9, (force.x, force.y, force.z))
 
@@ -155,7 +155,7 @@ class FrameSynchronizer:
         return frames
 
     def _awaits_calibration(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
-        """Say whether an image does not fit its calibration and a later one may still come."""
+        """Return whether an image does not fit its calibration and a later one may still come."""
         if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
             return False
         can_come = (self._infos.has_recent(_stamp_ns(self._images.latest))
@@ -163,7 +163,7 @@ class FrameSynchronizer:
         return can_come and image_size(info) not in ((image.width, image.height), (0, 0))
 
     def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
-        """Return whether the depth image of an image is decided, and the depth image."""
+        """Return whether the depth image of an image is determined, and the depth image."""
         exact = self._depths.exact(stamp_ns)
         if exact is not None or self._depth_use == 'unused':
             return True, exact
@@ -193,20 +193,20 @@ class _MessageBuffer:
         return jumped
 
     def shrink_to(self, count: int) -> int:
-        """Remove the oldest messages beyond a count; return how many."""
+        """Remove the oldest messages beyond a count; return their number."""
         removed = max(len(self._messages) - count, 0)
         for _ in range(removed):
             self._messages.popleft()
         return removed
 
     def keep(self, condition: Callable[[int, Any], bool]) -> int:
-        """Remove what does not meet a condition on stamp and message; return how many."""
+        """Keep the messages that meet a condition on stamp and message; return how many go."""
         before = len(self._messages)
         self._messages = deque(entry for entry in self._messages if condition(*entry))
         return before - len(self._messages)
 
     def forget_after(self, stamp_ns: int) -> None:
-        """Forget what is later: it is from before a jump back in time."""
+        """Remove later messages, which are from before a jump back in time."""
         self.keep(lambda other_ns, _: other_ns <= stamp_ns)
         self._latest_ns = min(self._latest_ns, stamp_ns) if self._messages else 0
 
@@ -220,11 +220,11 @@ class _MessageBuffer:
                     None)
 
     def is_past(self, stamp_ns: int) -> bool:
-        """Whether a later message has come, so that none with this stamp will."""
+        """Whether a later message has arrived, so that none with this stamp will."""
         return self._latest_ns > stamp_ns
 
     def has_recent(self, stamp_ns: int) -> bool:
-        """Whether messages came shortly before a stamp."""
+        """Whether messages arrived shortly before a stamp."""
         return self.latest is not None and self._latest_ns > stamp_ns - _JUMP_NS
 
     def nearest(self, stamp_ns: int, slop_ns: int) -> Any:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Names of the input topics: a remap of ``image`` takes the topics along that belong to it."""
+"""Names of the input topics: remapping ``image`` also moves the topics that belong to it."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ COMPRESSED = '/compressed'
 
 
 class Resolver(Protocol):
-    """The part of a node that is used: names after its remaps."""
+    """The part of a node that is used: resolution of names."""
 
     def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
-        """Return the whole name, after the remaps unless it is only to be expanded."""
+        """Return the full name, with remappings unless ``only_expand``."""
 
 
 def input_topics(node: Resolver, image_transport: str) -> dict[str, str]:
     """
-    Return the whole names of the inputs by the names that a remap is given for.
+    Return the full names of the inputs, by the names used for remapping.
 
-    The compressed topic follows ``image``, as in image_transport, and ``camera_info`` is taken
-    from beside it, unless they are remapped themselves.
+    The compressed topic follows ``image``, as in image_transport, and ``camera_info`` is in the
+    namespace of the image, unless they are remapped themselves.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        Knows the remaps.
+        Resolves the names.
     image_transport : str
         ``raw`` or ``compressed``.
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why nothing arrives on a topic: no publisher, another type, messages lost, or it has stopped."""
+"""Why a topic is silent: no publisher, another type, messages lost, or it has stopped."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
-# derived: discovery takes about a second on a busy machine; before this, silence means nothing.
+# derived: discovery takes about a second on a busy machine; silence before that means nothing.
 GRACE_S = 2.0
-# derived: a topic has stopped after this many of its usual intervals, so that a camera of one
-# image in many seconds has not; until there are two messages, the interval is taken to be this.
+# derived: a topic has stopped after this many of its usual intervals, which allows for slow
+# cameras; before the second message the interval is assumed to be this.
 _STOPPED_INTERVALS = 3.0
 _FIRST_INTERVAL_S = 5.0
 _REMEMBERED = 6
@@ -36,15 +36,15 @@ class _Topic:
     name, type_name : str
         Resolved; as in ``sensor_msgs/msg/Image``.
     may_stop : bool
-        Whether one message is enough.
+        Whether a single message is enough.
     only_reliable : bool
-        Whether the subscription refuses publishers that are best effort.
+        Whether the subscription rejects best-effort publishers.
     heard_s : deque of float
-        When the last messages arrived.
+        Arrival times of the last messages.
     offered_s : float or None
-        When a publisher was first seen.
+        Time when a publisher was first seen.
     problem : str
-        What was logged last; empty while all is well.
+        Last logged problem; empty if there is none.
 
     """
 
@@ -59,14 +59,14 @@ class _Topic:
 
 class TopicWatch:
     """
-    Notes when messages arrive, and says which topic is silent and why.
+    Records the arrival of messages, and reports which topic is silent and why.
 
     Parameters
     ----------
     node : rclpy.node.Node
-        Knows the graph, and logs.
+        Provides the graph and the log.
     clock : callable
-        Seconds that only grow.
+        Monotonic time in seconds.
 
     """
 
@@ -83,15 +83,15 @@ class TopicWatch:
         Parameters
         ----------
         role : str
-            The name that a remap is given for.
+            Name used for remapping.
         topic : str
-            The resolved name.
+            Resolved name.
         msg_type : type
             Of the messages.
         may_stop : bool
-            One message is enough, as of a calibration.
+            A single message is enough, for example of a calibration.
         only_reliable : bool
-            Publishers that are best effort are refused.
+            Best-effort publishers are rejected.
 
         """
         package = msg_type.__module__.split('.')[0]
@@ -99,11 +99,11 @@ class TopicWatch:
                                     only_reliable)
 
     def heard(self, role: str) -> None:
-        """Note that a message has arrived."""
+        """Record the arrival of a message."""
         self._topics[role].heard_s.append(self._clock())
 
     def problem(self) -> str:
-        """Return the faults, silent topics first; log the changes."""
+        """Return the problems, silent topics first; log changes."""
         now_s = self._clock()
         for role, topic in self._topics.items():
             self._note(topic, self._problem_of(role, topic, now_s))
@@ -118,12 +118,12 @@ class TopicWatch:
         if topic.may_stop or now_s - topic.heard_s[-1] < patience_s:
             return ''
         stopped = f'{topic.name} has stopped: no message for over {patience_s:.0f} s'
-        if topic.problem.startswith(stopped):  # said once, though its publisher may go later
+        if topic.problem.startswith(stopped):  # logged once, even if its publisher goes later
             return topic.problem
         return stopped + _hint_of_loss(self._reliabilities(topic))
 
     def _unheard(self, role: str, topic: _Topic, now_s: float) -> str:
-        """Return why no message has come yet; a new publisher gets time to send the first one."""
+        """Return why no message has arrived; a new publisher has time for its first message."""
         offered = self._reliabilities(topic)
         if not offered:
             topic.offered_s = None
@@ -134,7 +134,7 @@ class TopicWatch:
         return explain_loss(topic.name, offered, topic.only_reliable)
 
     def _reliabilities(self, topic: _Topic) -> list[ReliabilityPolicy]:
-        """Return what the publishers of the right type offer."""
+        """Return the reliabilities offered by publishers of the right type."""
         return [info.qos_profile.reliability
                 for info in self._node.get_publishers_info_by_topic(topic.name)
                 if info.topic_type == topic.type_name]
@@ -161,11 +161,11 @@ def explain_loss(topic: str, offered: Sequence[ReliabilityPolicy], only_reliable
     Parameters
     ----------
     topic : str
-        The resolved name.
+        Resolved name.
     offered : sequence of ReliabilityPolicy
         Of its publishers.
     only_reliable : bool
-        Publishers that are best effort are refused.
+        Best-effort publishers are rejected.
 
     """
     if only_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
@@ -176,7 +176,7 @@ def explain_loss(topic: str, offered: Sequence[ReliabilityPolicy], only_reliable
 
 
 def _hint_of_loss(offered: Sequence[ReliabilityPolicy]) -> str:
-    """Return what else than a camera that has stopped may be the cause; empty for none."""
+    """Return another possible cause than a stopped camera; empty if there is none."""
     if ReliabilityPolicy.BEST_EFFORT not in offered:
         return ''
     return f'; if the camera still sends: large best-effort {_LOST}'
@@ -190,13 +190,13 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
     Parameters
     ----------
     role : str
-        The name that a remap is given for.
+        Name used for remapping.
     topic, type_name : str
         The subscription.
     offered : sequence of str
-        Types of the publishers of that topic, which are others.
+        Types of the publishers of that topic, all different from the subscription's.
     published : mapping of str to str
-        Type of every topic that anybody else publishes.
+        Type of every topic that other nodes publish.
 
     """
     if offered:

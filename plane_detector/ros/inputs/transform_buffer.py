@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Transforms by time, for programs that read them from a bag: tf2 is not needed there.
+Transforms over time, for programs that read them from a bag, without tf2.
 
-It answers as the buffer of tf2_ros does, for as long as the transforms that it was given.
+It has the interface of tf2_ros.Buffer, for the transforms that were added.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class TransformError(ValueError):
 
 @dataclass
 class _Edge:
-    """The transforms from a frame to its parent, in the order of time."""
+    """The transforms from a frame to its parent, ordered by time."""
 
     parent: str
     is_static: bool
@@ -56,14 +56,14 @@ class TransformBuffer:
     """
     The tree of frames over time.
 
-    Memory grows with the transforms added; none is dropped.
+    No transform is dropped, so memory grows with their number.
     """
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
 
     def add(self, msg: Any, is_static: bool = False) -> None:
-        """Take a geometry_msgs/TransformStamped; of /tf_static: it holds at any time."""
+        """Add a geometry_msgs/TransformStamped; static ones hold at any time."""
         edge = self._edges.get(msg.child_frame_id)
         if edge is None or edge.parent != msg.header.frame_id:
             edge = self._edges[msg.child_frame_id] = _Edge(msg.header.frame_id, is_static)
@@ -73,14 +73,14 @@ class TransformBuffer:
     def lookup_transform(self, target_frame: str, source_frame: str, time: Any,
                          timeout: Any = None) -> TransformStamped:
         """
-        Return the transform that brings points of the source frame into the target frame.
+        Return the transform that maps points of the source frame into the target frame.
 
         Parameters
         ----------
         target_frame, source_frame : str
         time : rclpy.time.Time
         timeout : rclpy.duration.Duration, optional
-            Not waited for: all transforms are here.
+            Ignored: all transforms are available.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class TransformBuffer:
     def _ancestors(self, frame: str, stamp_ns: int) -> Iterator[tuple[str, RigidTransform]]:
         """Yield a frame, its parent, ... and the transform from the frame into each."""
         transform = RigidTransform.identity()
-        for _ in range(len(self._edges) + 1):  # a circle in the tree ends too
+        for _ in range(len(self._edges) + 1):  # ends even if the tree has a cycle
             yield frame, transform
             edge = self._edges.get(frame)
             if edge is None:
@@ -108,7 +108,7 @@ class TransformBuffer:
 
 
 def transform_from_msg(msg: Any) -> RigidTransform:
-    """Return the transform of a geometry_msgs/TransformStamped: from its child to its header."""
+    """Return the transform of a geometry_msgs/TransformStamped, from child to parent frame."""
     rotation, translation = msg.transform.rotation, msg.transform.translation
     return RigidTransform.from_quaternion((rotation.x, rotation.y, rotation.z, rotation.w),
                                           (translation.x, translation.y, translation.z))

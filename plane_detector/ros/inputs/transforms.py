@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From TF: gravity and the height of the camera, and the way into the frame of the outputs."""
+"""From TF: gravity and height of the camera, and the transform to the frame of the outputs."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class Buffer(Protocol):
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Time,
                          timeout: Duration) -> Any:
-        """Return a TransformStamped, or raise once the time to wait is over."""
+        """Return a TransformStamped, or raise after the timeout."""
 
 
 @dataclass(frozen=True)
 class CameraPose:
     """
-    How the camera stands on the floor.
+    Pose of the camera relative to the floor.
 
     Attributes
     ----------
@@ -47,14 +47,14 @@ class CameraPose:
 
 class FrameTransforms:
     """
-    Looks up the frames that the settings name; without names it looks up nothing.
+    Looks up the frames named in the settings; does nothing if none is named.
 
     Parameters
     ----------
     buffer : Buffer
-        Filled by another thread.
+        Filled in another thread.
     listener : object, optional
-        What fills it; kept as long as this.
+        Object that fills the buffer; kept alive with this one.
 
     """
 
@@ -63,12 +63,12 @@ class FrameTransforms:
 
     def camera_pose(self, header: Header, settings: NodeConfig) -> CameraPose | None:
         """
-        Return the camera's pose by ``base_frame``; None where none is named.
+        Return the pose of the camera relative to ``base_frame``; None if none is named.
 
         Raises
         ------
         ValueError
-            The transform has not come within ``tf_timeout``.
+            The transform is not available within ``tf_timeout``.
 
         """
         if not settings.base_frame:
@@ -87,7 +87,7 @@ class FrameTransforms:
         stamp, timeout = Time.from_msg(header.stamp), Duration(seconds=timeout_s)
         try:
             msg = self._buffer.lookup_transform(frame, header.frame_id, stamp, timeout)
-        except Exception as error:  # tf2's own are not importable where it is not installed
+        except Exception as error:  # tf2's classes cannot be imported where it is not installed
             raise ValueError(
                 f'no transform from {header.frame_id} to {frame} at the time of the image, within '
                 f'tf_timeout ({timeout_s:g} s): {error}') from error
@@ -96,7 +96,7 @@ class FrameTransforms:
 
 def listen_to_tf(node: Node) -> FrameTransforms:
     """
-    Return transforms that the node's executor takes from /tf and /tf_static.
+    Return transforms that the node receives from /tf and /tf_static.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Captions of planes: what they say, how tall they are, where they stand, and which are shown."""
+"""Captions of planes: text, size, position, and whether they are shown."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
-# Sizes as a share of the distance from the camera: they look alike near and far, and need no
-# unit where the scale is not known.
+# Sizes as a share of the distance from the camera: they look equal near and far, and need no unit
+# if the scale is not known.
 _HEIGHT, _ARROW_LENGTH = 0.03, 0.15
-# derived: and no larger than this share of the plane's own side, so that neighbours stay apart.
+# derived: limits, as a share of the plane's own size, that keep neighbouring captions apart.
 _LARGEST_HEIGHT, _LARGEST_ARROW = 0.2, 0.5
-# derived: a plane of a smaller share of the pixels has no room for a caption.
+# derived: a plane with a smaller share of the pixels has no room for a caption.
 _MIN_SHARE = 0.01
-# derived: the advance of a monospaced character is .6 of its height, and viewers draw a box around
+# derived: the width of a monospaced character is .6 of its height, and viewers draw a box around
 # the text.
 _ADVANCE, _BOX = 0.6, 1.5
-# derived: a text stands before all of the plane that it covers, but no nearer than three
-# quarters of the way to it, or else it would be far from its plane for another viewpoint.
+# derived: a text is in front of the part of the plane that it covers, but not closer than three
+# quarters of the distance, so that it stays near its plane from other viewpoints.
 _BEFORE_PLANE, _NEAREST = 0.98, 0.75
 
 
 @dataclass(frozen=True)
 class Caption:
     """
-    The text at a plane.
+    The text of a plane.
 
     Attributes
     ----------
     text : str
     position_m : (3,) float64
-        Its middle, in the frame of the camera.
+        Its centre, in the frame of the camera.
     height_m : float
         Of its characters.
     is_shown : bool
-        Neither is the plane too small for it, nor would it cover that of a larger plane.
+        False if the plane is too small, or if the text would cover that of a larger plane.
 
     """
 
@@ -63,20 +63,19 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
     """
     Return the captions of all planes.
 
-    A caption stands where its plane is widest in the image, before the plane, and faces the
-    viewer. Whether two of them overlap is decided as the camera sees them; the one of the larger
-    plane stays.
+    A caption is placed where its plane is widest in the image, in front of the plane, and faces
+    the viewer. If two captions overlap as seen by the camera, the one of the larger plane is kept.
 
     Parameters
     ----------
     detection : Detection
         The planes, in the frame of the camera.
     labels : sequence of int
-        Of the planes, as they are written.
+        Of the planes, as in the text.
     intrinsics : CameraIntrinsics
         Of the image.
     places : mapping of int to LabelPlace
-        By label; those that are missing are the centroids.
+        By label; the default is the centroid.
 
     """
     captions: list[Caption] = []
@@ -103,7 +102,7 @@ def _height_m(plane: Plane) -> float:
 
 
 def _middle(plane: Plane, place: LabelPlace | None, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return x / z and y / z of where a text should stand."""
+    """Return x / z and y / z of the position of a text."""
     if place is None:
         return plane.centroid_m[:2] / plane.centroid_m[2]
     return np.array([(place.column - intrinsics.cx) / intrinsics.fx,
@@ -111,11 +110,11 @@ def _middle(plane: Plane, place: LabelPlace | None, intrinsics: CameraIntrinsics
 
 
 def _before_m(plane: Plane, box: np.ndarray) -> float:
-    """Return the z at which a text of this box is before the plane."""
+    """Return the z at which a text with this box is in front of the plane."""
     corners = np.array([[x, y, 1.0] for x in box[:, 0] for y in box[:, 1]])
-    nearness = -corners @ plane.normal  # 1 / z is this over the offset
+    nearness = -corners @ plane.normal  # 1 / z times the offset
     at_middle, at_nearest = float(nearness.mean()), float(nearness.max())
-    if at_middle <= 0:  # the middle is beyond the plane's horizon
+    if at_middle <= 0:  # the centre is beyond the plane's horizon
         return float(plane.centroid_m[2])
     middle_m = plane.offset_m / at_middle
     return max(_BEFORE_PLANE * plane.offset_m / at_nearest, _NEAREST * middle_m)
@@ -126,7 +125,7 @@ def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
 
 
 def _description(detection: Detection, index: int) -> str:
-    """Return class, where it is known, and distance; without a unit where that is not known."""
+    """Return class, if known, and distance, with its unit if known."""
     kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
     name = '' if kind == PlaneClass.UNKNOWN else kind.name.lower().replace('_', ' ') + ' '
     unit = '' if detection.scale_method == RELATIVE else ' m'

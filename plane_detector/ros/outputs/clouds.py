@@ -24,7 +24,7 @@ _STAY = RigidTransform.identity()
 @dataclass(frozen=True)
 class PixelPoints:
     """
-    The points of an image.
+    Input of the clouds: depth and labels of an image.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class PixelPoints:
     intrinsics : CameraIntrinsics
         Of these images.
     to_target : RigidTransform or None
-        From the optical frame into that of the clouds; None: they are the same.
+        From the optical frame into that of the clouds; None: they are equal.
     decimation : int
-        The clouds hold every so manieth row and column.
+        The clouds contain every n-th row and column.
 
     """
 
@@ -49,12 +49,12 @@ class PixelPoints:
 
     @property
     def thinned(self) -> tuple[slice, slice]:
-        """The rows and columns that the clouds hold."""
+        """Rows and columns that the clouds contain."""
         return (slice(None, None, self.decimation),) * 2
 
     @property
     def thinned_labels(self) -> np.ndarray:
-        """The labels of the points in the clouds."""
+        """Labels of the points in the clouds."""
         return self.labels.astype(np.int32, copy=False)[self.thinned]
 
     def geometry(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -81,7 +81,7 @@ def points_to_msg(header: Header, points: PixelPoints, rgb: np.ndarray,
     rgb : (H, W, 3) uint8
         The image; packed as PCL does, 0x00RRGGBB in the bits of a float.
     names : (K + 1,) uint32
-        Label in the message of each index, the last entry that of no plane.
+        Label in the message of each index; the last entry is for no plane.
 
     """
     depth_m, ray_x, ray_y, moved = points.geometry()
@@ -97,7 +97,7 @@ def points_to_msg(header: Header, points: PixelPoints, rgb: np.ndarray,
 
 def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarray) -> PointCloud2:
     """
-    Return the valid points off some planes as an unorganised cloud with the fields x y z.
+    Return the valid points without those of some planes, unorganised, with fields x y z.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarra
         Of the image, with the frame of the cloud.
     points : PixelPoints
     is_left_out : (K + 1,) bool
-        Of each index, the last entry that of no plane.
+        For each index; the last entry is for no plane.
 
     """
     depth_m, ray_x, ray_y, moved = points.geometry()
@@ -113,12 +113,12 @@ def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarra
     xyz_m = np.frombuffer(data, '<f4').reshape(-1, 3)
     count = _pack_obstacles((depth_m, ray_x, ray_y, moved), points.thinned_labels, is_left_out,
                             xyz_m)
-    del xyz_m  # an array whose memory is looked at cannot be cut
+    del xyz_m  # an array with views cannot be resized
     del data[count * XYZ_DTYPE.itemsize:]
     return cloud_msg(header, XYZ_DTYPE, data, 1, count)
 
 
-# Any strides, for thinned images, and read-only, for those that are views of messages.
+# Any strides, for subsampled images, and read-only, for views of messages.
 _DEPTH, _LABELS, _RGB = (f"Array({kind}, 'A', readonly=True)"
                          for kind in ('float32, 2', 'int32, 2', 'uint8, 3'))
 _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
@@ -127,7 +127,7 @@ _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 @kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, uint32[::1], float32[:, :, ::1], '
         'uint32[:, :, ::1])')
 def _pack_points(geometry, rgb, labels, names, numbers, bits):
-    """Fill (H, W, 5), seen as numbers and as bits: x y z, 0x00RRGGBB, label."""
+    """Fill (H, W, 5), viewed as floats and as bits: x y z, 0x00RRGGBB, label."""
     depth_m, ray_x, ray_y, moved = geometry
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
@@ -145,7 +145,7 @@ def _pack_points(geometry, rgb, labels, names, numbers, bits):
 
 @kernel(f'int64({_GEOMETRY}, {_LABELS}, boolean[::1], float32[:, ::1])')
 def _pack_obstacles(geometry, labels, is_left_out, xyz_m):
-    """Fill the first rows of (N, 3); return how many."""
+    """Fill the first rows of (N, 3); return their number."""
     depth_m, ray_x, ray_y, moved = geometry
     count = 0
     for v in range(depth_m.shape[0]):

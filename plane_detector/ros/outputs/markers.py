@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes as markers: outline, normal and caption of each; those of planes gone are deleted."""
+"""Planes as markers: outline, normal and caption; markers of lost planes are deleted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from plane_detector.ros.outputs.shapes import shape_markers
 from plane_detector.types import Detection, Plane
 
 _NAMESPACES = ('outline', 'normal', 'caption')
-# As a share of the distance from the camera, as the sizes of captions.
+# As a share of the distance from the camera, like the sizes of captions.
 _LINE_WIDTH = 0.006
 _NO_POINTS = np.zeros((0, 3))
 _TEMPLATE = Marker()
@@ -46,9 +46,9 @@ def markers_to_msg(header: Header, detection: Detection, polygons: Sequence[Sequ
     captions : sequence of Caption
         Of each plane.
     shown : collection of int
-        Labels of the markers published before; those that are not here again are deleted.
+        Labels of the markers published before; those that are not present again are deleted.
     lifetime_s : float
-        Seconds after which a marker vanishes by itself, 0 for never.
+        Seconds after which a marker disappears; 0: never.
 
     """
     labels = plane_labels(detection).tolist()
@@ -71,9 +71,9 @@ def markers_to_msg(header: Header, detection: Detection, polygons: Sequence[Sequ
 
 def moved(markers: MarkerArray, to_target: RigidTransform) -> MarkerArray:
     """
-    Put markers of the camera's frame into the target frame; they are changed and returned.
+    Transform markers from the camera's frame into the target frame, in place, and return them.
 
-    The points of a marker are relative to its pose, so that only poses change.
+    The points of a marker are relative to its pose, so only poses change.
     """
     for marker in markers.markers:
         at, turn = marker.pose.position, marker.pose.orientation
@@ -91,7 +91,7 @@ def _plane_markers(header: Header, plane: Plane, outlines: Sequence[Polygon],
     corners_m = outlines[0].corners_m if outlines else _NO_POINTS
     outline = _marker(header, 'outline', Marker.LINE_STRIP, np.vstack([corners_m, corners_m[:1]]))
     outline.scale.x = line_width_m
-    if not outlines:  # a plane too narrow for three corners
+    if not outlines:  # the plane is too narrow for three corners
         outline.action = Marker.DELETE
     normal = _marker(header, 'normal', Marker.ARROW, np.stack([
         plane.centroid_m, plane.centroid_m + arrow_length_m(plane) * plane.normal]))
@@ -99,13 +99,13 @@ def _plane_markers(header: Header, plane: Plane, outlines: Sequence[Polygon],
     text = _marker(header, 'caption', Marker.TEXT_VIEW_FACING, _NO_POINTS)
     text.text, text.scale.z = caption.text, caption.height_m
     text.pose.position = _point(caption.position_m)
-    if not caption.is_shown:  # the text stays in the message, for viewers that list it
+    if not caption.is_shown:  # the message keeps the text, for viewers that list it
         text.action = Marker.DELETE
     return outline, normal, text
 
 
 def _marker(header: Header, name: str, kind: int, points_m: np.ndarray) -> Marker:
-    marker = copy(_TEMPLATE)  # a new one takes five times as long, most of it for its other parts
+    marker = copy(_TEMPLATE)  # the constructor takes five times as long
     marker.header, marker.ns, marker.type, marker.action = header, name, kind, Marker.ADD
     marker.pose, marker.scale = Pose(orientation=Quaternion(w=1.0)), Vector3()
     marker.points = [Point(x=x, y=y, z=z) for x, y, z in points_m.tolist()]

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Conversion of messages to inputs of the core, and of its results to messages. No state.
+Conversion of messages to inputs of the core, and of its results to messages, without state.
 
-Every output takes over the header of the image that it comes from, so that the stamp and the
-optical frame (REP-103) are those of the image. Labels in messages are above 0; 0 is no plane.
+Every output has the header of its image, so that stamp and optical frame (REP-103) are those of
+the image. Labels in messages are above 0; 0 is no plane.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ NO_LENS = Lens('plumb_bob', (0.0,) * 5)
 
 def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics, lens: Lens) -> CameraInfo:
     """
-    Return the calibration that fits the images of the node.
+    Return the calibration of the images that the node publishes.
 
     Parameters
     ----------
     header : std_msgs.msg.Header
         Of the image.
     intrinsics : CameraIntrinsics
-        Of the images, rectified or not, reduced or not.
+        Of these images, rectified or not, reduced or not.
     lens : Lens
-        The distortion that is left in them.
+        Their remaining distortion.
 
     """
     fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
@@ -70,9 +70,9 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
     Parameters
     ----------
     msg : sensor_msgs.msg.CameraInfo
-        Its K holds for the image as it comes, its P for the rectified one.
+        K is for the original image, P for the rectified one.
     rectified : bool
-        The image is rectified: P holds, or K where P is not filled in.
+        The image is rectified: P is used, or K if P is not set.
 
     Raises
     ------
@@ -88,13 +88,13 @@ def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntri
 
 
 def projection_from_msg(msg: CameraInfo) -> np.ndarray:
-    """Return the camera matrix (3, 3) of the rectified image, uncropped: of P, or else K."""
+    """Return the camera matrix (3, 3) of the full rectified image, from P or else K."""
     projection = np.reshape(msg.p, (3, 4))[:, :3]
     return projection if projection[0, 0] else np.reshape(msg.k, (3, 3))
 
 
 def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
-    """Return a camera matrix (3, 3) of the full image for the one that is sent."""
+    """Convert a camera matrix (3, 3) of the full image to that of the image that is sent."""
     binning = max(msg.binning_x, 1), max(msg.binning_y, 1)
     sent = matrix.copy()
     sent[0, 2] -= msg.roi.x_offset
@@ -135,9 +135,9 @@ def pixel_labels(detection: Detection) -> np.ndarray:
 
 def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
     """
-    Return a pose per plane: at its centroid, z along the normal.
+    Return one pose per plane: at its centroid, z along the normal.
 
-    The x axis is the camera's x axis laid onto the plane (its y axis, where that is the normal).
+    The x axis is the camera's x axis projected onto the plane (its y axis if that is the normal).
     """
     if not planes:
         return PoseArray(header=header)
@@ -188,7 +188,7 @@ def cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
                       is_bigendian=False, point_step=dtype.itemsize,
                       row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE,
                       check_fields=True)
-    msg.data = data  # taken as it is: the constructor copies, so does a setter without checks
+    msg.data = data  # not copied, unlike in the constructor and the checking setter
     return msg
 
 

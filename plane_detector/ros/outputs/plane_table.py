@@ -32,7 +32,7 @@ def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
                   classes: Sequence[int], rectangles: Sequence[Rectangle],
                   merged: Sequence[int]) -> PointCloud2:
     """
-    Return the coefficients: one point per plane, at its centroid; none is an empty cloud.
+    Return the coefficients: one point per plane, at its centroid; without planes an empty cloud.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
     rectangles : sequence of Rectangle
         Around each plane.
     merged : sequence of int
-        Label that each plane has taken over, 0: none; empty: none of all.
+        Label that was merged into each plane, 0: none; empty: none for all.
 
     """
     table = np.zeros(len(planes), PLANE_DTYPE)
@@ -69,7 +69,7 @@ def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
 def boundaries_to_msg(header: Header, labels: Iterable[int],
                       polygons: Iterable[Sequence[Polygon]]) -> PointCloud2:
     """
-    Return one point per corner, in order; the last corner of each polygon is its first one again.
+    Return one point per corner, in order; the last corner of a polygon repeats the first.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def boundaries_to_msg(header: Header, labels: Iterable[int],
             table['label'], table['hole'] = label, polygon.is_hole
             table['polygon'] = len(tables) - 1
             tables.append(table)
-    # Joined field by field: np.concatenate leaves the bytes between them as they are in memory.
+    # Joined field by field: np.concatenate leaves the padding between them uninitialised.
     joined = np.zeros(sum(map(len, tables)), CORNER_DTYPE)
     for name in CORNER_DTYPE.names:
         joined[name] = np.concatenate([table[name] for table in tables])

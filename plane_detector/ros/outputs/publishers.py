@@ -30,7 +30,7 @@ class OutputPublishers:
             qos_overriding_options=qos.overriding_options()) for name, output in OUTPUTS.items()}
 
     def wanted(self) -> list[str]:
-        """Return the names of the outputs that somebody listens to."""
+        """Return the names of the outputs that have subscribers."""
         return [name for name, publisher in self._publishers.items()
                 if publisher.get_subscription_count()]
 
@@ -40,6 +40,6 @@ class OutputPublishers:
             self._publishers[name].publish(msg)
 
     def destroy(self) -> None:
-        """End the publishers."""
+        """Destroy the publishers."""
         for publisher in self._publishers.values():
             self._node.destroy_lifecycle_publisher(publisher)

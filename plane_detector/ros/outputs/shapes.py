@@ -31,7 +31,7 @@ _CONE_SIDES = 24
 
 def shapes_to_msg(header: Header, detection: Detection) -> PointCloud2:
     """
-    Return one point per shape; none is an empty cloud.
+    Return one point per shape; without shapes an empty cloud.
 
     x y z is the centre of a sphere, the middle of a cylinder's axis, the apex of a cone; the axis
     is a unit vector, of a cone from the apex into it, and zero for a sphere.
@@ -87,7 +87,7 @@ def _cone_corners(shape: Shape) -> Iterator[Point]:
 
 
 def _orientation(axis: np.ndarray) -> Quaternion:
-    """Return a rotation that turns z into an axis; none for a sphere."""
+    """Return a rotation that turns z into an axis; identity for a sphere."""
     if not np.any(axis):
         return Quaternion(w=1.0)
     rotation = Rotation.align_vectors(np.asarray(axis)[None], [[0.0, 0.0, 1.0]])[0]

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The table of outputs: name of the topic, type, and how its message is made.
+Table of outputs: name of the topic, type, and function that makes the message.
 
-The node publishes them and the replay writes them to a bag; their content is defined here.
+The node publishes them and replay writes them to a bag; this table defines their content.
 """
 
 from __future__ import annotations
@@ -52,19 +52,19 @@ class ProcessedFrame:
     rgb : (H, W, 3) uint8
         The rectified image.
     intrinsics : CameraIntrinsics
-        Of it.
+        Of this image.
     detection : Detection
         Result of the pipeline.
     settings : NodeConfig
-        At the time.
+        For this frame.
     shown : frozenset of int
-        Labels of the markers that were published last.
+        Labels of the markers published last.
     to_target : RigidTransform or None
-        From the frame of the image into the target frame; None: they are the same.
+        From the frame of the image into the target frame; None: they are equal.
     lens : Lens
-        The distortion that is left in the image.
+        Remaining distortion of the image.
     merged : tuple of int
-        The label that each plane has taken over, 0 for none; empty: none of all.
+        Label that was merged into each plane, 0 for none; empty: none for all.
 
     """
 
@@ -80,14 +80,14 @@ class ProcessedFrame:
 
     @cached_property
     def target_header(self) -> Header:
-        """Of the outputs that are in the target frame; the stamp is that of the image."""
+        """Header of the outputs in the target frame, with the stamp of the image."""
         if self.to_target is None:
             return self.header
         return Header(stamp=self.header.stamp, frame_id=self.settings.target_frame)
 
     @cached_property
     def target_detection(self) -> Detection:
-        """The same with planes and shapes in the target frame; depth stays as it is."""
+        """The detection with planes and shapes in the target frame; depth is not changed."""
         turn, found = self.to_target, self.detection
         if turn is None:
             return found
@@ -97,13 +97,13 @@ class ProcessedFrame:
 
     @cached_property
     def camera_polygons(self) -> tuple[tuple[Polygon, ...], ...]:
-        """The outlines of each plane in the frame of the camera."""
+        """Outlines of each plane in the frame of the camera."""
         found = self.detection
         return all_polygons(found.labels, found.depth_m, self.intrinsics, found.planes)
 
     @cached_property
     def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
-        """The outlines of each plane in the target frame."""
+        """Outlines of each plane in the target frame."""
         if self.to_target is None:
             return self.camera_polygons
         return tuple(tuple(replace(polygon, corners_m=self.to_target.points(polygon.corners_m))
@@ -111,7 +111,7 @@ class ProcessedFrame:
 
     @cached_property
     def rectangles(self) -> tuple[Rectangle, ...]:
-        """The smallest rectangle around each plane in the target frame."""
+        """Smallest rectangle around each plane in the target frame."""
         return tuple(enclosing_rectangle(
             np.vstack([plane.centroid_m, *(polygon.corners_m for polygon in polygons)]),
             plane.normal, plane.centroid_m)
@@ -119,29 +119,29 @@ class ProcessedFrame:
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """The label of each pixel in the messages, (H, W) uint16, 0 for none."""
+        """Label of each pixel in the messages, (H, W) uint16, 0 for none."""
         return messages.pixel_labels(self.detection)
 
     @property
     def points(self) -> PixelPoints:
-        """The points of the clouds, in the target frame."""
+        """Points of the clouds, in the target frame."""
         found = self.detection
         return PixelPoints(found.depth_m, found.labels, self.intrinsics, self.to_target,
                            self.settings.points_decimation)
 
     @cached_property
     def label_places(self) -> dict[int, LabelPlace]:
-        """Where the region of each label is widest: numbers and captions are written there."""
+        """The widest place of each label's region, for numbers and captions."""
         return label_places(self.labels)
 
     @cached_property
     def overlay(self) -> np.ndarray:
-        """The image with its planes, (H, W, 3) uint8."""
+        """Image with its planes, (H, W, 3) uint8."""
         return overlay(self.rgb, self.labels, places=self.label_places)
 
 
 class Output(NamedTuple):
-    """Type of a topic's messages, and how one is made of a result; None: there is none now."""
+    """Type of a topic's messages, and the function that makes one; None: not available now."""
 
     msg_type: Any
     make: Callable[[ProcessedFrame], Any]
@@ -156,11 +156,11 @@ def _points(result: ProcessedFrame) -> PointCloud2:
 
 
 def _points_without_floor(result: ProcessedFrame) -> PointCloud2 | None:
-    """Obstacles: nothing rather than all or no points while the floor or the unit is not known."""
+    """Return the obstacles, or None while the floor or the unit is not known."""
     detection = result.detection
     if not any(detection.classes) or detection.scale_method == RELATIVE:
         return None
-    # Shapes stand on the floor; the last entry is that of no plane.
+    # Shapes are not the floor; the last entry is for no plane.
     is_floor = np.array([kind == PlaneClass.FLOOR for kind in detection.classes]
                         + [False] * (len(detection.shapes) + 1))
     return obstacles_to_msg(result.target_header, result.points, is_floor)

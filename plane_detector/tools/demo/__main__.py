@@ -98,7 +98,7 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
     if model == 'auto':
         network, path, reason = choose()
     else:
-        network, path, reason = NETWORKS[model], fetch(model), f'{model} as asked for'
+        network, path, reason = NETWORKS[model], fetch(model), f'{model} as requested'
     print(f'Depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
     return {'depth.model': network.name}
 

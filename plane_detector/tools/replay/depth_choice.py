@@ -60,8 +60,8 @@ def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) ->
     if not options.depth_by_bag:
         source = config.depth.source
         if source == 'model':
-            return DepthChoice(config, '', 'not measured depth, as asked for')
-        return DepthChoice(config, '', f'{asked or "the depth topic"}, as asked for')
+            return DepthChoice(config, '', 'not measured depth, as requested')
+        return DepthChoice(config, '', f'{asked or "the depth topic"}, as requested')
     topic, what = registered_depth(bag, camera)
     if not topic:
         return DepthChoice(config, '', f'because {what}')

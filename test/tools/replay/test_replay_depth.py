@@ -74,7 +74,7 @@ def test_a_network_is_taken_though_there_is_depth_when_asked_for(
     assert f'Reading {IMAGE}, /cam/camera_info of' in text
     assert 'Depth: network ' in text
     assert 'depth.onnx' in text
-    assert 'not measured depth, as asked for' in text
+    assert 'not measured depth, as requested' in text
     assert 'Scale of 4 frames: metric' in text
     assert_true(target, scenes)
 
