@@ -14,8 +14,9 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells,
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.adjacency import MAX_JOINT_VARIANCES, sum_up_regions
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved
+from plane_detector.segmentation.regions.merging import MAX_JOINT_VARIANCES
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import (
     TYPICAL_FOCAL_SHARE,
     Search,
@@ -76,7 +77,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
         return labels, coefficients
     new = np.where(left.valid, label_pixels(image, cells, regions, noise, threshold), -1)
     target = np.arange(-1, len(regions.coefficients), dtype=np.int32) + count
-    target[1 + find_curved(cells, regions, kind)] = target[0] = -1
+    target[1 + find_curved(cells, RegionGraph.of(cells, regions), kind)] = target[0] = -1
     labels = _overlaid(labels, new, target)
     coefficients = np.vstack([coefficients, regions.coefficients])
     target = _merged(labels, cells, regions, coefficients)
@@ -144,10 +145,10 @@ def _merged(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
 
     """
     count, new = len(coefficients), len(regions.coefficients)
-    sums = sum_up_regions(cells, regions)
+    sums = RegionGraph.of(cells, regions).sums
     fits = np.array([squared_errors(coefficients, np.repeat(moments[None], count, axis=0))
-                     for moments in sums.moments])
-    fits = fits <= MAX_JOINT_VARIANCES * (sums.variance * sums.count)[:, None]
+                     for moments in sums[:, :10]])
+    fits = fits <= MAX_JOINT_VARIANCES * sums[:, 10:11]
     touching = _touching(labels, cells.grid.size_px, count)
     target = np.arange(-1, count, dtype=np.int32)
     for k in range(count - new, count):

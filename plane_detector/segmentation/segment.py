@@ -27,13 +27,12 @@ from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_plan
 from plane_detector.segmentation.memory import keep_freed_memory
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.bowed_walls import merge_bowed_walls
+from plane_detector.segmentation.regions.bends import join_nearly_flat, merge_bowed_walls
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
-from plane_detector.segmentation.regions.flatness import join_nearly_flat
 from plane_detector.segmentation.regions.icm import compete_for_cells
-from plane_detector.segmentation.regions.merging import merge_adjacent
-from plane_detector.segmentation.regions.occlusion import merge_occluded
+from plane_detector.segmentation.regions.merging import merge_coplanar
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import Search, search_planes, sees_creases
 from plane_detector.segmentation.threads import one_blas_thread
 
@@ -133,8 +132,7 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     """Return pixel labels and planes of exact depth."""
     cells = frame.cells
     regions = _compete(frame, regions)
-    regions = merge_adjacent(cells, regions, None)
-    regions = merge_occluded(cells, regions, None)
+    regions = merge_coplanar(cells, regions, None)
     regions = remove_curved(cells, regions, frame.noise.mean_sigma**2)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
     return _finish(frame, labels, planes, regions, DepthKind.EXACT)
@@ -145,8 +143,7 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     cells, noise = frame.cells, frame.noise
     regions = _compete(frame, regions)
     correlation = Correlation.of(cells, regions, noise)
-    regions = merge_adjacent(cells, regions, correlation)
-    regions = merge_occluded(cells, regions, correlation)
+    regions = merge_coplanar(cells, regions, correlation)
     regions = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
                                    frame.search.min_pixels)
     if correlation is not None and sees_creases(
@@ -159,8 +156,7 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
     regions = _compete(frame, regions)
-    regions = merge_adjacent(frame.cells, regions, None)
-    regions = merge_occluded(frame.cells, regions, None)
+    regions = merge_coplanar(frame.cells, regions, None)
     regions = merge_bowed_walls(frame.cells, regions)
     return _label_pixels(frame, regions), regions.coefficients
 
@@ -168,9 +164,9 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
 def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, regions: PlaneRegions,
             kind: DepthKind) -> tuple[np.ndarray, np.ndarray]:
     """Remove curved regions, so late that no plane grew into them, and join nearly flat ones."""
-    curved = find_curved(frame.cells, regions, kind)
-    owner, joined = join_nearly_flat(frame.cells, regions, curved,
-                                     frame.search.config.segmentation)
+    graph = RegionGraph.of(frame.cells, regions)
+    curved = find_curved(frame.cells, graph, kind)
+    owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)
     index = np.arange(len(planes) + 1, dtype=np.int32)
     index[:len(owner)] = owner
     index[-1] = index[curved] = -1

@@ -19,7 +19,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.regions.adjacency import find_adjacency
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 # derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
@@ -77,13 +77,7 @@ def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarra
         min(i, j); 0 if one is in front of the other or they do not touch.
 
     """
-    signs = np.zeros((len(regions.coefficients),) * 2, np.int8)
-    adjacency = find_adjacency(cells, regions.labels)
-    here, there = adjacency.sides(regions.coefficients)
-    crossing = here * there < 0
-    first, second = adjacency.first[crossing], adjacency.second[crossing]
-    signs[first, second] = signs[second, first] = np.sign(here[crossing])
-    return signs
+    return RegionGraph.of(cells, regions).intersections()
 
 
 @kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], '

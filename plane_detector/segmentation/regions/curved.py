@@ -5,54 +5,45 @@ Reject curved regions of measured depth.
 
 Within the tolerance of any method a curtain or a cushion is a row of narrow planes. At low noise
 the cells of a single region show the curvature: a quadric fits them far better than a plane
-(F-test), and the normal turns from one end to the other. At higher noise pairs of regions show it.
-Hysteresis (Canny 1986): a strong bend starts a curved region, weaker bends linked to it join.
+(F-test), and the normal turns from one end to the other. Noise hides that, and a column becomes
+three or four planes. A quadric has as many parameters as the two planes of a pair: it fits a bend
+better than the two planes do, and a fold between planes worse. Hysteresis (Canny 1986): a strong
+bend starts a curved region, weaker bends linked to it join.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import remove_regions
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.model import ROUNDING, PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.regions.adjacency import (
+from plane_detector.segmentation.cells.plane_fit import solve_least_squares
+from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
-    MIN_PLANE_CELLS,
-    RegionAdjacency,
-    find_adjacency,
-    sum_up_regions,
-)
-from plane_detector.segmentation.regions.quadrics import (
+    MIN_BORDER_PAIRS,
     PLANE_TERMS,
-    QUADRIC_TERMS,
-    TYPICAL_FOCAL_SHARE,
-    Quadrics,
-    fit_pairs,
-    fit_surfaces,
-    folds,
-    quadric_products,
-    sum_up_quadrics,
+    RegionGraph,
+    fold,
 )
+from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
-# derived: nine cells for the six terms of a quadric.
-MIN_QUADRIC_CELLS = 9
+# derived: coefficients of a quadric over the image.
+QUADRIC_TERMS = 6
 # Threshold of the F-statistic: improvement of the fit by the quadric over the noise.
 # tuned: evaluation.benchmark curved; flat from 5 to 15.
 MIN_F = 8.0
 # tuned: evaluation.benchmark curved, rooms; flat from 1 to 4.
 MIN_TURN_DEG = 2.0
-# derived: rounding in float32, relative to the disparity.
-ROUNDING = 1e-6
-# derived: a uniform spread is this many standard deviations wide.
-WIDTH_PER_DEVIATION = 12**0.5
 # Planes that meet at less than the first angle are one plane with a dent; at more than the second
 # they are two planes with an edge.
 # tuned: evaluation.benchmark curved, rooms; flat from 6 to 12, from 60 to 80.
 MIN_FOLD_DEG, MAX_FOLD_DEG = 10.0, 70.0
-# One plane fits worse than the quadric by this many variances: strong bends, and weak ones.
-# tuned: evaluation.benchmark curved; flat from 0.7 to 1.5, half of it for the weak ones.
-HIGH_THRESHOLD, LOW_THRESHOLD = 1.0, 0.5
+# One plane fits worse than the quadric by more than the noise: a strong bend; by more than this
+# share of it: a weak one.
+# tuned: evaluation.benchmark curved; flat from 0.7 to 1.5.
+LOW_THRESHOLD = 0.5
 # The quadric may fit one of the regions so many times worse than its plane does.
 # tuned: evaluation.benchmark curved; flat from 1.5 to 3.
 MAX_RATIO = 2.0
@@ -79,93 +70,140 @@ def remove_curved(cells: WeightedCells, regions: PlaneRegions,
     """
     if not len(regions.coefficients):
         return regions
-    sums = sum_up_regions(cells, regions)
-    mean = sums.moments[:, [1, 2, 6]] / sums.count[:, None]
-    curved = (sums.count >= MIN_QUADRIC_CELLS) & _is_curved(
-        quadric_products(cells, regions.labels, mean), mean[:, 2], noise_density)
-    if not curved.any():
+    products, disparity = quadric_products(cells, regions.labels, len(regions.coefficients))
+    curved = np.flatnonzero(_are_curved(products, disparity, noise_density))
+    if not len(curved):
         return regions
-    return PlaneRegions(*remove_regions(regions.labels, regions.coefficients,
-                                        np.flatnonzero(curved)))
+    return PlaneRegions(*remove_regions(regions.labels, regions.coefficients, curved))
 
 
-def _is_curved(products: np.ndarray, disparity: np.ndarray,
-               noise_density: float) -> np.ndarray:
-    """Say whether each region (K,) is curved, from its products and mean disparity."""
-    count = np.maximum(products[:, 0, 0], QUADRIC_TERMS + 1)
-    flat, _ = fit_surfaces(products, PLANE_TERMS)
-    curved, quadric = fit_surfaces(products, QUADRIC_TERMS)
-    min_variance = np.maximum(noise_density, (ROUNDING * disparity) ** 2)
-    variance = np.maximum(curved / (count - QUADRIC_TERMS), min_variance)
-    f_statistic = (flat - curved) / 3 / variance
-    spread = products[:, 1:3, 1:3] / count[:, None, None]
-    return (f_statistic > MIN_F) & (_turn_deg(quadric, spread, disparity) > MIN_TURN_DEG)
-
-
-def _turn_deg(quadric: np.ndarray, spread: np.ndarray, disparity: np.ndarray) -> np.ndarray:
-    """Return about the angle (K,) by which the normal turns from end to end of each region."""
-    xx, xy, yy = 2 * quadric[:, 3], quadric[:, 4], 2 * quadric[:, 5]
-    bend = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
-    # The bend over the width of the region along each direction: its squares have this trace.
-    change = np.sqrt(np.maximum(np.einsum('kij,kjl,kil->k', bend, spread, bend), 0))
-    slope = WIDTH_PER_DEVIATION * change * TYPICAL_FOCAL_SHARE
-    return np.degrees(np.arctan2(slope, np.maximum(disparity, np.finfo(float).tiny)))
-
-
-def find_curved(cells: WeightedCells, regions: PlaneRegions, kind: DepthKind) -> np.ndarray:
-    """Return the indices (n,) of regions that a quadric explains as well as their planes do."""
-    none = np.zeros(0, int)
-    if len(regions.coefficients) < 2:
-        return none
-    adjacency = find_adjacency(cells, regions.labels)
-    kept = _may_be_curved(cells, regions, adjacency, kind)
-    pairs = np.stack([adjacency.first[kept], adjacency.second[kept]], axis=1)
-    if not len(pairs):
-        return none
-    clear, weak = _judge(sum_up_quadrics(cells, regions), pairs)
-    is_curved = np.zeros(len(regions.coefficients), bool)
-    is_curved[pairs[clear].ravel()] = True
-    return np.flatnonzero(_grow_by_hysteresis(is_curved, pairs[weak]))
-
-
-def _may_be_curved(cells: WeightedCells, regions: PlaneRegions, adjacency: RegionAdjacency,
-                   kind: DepthKind) -> np.ndarray:
-    """Say which pairs (P,) of regions are large enough and meet in a blunt fold without a step."""
-    labels = regions.labels[regions.labels >= 0]
-    count = np.bincount(labels, minlength=len(regions.coefficients))
-    fold_deg, gap = folds(cells, regions, adjacency)
-    return ((np.minimum(count[adjacency.first], count[adjacency.second]) >= MIN_PLANE_CELLS)
-            & (gap < MAX_DEVIATIONS) & (fold_deg < MAX_FOLD_DEG)
-            & (fold_deg > (MIN_TURN_DEG if kind is DepthKind.EXACT else MIN_FOLD_DEG)))
-
-
-def _judge(quadrics: Quadrics, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def quadric_products(cells: WeightedCells, labels: np.ndarray,
+                     count: int) -> tuple[np.ndarray, float]:
     """
-    Fit a quadric to each pair (P, 2) of regions.
+    Sum up the planar cells of ``count`` regions for surface fits.
 
     Returns
     -------
-    clear : (P,) bool
-        The quadric fits as well as the two planes of the pair, and no single plane fits.
-    weak : (P,) bool
-        The same, with weaker thresholds.
+    products : (K, 7, 7) float64
+        Sums of the products of two of 1, x, y, xx, xy, yy and d, less their means over all cells.
+    disparity : float
+        The mean of d.
 
     """
-    plane, joint, errors = fit_pairs(quadrics, *pairs.T)
-    gain = (plane - joint) / quadrics.noise[pairs].sum(axis=1)
-    own, weak_own = (np.maximum(quadrics.error, share * quadrics.noise)[pairs]
-                     for share in (MIN_NOISE_SHARE, MIN_WEAK_NOISE_SHARE))
-    clear = ((gain > HIGH_THRESHOLD) & (joint < own.sum(axis=1))
-             & (errors < MAX_RATIO * own).all(axis=1))
-    weak = (gain > LOW_THRESHOLD) & (errors < MAX_RATIO * weak_own).all(axis=1)
-    return clear, weak
+    return _products(np.ascontiguousarray(labels).reshape(-1), cells.table, cells.is_planar, count)
 
 
-def _grow_by_hysteresis(clear: np.ndarray, weak: np.ndarray) -> np.ndarray:
-    """Return the clear regions (K,) bool and the regions that weak pairs (P, 2) link to them."""
-    reached = clear.copy()
-    while True:
-        halfway = weak[reached[weak].sum(axis=1) == 1]
-        if not len(halfway):
-            return reached
-        reached[halfway.ravel()] = True
+@kernel('Tuple((float64[:, :, ::1], float64))(int32[::1], float64[:, ::1], boolean[::1], int64)')
+def _products(labels, table, is_planar, count):
+    products, terms, mean, number = np.zeros((count, 7, 7)), np.ones(7), np.zeros(3), 0
+    for i in range(len(labels)):
+        if labels[i] >= 0 and is_planar[i]:
+            number += 1
+            for k in range(3):
+                mean[k] += table[i, k]
+    mean /= max(number, 1)
+    for i in range(len(labels)):
+        k = labels[i]
+        if k < 0 or not is_planar[i]:
+            continue
+        x, y = table[i, 0] - mean[0], table[i, 1] - mean[1]
+        terms[1], terms[2], terms[3], terms[4], terms[5] = x, y, x * x, x * y, y * y
+        terms[6] = table[i, 2] - mean[2]
+        for row in range(7):
+            for column in range(7):
+                products[k, row, column] += terms[row] * terms[column]
+    return products, mean[2]
+
+
+@kernel('boolean[::1](float64[:, :, ::1], float64, float64)')
+def _are_curved(products, disparity, noise_density):
+    """Say whether each region is curved; its disparity counts from ``disparity``."""
+    curved, quadric = np.zeros(len(products), np.bool_), np.zeros(7)
+    for k in range(len(products)):
+        sums, count = products[k], products[k, 0, 0]
+        if count < QUADRIC_TERMS + PLANE_TERMS:
+            continue
+        mean = disparity + sums[0, 6] / count
+        of_plane = solve_least_squares(sums, PLANE_TERMS, quadric)
+        of_quadric = solve_least_squares(sums, QUADRIC_TERMS, quadric)
+        variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, (ROUNDING * mean) ** 2)
+        # The bend over the width of the region along each direction, whose variance is a twelfth
+        # of the width squared: its squares have this trace.
+        xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
+        change = ((xx * xx + xy * xy) * (sums[1, 1] - sums[0, 1] ** 2 / count)
+                  + (xy * xy + yy * yy) * (sums[2, 2] - sums[0, 2] ** 2 / count)
+                  + 2 * xy * (xx + yy) * (sums[1, 2] - sums[0, 1] * sums[0, 2] / count))
+        slope = np.sqrt(max(12 * change / count, 0.0)) * TYPICAL_FOCAL_SHARE
+        curved[k] = (of_plane - of_quadric > MIN_F * 3 * variance
+                     and np.degrees(np.arctan2(slope, mean)) > MIN_TURN_DEG)
+    return curved
+
+
+@kernel('UniTuple(float64, 4)(float64[:, ::1], float64[:, ::1])')
+def fit_pair(first, second):
+    """
+    Fit one plane and one quadric to a pair of regions, by products (7, 7) about a common centre.
+
+    Return the squared error of the plane, of the quadric, and of the quadric over each region.
+    """
+    joint, quadric = first + second, np.zeros(7)
+    of_plane = solve_least_squares(joint, PLANE_TERMS, quadric)
+    of_quadric = solve_least_squares(joint, QUADRIC_TERMS, quadric)
+    quadric[6], of_first, of_second = -1.0, 0.0, 0.0
+    for row in range(7):
+        for column in range(7):
+            of_first += quadric[row] * first[row, column] * quadric[column]
+            of_second += quadric[row] * second[row, column] * quadric[column]
+    return of_plane, of_quadric, of_first, of_second
+
+
+@kernel('float64(float64[:, ::1])')
+def plane_error(products):
+    """Return the squared error of the plane of products (7, 7)."""
+    return solve_least_squares(products, PLANE_TERMS, np.empty(7))
+
+
+def find_curved(cells: WeightedCells, graph: RegionGraph, kind: DepthKind) -> np.ndarray:
+    """Return the indices (n,) of regions that a quadric explains as well as their planes do."""
+    bends = _bends(graph.planes, graph.sums, graph.borders,
+                   quadric_products(cells, graph.labels, len(graph.planes))[0],
+                   MIN_TURN_DEG if kind is DepthKind.EXACT else MIN_FOLD_DEG)
+    curved, reached = np.zeros(len(bends), bool), (bends > 1).any(axis=0)
+    while (curved != reached).any():
+        curved, reached = reached, reached | (bends[reached] > 0).any(axis=0)
+    return np.flatnonzero(curved)
+
+
+@kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[:, :, ::1], '
+        'float64)')
+def _bends(planes, sums, borders, products, min_fold_deg):
+    """Return 2 for pairs of regions that are clearly bent, 1 for weak bends, 0 for others."""
+    count = len(planes)
+    bends = np.zeros((count, count), np.int8)
+    for i in range(count):
+        for j in range(i + 1, count):
+            if (borders[i, j, 0] < MIN_BORDER_PAIRS
+                    or min(sums[i, 0], sums[j, 0]) <= PLANE_TERMS):
+                continue
+            fold_deg, gap = fold(planes, sums, borders, i, j)
+            if gap < MAX_DEVIATIONS and min_fold_deg < fold_deg < MAX_FOLD_DEG:
+                bends[i, j] = bends[j, i] = _bend(products[i], products[j], sums[i, 10],
+                                                  sums[j, 10])
+    return bends
+
+
+@kernel('int8(float64[:, ::1], float64[:, ::1], float64, float64)')
+def _bend(first, second, noise_first, noise_second):
+    """Return the strength of the bend of a pair, by its products and the errors of its noise."""
+    of_plane, of_quadric, of_first, of_second = fit_pair(first, second)
+    own_first, own_second = plane_error(first), plane_error(second)
+    gain = (of_plane - of_quadric) / (noise_first + noise_second)
+    if (gain > LOW_THRESHOLD
+            and of_first < MAX_RATIO * max(own_first, MIN_WEAK_NOISE_SHARE * noise_first)
+            and of_second < MAX_RATIO * max(own_second, MIN_WEAK_NOISE_SHARE * noise_second)):
+        own_first = max(own_first, MIN_NOISE_SHARE * noise_first)
+        own_second = max(own_second, MIN_NOISE_SHARE * noise_second)
+        return np.int8(1 + (gain > 1 and of_quadric < own_first + own_second
+                            and of_first < MAX_RATIO * own_first
+                            and of_second < MAX_RATIO * own_second))
+    return np.int8(0)

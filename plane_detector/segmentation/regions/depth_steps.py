@@ -22,8 +22,8 @@ from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells,
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import fit_planes
-from plane_detector.segmentation.regions.adjacency import MAX_DEVIATIONS
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
+from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS
 
 # Blocks of pixels along the side of a cell.
 # derived: half a cell is two of them.

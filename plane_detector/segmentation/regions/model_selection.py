@@ -17,7 +17,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
-from plane_detector.segmentation.regions.adjacency import MIN_PLANE_CELLS
+from plane_detector.segmentation.regions.region_graph import PLANE_TERMS
 
 # Cells up to this far from the other region are used.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
@@ -59,7 +59,7 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
         return False
     pair = np.array([first, second])
     cell, is_small, is_cut = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
-    if min(np.count_nonzero(is_small), np.count_nonzero(~is_small)) < MIN_PLANE_CELLS:
+    if min(np.count_nonzero(is_small), np.count_nonzero(~is_small)) <= PLANE_TERMS:
         return False
     gain = _gain(cells.table, cell, is_small, is_cut, correlation.table(cells.grid.shape))
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)

@@ -10,7 +10,7 @@ from plane_detector import segment_planes
 from plane_detector.config import Config
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.regions.bowed_walls import merge_bowed_walls
+from plane_detector.segmentation.regions.bends import merge_bowed_walls
 
 KNOWN = 0.008
 NETWORK = Noise(Config().ransac.noise_floor, source_sigma=KNOWN, mean_sigma=KNOWN,

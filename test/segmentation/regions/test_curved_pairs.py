@@ -15,7 +15,8 @@ from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.surfaces import cone
 from plane_detector.segmentation.cells.labels import remove_regions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise
-from plane_detector.segmentation.regions.curved import find_curved
+from plane_detector.segmentation.regions import curved
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 ROOM = [wall(4), FLOOR]
 SIGMA = 0.004
@@ -43,6 +44,10 @@ def strips(scene, count=2, noise=NOISE, sigma=SIGMA / 4, width=32):
 def facets(count=3):
     """Return model and regions of the front of a column."""
     return strips(view([], column(0.7).curved_pieces()), count)
+
+
+def find_curved(model, regions, kind):
+    return curved.find_curved(model, RegionGraph.of(model, regions), kind)
 
 
 @pytest.mark.parametrize('count', [2, 3, 4])

@@ -9,7 +9,8 @@ import pytest
 from cell_helpers import cell_model, fold, hand_made, view, wall
 
 from plane_detector import CameraIntrinsics, Config, segment_planes
-from plane_detector.segmentation.regions.flatness import join_nearly_flat
+from plane_detector.segmentation.regions.bends import join_nearly_flat
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 NONE = np.zeros(0, int)
 CAMERA = CameraIntrinsics.from_field_of_view(320, 240, 60.0)
@@ -28,7 +29,7 @@ def joined(scene, settings, removed=NONE):
     labels = np.zeros(model.grid.shape, int)
     labels[:, model.grid.shape[1] // 2:] = 1
     regions = hand_made(model, labels)
-    return join_nearly_flat(model, regions, removed, settings), regions
+    return join_nearly_flat(RegionGraph.of(model, regions), removed, settings), regions
 
 
 @pytest.mark.parametrize(('scene', 'settings', 'count'), [
@@ -40,7 +41,7 @@ def test_both_tolerances_decide_and_steps_stay(scene, settings, count):
     assert len(np.unique(owner)) == count
     if count == 1:
         whole = hand_made(cell_model(scene.depth_m), np.zeros(regions.labels.shape, int))
-        np.testing.assert_allclose(planes[0], whole.coefficients[0], rtol=1e-9)
+        np.testing.assert_allclose(planes[0], whole.coefficients[0], rtol=1e-9, atol=1e-12)
     else:
         np.testing.assert_array_equal(planes, regions.coefficients)
 

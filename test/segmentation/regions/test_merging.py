@@ -10,14 +10,16 @@ from cell_helpers import EXACT, cell_model, hand_made, view, wall
 
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.regions.adjacency import (
-    BORDER_REACH_CELLS,
+from plane_detector.segmentation.regions.merging import (
     MAX_JOINT_VARIANCES,
-    find_adjacency,
-    joint_misfit,
-    merge,
+    coplanar_misfit,
+    merge_coplanar,
 )
-from plane_detector.segmentation.regions.merging import merge_adjacent
+from plane_detector.segmentation.regions.region_graph import (
+    BORDER_REACH_CELLS,
+    MIN_BORDER_PAIRS,
+    RegionGraph,
+)
 
 SIGMAS = (0.0, 0.004, 0.01)
 WEIGHED = replace(EXACT, mean_sigma=0.005, slope_sigma=0.2, pixel_sigma=0.005)
@@ -56,10 +58,10 @@ def two_walls(step_m):
 def test_stripes_of_one_wall_become_one(sigma, count):
     model = noisy_model(view([wall(2.5)], angles_deg=(30, 0, 0)), sigma)
     regions = hand_made(model, stripes(model.grid.shape, count))
-    result = merge_adjacent(model, regions, correlation_of(model, regions, sigma))
+    result = merge_coplanar(model, regions, correlation_of(model, regions, sigma))
     assert (result.labels == 0).all()
     whole = hand_made(model, np.zeros(model.grid.shape, int)).coefficients
-    np.testing.assert_allclose(result.coefficients, whole, rtol=1e-9)
+    np.testing.assert_allclose(result.coefficients, whole, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(('step_m', 'sigma'), [(0.01, 0.0), (0.1, 0.004), (0.3, 0.01)])
@@ -69,7 +71,7 @@ def test_stripes_of_two_walls_become_two(step_m, sigma, turned):
     labels = stripes(model.grid.shape, 8)
     # The numbers say nothing: neighbours need not be neighbours in number.
     labels = np.array([5, 2, 7, 0, 3, 6, 1, 4])[labels] if turned else labels
-    result = merge_adjacent(model, regions := hand_made(model, labels),
+    result = merge_coplanar(model, regions := hand_made(model, labels),
                             correlation_of(model, regions, sigma))
     assert len(result.coefficients) == 2
     left, right = result.labels[:, :40], result.labels[:, 40:]
@@ -93,27 +95,33 @@ def test_a_low_small_bulge_without_a_step_is_part_of_the_wall(height, width_px, 
                                                               count):
     model, off_px = bulging_wall(height, width_px, is_box)
     regions = hand_made(model, (off_px < radius_px).astype(int))
-    assert joint_misfit(model, regions, np.array([0]), np.array([1]))[0] > 1
-    assert len(merge_adjacent(model, regions, None).coefficients) == count
+    far = replace(graph := RegionGraph.of(model, regions), borders=0 * graph.borders)
+    assert coplanar_misfit(far)[0, 1] > 1
+    assert len(merge_coplanar(model, regions, None).coefficients) == count
 
 
 @pytest.mark.parametrize(('bend', 'count'), [(0.01, 1), (0.04, 3), (0.15, 5), (0.4, 8)])
 def test_of_what_bends_only_neighbours_merge_and_fit_what_they_hold(bend, count):
     disparity = np.tile(0.4 + bend * np.linspace(-0.5, 0.5, 640) ** 2, (480, 1))
     model = cell_model((1 / disparity).astype(np.float32), replace(WEIGHED, mean_sigma=0.001))
-    result = merge_adjacent(model, hand_made(model, stripes(model.grid.shape, 8)), None)
+    result = merge_coplanar(model, hand_made(model, stripes(model.grid.shape, 8)), None)
     assert len(result.coefficients) == count
     assert np.count_nonzero(np.diff(result.labels[0])) == count - 1
     refitted = hand_made(model, result.labels).coefficients
     np.testing.assert_allclose(result.coefficients, refitted, atol=1e-9)
 
 
-@pytest.mark.parametrize(('gap', 'count'), [(0, 1), (1, 1), (2, 2), (9, 2)])
-def test_patches_that_do_not_touch_stay_apart(gap, count):
-    model = cell_model(view([wall(2.5)]).depth_m)
+@pytest.mark.parametrize(('distance_m', 'width', 'count'), [
+    (2.5, 1, 1), (2.5, 9, 1), (2.0, 9, 1), (3.0, 9, 2)])
+def test_pieces_are_one_plane_unless_something_farther_is_seen_between(distance_m, width, count):
+    """One cell without a label, several, an object before the wall, a window in it."""
+    edge_m = width / 2 * 8 * distance_m / 525
+    scene = view([wall(2.5, right_m=-edge_m * 2.5 / distance_m),
+                  wall(2.5, edge_m * 2.5 / distance_m), wall(distance_m, -edge_m, edge_m)])
+    model = cell_model(scene.depth_m)
     labels = np.full(model.grid.shape, -1)
-    labels[:, :30], labels[:, 30 + gap:] = 0, 1
-    assert len(merge_adjacent(model, hand_made(model, labels), None).coefficients) == count
+    labels[:, :40 - width // 2], labels[:, 40 + (width + 1) // 2:] = 0, 1
+    assert len(merge_coplanar(model, hand_made(model, labels), None).coefficients) == count
 
 
 @pytest.mark.parametrize('length', [1, 2])
@@ -122,20 +130,34 @@ def test_a_border_needs_more_than_one_pair_of_cells(length):
     labels = np.full(model.grid.shape, -1)
     labels[10:20, 10:20], labels[20 - length:30, 22:32] = 0, 1
     labels[20 - length:20, 20] = 0
-    found = find_adjacency(model, labels.astype(np.int32))
-    assert found.count.tolist() == [length] * (length > 1)
-    assert len(merge_adjacent(model, hand_made(model, labels), None).coefficients) == 3 - length
+    assert RegionGraph.of(model, hand_made(model, labels)).borders[0, 1, 0] == length
+    graph = RegionGraph.of(model, hand_made(model, labels))
+    assert np.isfinite(coplanar_misfit(graph, MIN_BORDER_PAIRS)[0, 1]) == (length == 2)
 
 
-def test_several_disjoint_pairs_at_once():
+def test_merged_regions_have_the_sums_of_all_their_cells():
     model = noisy_model(view([wall(2.5)]), 0.004)
     regions = hand_made(model, labels := stripes(model.grid.shape, 8))
-    result = merge(model, regions, np.array([0, 4, 2]), np.array([1, 7, 3]))
-    expected = np.array([0, 0, 1, 1, 2, 3, 4, 2])[labels]
-    np.testing.assert_array_equal(result.labels, expected)
-    refitted = hand_made(model, expected).coefficients
-    np.testing.assert_allclose(result.coefficients[:3], refitted[:3], rtol=1e-9)
-    np.testing.assert_array_equal(result.coefficients[3:], regions.coefficients[5:7])
+    graph = RegionGraph.of(model, regions)
+    given = [part.copy() for part in vars(graph).values()]
+    result = graph.merged(0, 1).merged(4, 7).merged(2, 0)
+    for part, before in zip(vars(graph).values(), given, strict=True):
+        np.testing.assert_array_equal(part, before)
+    np.testing.assert_array_equal(result.owner, [2, 2, 2, 3, 4, 5, 6, 4])
+    expected = RegionGraph.of(model, hand_made(model, np.array([2, 2, 2, 3, 4, 5, 6, 4])[labels]))
+    left = [2, 3, 4, 5, 6]
+    for name in ('pixels', 'sums'):
+        np.testing.assert_allclose(getattr(result, name)[left], getattr(expected, name)[left],
+                                   rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(result.borders[np.ix_(left, left)],
+                               expected.borders[np.ix_(left, left)], rtol=1e-9, atol=1e-9)
+    assert (result.sums[[0, 1, 7]] == 0).all()
+    merged = result.regions()
+    np.testing.assert_array_equal(merged.labels, np.array([0, 0, 0, 1, 2, 3, 4, 2])[labels])
+    refitted = hand_made(model, merged.labels).coefficients
+    np.testing.assert_allclose(merged.coefficients[[0, 2]], refitted[[0, 2]], rtol=1e-9)
+    np.testing.assert_array_equal(merged.coefficients[[1, 3, 4]],
+                                  regions.coefficients[[3, 5, 6]])
 
 
 def test_joint_misfit_by_hand():
@@ -148,8 +170,9 @@ def test_joint_misfit_by_hand():
     label = regions.labels.ravel()[model.is_planar]
     variance = 1 / model.table[model.is_planar, 5]
     worse = max(np.mean(error[label == k]**2) / variance[label == k].mean() for k in (0, 1))
-    misfit, _ = joint_misfit(model, regions, np.array([0]), np.array([1]))
-    assert misfit == pytest.approx([worse / MAX_JOINT_VARIANCES], rel=1e-3)
+    misfit = coplanar_misfit(RegionGraph.of(model, regions))
+    assert misfit[0, 1] == pytest.approx(worse / MAX_JOINT_VARIANCES, rel=1e-3)
+    assert np.isinf(misfit[[0, 1, 1], [0, 1, 0]]).all()
 
 
 def test_adjacency_equals_a_loop_over_pairs_of_cells():
@@ -165,9 +188,8 @@ def test_adjacency_equals_a_loop_over_pairs_of_cells():
                     if 0 <= labels[ends[0]] < labels[ends[1]]:
                         key = labels[ends[0]], labels[ends[1]]
                         pairs.setdefault(key, []).append([mean[end] for end in ends])
-    found = find_adjacency(model, labels)
-    assert sorted(pairs) == list(zip(found.first, found.second, strict=True))
-    for k, key in enumerate(sorted(pairs)):
-        assert found.count[k] == len(pairs[key])
-        np.testing.assert_allclose([found.mean_first[k], found.mean_second[k]],
-                                   np.mean(pairs[key], axis=0), atol=1e-9)
+    found = RegionGraph.of(model, hand_made(model, labels)).borders
+    assert sorted(pairs) == list(zip(*np.nonzero(np.triu(found[:, :, 0])), strict=True))
+    for (i, j), ends in pairs.items():
+        assert found[i, j, 0] == found[j, i, 0] == len(ends)
+        np.testing.assert_allclose([found[i, j, 1:], found[j, i, 1:]], np.sum(ends, axis=0))

@@ -1,0 +1,236 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+The region adjacency graph, and merging of its nodes, best pair first.
+
+All tests of regions and of pairs of regions work on sums over cells. Sums add up when regions are
+merged, so that the cells are read once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.plane_fit import fit_plane
+from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
+
+# derived: cells this far apart still touch, as between them may lie one that straddles the border;
+# and more pairs of cells than one, which may touch by chance, make a border.
+BORDER_REACH_CELLS = MIN_BORDER_PAIRS = 2
+# derived: one normal deviate in 370 is larger.
+MAX_DEVIATIONS = 3.0
+# derived: the terms of a plane over the image, of which one cell more is to be known.
+PLANE_TERMS = 3
+
+
+@dataclass(frozen=True)
+class RegionGraph:
+    """
+    Regions, sums over their planar cells and over the pairs of cells along their borders.
+
+    Attributes
+    ----------
+    labels : (R, C) int32
+        Region of each cell, -1 none.
+    owner : (K,) int64
+        The region that each was merged into, itself if it was not. Only these have cells.
+    planes : (K, 3) float64
+        Fitted to all pixels of the cells.
+    pixels : (K, 10) float64
+        Moments of these pixels.
+    sums : (K, 16) float64
+        Moments of the means of the cells, each as one pixel (10), and sums of their variances; of
+        the cells with normals their number, two slopes, the squares of these, and disparity.
+    borders : (K, K, 4) float64
+        Entry i, j: pairs of cells along the border of i and j, sums of x, y, d of those in i.
+
+    """
+
+    labels: np.ndarray
+    owner: np.ndarray
+    planes: np.ndarray
+    pixels: np.ndarray
+    sums: np.ndarray
+    borders: np.ndarray
+
+    @classmethod
+    def of(cls, cells: WeightedCells, regions: PlaneRegions) -> RegionGraph:
+        """Sum up the cells of regions."""
+        labels, count = np.ascontiguousarray(regions.labels), len(regions.coefficients)
+        sums = _sum_up(labels, (cells.table, cells.grid.moments, cells.grid.normal_slope),
+                       cells.is_planar, count)
+        return cls(labels, np.arange(count), regions.coefficients, *sums)
+
+    def merged(self, target: int, source: int) -> RegionGraph:
+        """Return the graph with one region merged into another, whose plane is fitted anew."""
+        graph = RegionGraph(*(part.copy() for part in vars(self).values()))
+        _merge(graph.labels, graph.owner, (graph.planes, graph.pixels, graph.sums), graph.borders,
+               (target, source))
+        return graph
+
+    def intersections(self) -> np.ndarray:
+        """
+        Find the pairs of touching regions whose planes intersect along their border.
+
+        Returns
+        -------
+        (K, K) int8
+            Entry i, j is the sign of 1/z of plane min(i, j) minus the other plane, on the side of
+            min(i, j); 0 if one is in front of the other or they do not touch.
+
+        """
+        return _intersections(self.planes, self.borders)
+
+    def regions(self) -> PlaneRegions:
+        """Return the regions that are left, numbered anew."""
+        kept = self.owner == np.arange(len(self.owner))
+        if kept.all():
+            return PlaneRegions(self.labels, self.planes)
+        index = np.append(np.cumsum(kept) - 1, -1).astype(np.int32)
+        return PlaneRegions(index[self.labels], self.planes[kept])
+
+
+def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
+                is_apart: Callable[[RegionGraph, int, int], bool]) -> RegionGraph:
+    """
+    Merge the pair of regions that fits best, until none fits.
+
+    Parameters
+    ----------
+    graph : RegionGraph
+    misfit : callable
+        Returns (K, K) float64, at entries i < j up to 1 for a fit, infinity elsewhere.
+    is_apart : callable
+        Says that two regions stay apart although they fit; it is asked once for each pair.
+
+    Returns
+    -------
+    RegionGraph
+
+    """
+    count = len(graph.planes)
+    refused, cost = np.zeros((count, count), bool), misfit(graph) if count > 1 else np.ones((0, 0))
+    while cost.size:
+        i, j = divmod(int(cost.argmin()), count)
+        if not cost[i, j] <= 1:
+            break
+        refused[i, j] = is_apart(graph, i, j)
+        if not refused[i, j]:
+            graph, refused[[i, j]], refused[:, [i, j]] = graph.merged(i, j), False, False
+            cost = misfit(graph)
+        cost[refused] = np.inf
+    return graph
+
+
+@kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))'
+        '(int32[:, ::1], UniTuple(float64[:, ::1], 3), boolean[::1], int64)')
+def _sum_up(labels, values, is_planar, count):
+    (table, moments, slope), (rows, columns) = values, labels.shape
+    pixels, sums = np.zeros((count, 10)), np.zeros((count, 16))
+    borders = np.zeros((count, count, 4))
+    for row in range(rows):
+        for column in range(columns):
+            i, one = row * columns + column, labels[row, column]
+            if one < 0 or not is_planar[i]:
+                continue
+            for k in range(10):
+                pixels[one, k] += moments[i, k]
+            _add_cell(table[i], slope[i], sums[one])
+            for step in range(1, BORDER_REACH_CELLS + 1):
+                for r, c in ((row + step, column), (row, column + step)):
+                    if r >= rows or c >= columns or labels[r, c] < 0 or labels[r, c] == one:
+                        continue
+                    j, other = r * columns + c, labels[r, c]
+                    if is_planar[j]:
+                        borders[one, other, 0] += 1
+                        borders[other, one, 0] += 1
+                        for k in range(3):
+                            borders[one, other, 1 + k] += table[i, k]
+                            borders[other, one, 1 + k] += table[j, k]
+    return pixels, sums, borders
+
+
+@kernel('void(float64[::1], float64[::1], float64[::1])')
+def _add_cell(cell, slope, sums):
+    x, y, d = cell[0], cell[1], cell[2]
+    sums[0] += 1
+    sums[1] += x
+    sums[2] += y
+    sums[3] += x * x
+    sums[4] += x * y
+    sums[5] += y * y
+    sums[6] += d
+    sums[7] += x * d
+    sums[8] += y * d
+    sums[9] += d * d
+    sums[10] += 1 / cell[5]
+    if np.isfinite(slope[0]):
+        sums[11] += 1
+        sums[12] += slope[0]
+        sums[13] += slope[1]
+        sums[14] += slope[0] ** 2 + slope[1] ** 2
+        sums[15] += d
+
+
+@kernel('void(int32[:, ::1], int64[::1], UniTuple(float64[:, ::1], 3), float64[:, :, ::1], '
+        'UniTuple(int64, 2))')
+def _merge(labels, owner, parts, borders, pair):
+    (planes, pixels, sums), (target, source) = parts, pair
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            if labels[row, column] == source:
+                labels[row, column] = target
+    for k in range(len(owner)):
+        if owner[k] == source:
+            owner[k] = target
+    for k in range(10):
+        pixels[target, k] += pixels[source, k]
+    for k in range(16):
+        sums[target, k] += sums[source, k]
+        sums[source, k] = 0
+    for other in range(len(owner)):
+        for k in range(4):
+            borders[target, other, k] += borders[source, other, k]
+            borders[other, target, k] += borders[other, source, k]
+            borders[source, other, k] = borders[other, source, k] = 0
+    for k in range(4):
+        borders[target, target, k] = 0
+    planes[target, 0], planes[target, 1], planes[target, 2] = fit_plane(pixels[target])
+
+
+@kernel('int8[:, ::1](float64[:, ::1], float64[:, :, ::1])')
+def _intersections(planes, borders):
+    signs = np.zeros((len(planes), len(planes)), np.int8)
+    for i in range(len(planes)):
+        for j in range(i + 1, len(planes)):
+            if borders[i, j, 0] < MIN_BORDER_PAIRS:
+                continue
+            a, b, c = (planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1],
+                       planes[i, 2] - planes[j, 2])
+            here = a * borders[i, j, 1] + b * borders[i, j, 2] + c * borders[i, j, 0]
+            there = a * borders[j, i, 1] + b * borders[j, i, 2] + c * borders[j, i, 0]
+            if here * there < 0:
+                signs[i, j] = signs[j, i] = 1 if here > 0 else -1
+    return signs
+
+
+@kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
+def fold(planes, sums, borders, i, j):
+    """Return the dihedral angle of two planes, degrees, and the gap at their border, in sigma."""
+    a, b, c = planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1], planes[i, 2] - planes[j, 2]
+    number = 2 * borders[i, j, 0]
+    gap = abs(c + (a * (borders[i, j, 1] + borders[j, i, 1])
+                   + b * (borders[i, j, 2] + borders[j, i, 2])) / number)
+    variance = max(sums[i, 10] / max(sums[i, 0], 1.0), MIN_VARIANCE)
+    scale = TYPICAL_FOCAL_SHARE**2
+    dot = scale * (planes[i, 0] * planes[j, 0] + planes[i, 1] * planes[j, 1])
+    norm = 1.0
+    for k in (i, j):
+        norm *= np.sqrt(scale * (planes[k, 0] ** 2 + planes[k, 1] ** 2) + planes[k, 2] ** 2)
+    cosine = (dot + planes[i, 2] * planes[j, 2]) / norm
+    return np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))), gap / np.sqrt(variance)
