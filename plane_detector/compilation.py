@@ -11,12 +11,16 @@ and the folder of the package may be read-only.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
+import subprocess
+import sys
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +47,7 @@ class Kernel:
         self._function, self._signature = function, signature
         self._compiled: Callable | None = None
         self.__doc__, self.__name__ = function.__doc__, function.__name__
+        self.__module__ = function.__module__
         self.subject = function.__module__.split('.')[1]
         _KERNELS.append(self)
 
@@ -86,28 +91,33 @@ def kernel(signature: str) -> Callable[[Callable], Kernel]:
     return lambda function: Kernel(function, signature)
 
 
-def compile_kernels(subject: str, on_compiling: Callable[[], None] = lambda: None) -> None:
+def compile_kernels(subjects: Iterable[str],
+                    on_compiling: Callable[[], None] = lambda: None) -> None:
     """
     Compile kernels, or load them from the cache, so that the first frame is not delayed.
 
+    A second process compiles too, from the last kernel on, and this one loads what it wrote.
+
     Parameters
     ----------
-    subject : str
-        Folder of the package, such as ``'segmentation'``; its imported kernels are compiled.
+    subjects : iterable of str
+        Folders of the package, such as ``'segmentation'``; their imported kernels are compiled.
     on_compiling : callable
         Called once, after the first kernel that was not cached; the others then take seconds.
 
     """
-    missing = [one for one in _KERNELS if one.subject == subject and not one.is_ready]
+    missing = [one for subject in subjects for one in _KERNELS
+               if one.subject == subject and not one.is_ready]
     if not missing:
         return
     is_told = False
     # Under one lock: processes that take turns would each start numba's compiler.
-    with _COMPILING, _one_process(cache_folder()):
+    with _COMPILING, _one_process(cache_folder()), ExitStack() as helpers:
         for one in missing:
             if one.make_ready().stats.cache_misses and not is_told:
                 is_told = True
                 on_compiling()
+                helpers.callback(_end, _second_process(missing))
 
 
 @contextmanager
@@ -119,6 +129,50 @@ def _one_process(folder: Path) -> Iterator[None]:
             import fcntl
             fcntl.flock(file, fcntl.LOCK_EX)
         yield
+
+
+@cache
+def load_once(*subjects: str) -> None:
+    """Compile or load the kernels of these folders, at the first call of a process only."""
+    compile_kernels(subjects, lambda: logging.getLogger(__name__).warning(
+        'compiling the loops for this machine, once'))
+
+
+def _second_process(wanted: list[Kernel]) -> subprocess.Popen | None:
+    """Start a process that compiles the kernels, last one first, if there is a core for it."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else 1
+    if cores < 2 or not sys.executable:
+        return None
+    code = 'from plane_detector import compilation; compilation.compile_backwards()'
+    names = [f'{one.__module__}:{one.__name__}' for one in wanted]
+    # A session of its own: a signal to end is for this process, which ends the other one.
+    return subprocess.Popen(
+        [sys.executable, '-c', code, str(os.getpid()), *names], start_new_session=True,
+        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}, stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _end(process: subprocess.Popen | None) -> None:
+    if process is not None:
+        process.kill()
+        process.wait()
+
+
+def compile_backwards() -> None:
+    """
+    Compile the kernels named on the command line, last one first, while the parent lives.
+
+    The parent holds the lock.
+    """
+    parent, names = int(sys.argv[1]), sys.argv[2:]
+    for name in reversed(names):
+        if os.getppid() != parent:
+            return
+        module, _, function = name.partition(':')
+        import_module(module)
+        for one in _KERNELS:
+            if (one.__module__, one.__name__) == (module, function):
+                one.make_ready()
 
 
 @cache

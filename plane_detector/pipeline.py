@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector.compilation import load_once
 from plane_detector.config import Config, TrackingConfig
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
 from plane_detector.directions.finder import DirectionFinder, ImageDirections, Surroundings
@@ -230,17 +231,13 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     """
     config = config or DEFAULTS
     check_depth(depth_m, intrinsics)
-    noise_floor = metric_noise_floor(config, disparity_noise)
-    regions = _segment(to_disparity(depth_m), intrinsics, config, noise_floor, rng)
+    regions = _segment(to_disparity(depth_m), intrinsics, config,
+                       metric_noise_floor(config, disparity_noise), rng)
     return _measure(regions, intrinsics, config)
 
 
 def _noise_floor(seen: Observation, config: Config) -> Noise:
-    """
-    Return the lower bound of the noise, in the unit of the disparity.
-
-    It is a share of the disparities, so that relative and metric disparity are treated alike.
-    """
+    """Return the lower bound of the noise, in the unit of the disparity."""
     if seen.output != 'relative_disparity' and (
             config.segmentation.disparity_noise or not seen.noise_share):
         return metric_noise_floor(config)
@@ -253,14 +250,15 @@ def _noise_floor(seen: Observation, config: Config) -> Noise:
 def _hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
     """Return the image that borders snap to, if the network blurs edges, and its normals."""
     snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
-    return {'guide': GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None,
-            'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
+    guide = GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None
+    return {'guide': guide, 'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
 
 
 def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
              noise_floor: Noise, rng: np.random.Generator | None = None,
              **hints: GuideImage | NormalMap | None) -> PixelRegions:
     """Segment by ``segmentation.method``."""
+    load_once('geometry', 'segmentation', 'planes')
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, noise_floor, config, rng)
     return segment(disparity, noise_floor, config, rng, **hints)

@@ -31,9 +31,8 @@ def compiled(request):
         return
     import plane_detector.pipeline
     import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
-    for subject in ('segmentation', 'directions', 'planes', 'geometry', 'drawing', 'ros',
-                    'shapes'):
-        compile_kernels(subject)
+    compile_kernels(('ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes',
+                     'shapes'))
 
 
 @lru_cache(maxsize=16)

@@ -3,12 +3,14 @@
 """Kernels are compiled when they are needed, into a cache that their sources name."""
 
 import fcntl
+import os
 import subprocess
 import sys
 import threading
 import time
 
 import numba
+import pytest
 
 from plane_detector import compilation
 
@@ -41,7 +43,7 @@ def test_compiling_is_told_when_code_is_missing_not_when_it_is_loaded(tmp_path, 
         for one in kernels:
             one.subject = 'segmentation'
         for _ in range(2):  # what this process compiled a moment ago is ready the second time
-            compilation.compile_kernels('segmentation', lambda: told.append('compiling'))
+            compilation.compile_kernels(['segmentation'], lambda: told.append('compiling'))
         assert told == expected
     assert kernels[1](3) == 6
 
@@ -83,6 +85,35 @@ def test_another_process_that_compiles_is_waited_for(tmp_path, monkeypatch):
         assert not compiled
     thread.join()
     assert compiled == [abs_of]
+
+
+def test_the_second_process_fills_the_cache_and_ends_with_its_parent(tmp_path):
+    module = 'plane_detector.geometry.disparity'
+    script = 'from plane_detector import compilation; compilation.compile_backwards()'
+    for parent, written in (('1', []), (str(os.getpid()), ['_inverse'])):
+        subprocess.run([sys.executable, '-c', script, parent, f'{module}:_inverse'], check=True,
+                       env={**os.environ, 'XDG_CACHE_HOME': str(tmp_path)})
+        assert [path.name.split('.')[1].split('-')[0]
+                for path in tmp_path.rglob('*.nbi')] == written
+
+
+@pytest.mark.parametrize('body', ['exit 1', 'exec sleep 60'], ids=['fails', 'hangs'])
+def test_a_second_process_that_fails_or_hangs_holds_nobody_up(body, tmp_path, monkeypatch):
+    program = tmp_path / 'python'
+    program.write_text(f'#!/bin/sh\n{body}\n', encoding='utf-8')
+    program.chmod(0o700)
+    started, popen = [], subprocess.Popen
+    monkeypatch.setattr(sys, 'executable', str(program))
+    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 1})
+    monkeypatch.setattr(subprocess, 'Popen',
+                        lambda *a, **k: started.append(popen(*a, **k)) or started[0])
+    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
+    monkeypatch.setattr(compilation, '_KERNELS', [])
+    one = compilation.Kernel(double_of, 'i8(i8)')
+    one.subject = 'segmentation'
+    compilation.compile_kernels(['segmentation'])
+    assert one(3) == 6
+    assert [process.returncode is not None for process in started] == [True]
 
 
 def abs_of(number):

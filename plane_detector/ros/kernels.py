@@ -13,10 +13,7 @@ from plane_detector.config import Config
 
 def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and report that to ``log``."""
-    subjects = {'segmentation': 'segmentation', 'directions': 'directions', 'planes': 'planes',
-                'geometry': 'geometry', 'drawing': 'overlay', 'ros': 'messages'}
+    subjects = ['ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes']
     if config.shapes.wanted:
-        subjects['shapes'] = 'shapes'
-    for folder, subject in subjects.items():
-        compile_kernels(folder, partial(
-            log, f'compiling the loops of the {subject} for this machine, once'))
+        subjects.append('shapes')
+    compile_kernels(subjects, partial(log, 'compiling the loops for this machine, once'))
