@@ -82,7 +82,8 @@ def _ray(jobs: int, scheduler: str) -> Iterator[str]:
         raise ModuleNotFoundError(f'{error}: --backend ray needs pip install ray, here and on '
                                   'the workers', name=error.name) from error
     cpus = {} if scheduler or jobs < 1 else {'num_cpus': jobs}
-    ray.init(address=scheduler or 'local', log_to_driver=False, **cpus)
+    # Its pool warns of an argument that joblib gives.
+    ray.init(address=scheduler or 'local', log_to_driver=False, logging_level='ERROR', **cpus)
     register_ray()
     try:
         with joblib.parallel_config('ray', n_jobs=jobs):

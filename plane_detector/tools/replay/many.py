@@ -129,15 +129,20 @@ def _watch(work: Background, jobs: Sequence[ReplayOptions], run_folder: Path,
     deadline_s = float('inf')
     with tqdm(total=len(jobs), unit='bag', disable=None) as progress:
         while not work.wait(_LOOK_S) and time.monotonic() < deadline_s:
-            done = [read_summary(path.stem, run_folder) for path in run_folder.glob('*.json')]
-            progress.n = len(done)
-            progress.set_postfix_str(f'{sum(one.frames for one in done)} frames')
+            _show(progress, run_folder)
             if should_stop() and deadline_s == float('inf'):
                 (run_folder / STOP_FILE).touch()
                 deadline_s = time.monotonic() + _PATIENCE_S
-        progress.n = len(list(run_folder.glob('*.json')))
+        _show(progress, run_folder)
     if not work.wait(0):
         kill_processes()
+
+
+def _show(progress: tqdm, run_folder: Path) -> None:
+    """Show how many bags and frames are done."""
+    done = [read_summary(path.stem, run_folder) for path in run_folder.glob('*.json')]
+    progress.n = len(done)
+    progress.set_postfix_str(f'{sum(one.frames for one in done)} frames')
 
 
 def _work(jobs: Sequence[ReplayOptions], run_folder: Path, pool: Pool) -> None:

@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 from bags import read_bag, write_bag
 from replay_helpers import DEPTH, assert_true, camera_messages
+from tqdm import tqdm
 
+from plane_detector.tools.replay import many
 from plane_detector.tools.replay.__main__ import main
 from plane_detector.tools.replay.arguments import parse
 from plane_detector.tools.replay.bag_reader import BagError
@@ -90,6 +92,19 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
     assert main([str(bags), str(out), '--jobs', '2']) == 0
     assert {row['state'] for row in rows_of(out).values()} == {'done before'}
     assert (out / 'first' / 'metadata.yaml').stat().st_mtime_ns == before
+
+
+def test_the_progress_ends_with_all_bags_and_frames(bags, scenes, tmp_path, monkeypatch):
+    shown = []
+
+    class Bar(tqdm):
+        def set_postfix_str(self, text):
+            shown.append((self.n, self.total, text))
+
+    monkeypatch.setattr(many, 'tqdm', Bar)
+    assert main([str(bags / 'first'), str(bags / 'second'), str(tmp_path / 'out'),
+                 '--outputs', 'planes']) == 0
+    assert shown[-1] == (2, 2, f'{2 * len(scenes)} frames')
 
 
 def test_a_bag_of_other_options_is_not_taken_for_finished(bag, tmp_path):
