@@ -28,15 +28,14 @@ def test_no_stage_is_begun_after_the_stop():
 
 def test_the_search_looks_at_the_stop_before_every_draw(monkeypatch):
     """Over curved depth, where one draw finds little and the next is begun."""
-    search = ransac.SequentialRansac
-    stop, draws, draw = Stop(), [], search._draw
+    stop, draws, draw = Stop(), [], ransac.find_in_one_round
 
     def counted(*arguments):
         draws.append(1)
         stop.set()
         return draw(*arguments)
 
-    monkeypatch.setattr(search, '_draw', counted)
+    monkeypatch.setattr(ransac, 'find_in_one_round', counted)
     rows, columns = np.mgrid[:120, :160] / 120
     noise = np.random.default_rng(0).normal(0, 0.02, rows.shape)
     depth_m = (2 + np.sin(9 * rows) * np.cos(7 * columns) + noise).astype(np.float32)

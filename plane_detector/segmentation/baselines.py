@@ -29,9 +29,8 @@ from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
-from plane_detector.segmentation.search.dbscan import Neighbourhood
 from plane_detector.segmentation.search.point_clusters import point_clusters
-from plane_detector.segmentation.search.ransac import SequentialRansac
+from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.stopping import raise_if_stopped
@@ -226,16 +225,12 @@ def _to_image_coordinates(equations: np.ndarray, intrinsics: CameraIntrinsics) -
     return np.stack([a, b, c], axis=1)
 
 
-# All inliers of a plane form one cluster, wherever they are.
-EVERYWHERE = Neighbourhood(np.zeros((0, 2), np.int64), 1)
-
-
 @one_blas_thread
 def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarray:
     """
     Label pixels by sequential RANSAC without clustering, to show the effect of clustering.
 
-    A plane takes inliers from the whole image; there is no DBSCAN, no merging, no competition.
+    A plane takes inliers from the whole image; there is no merging, no competition.
 
     Parameters
     ----------
@@ -254,23 +249,21 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
     image = DisparityImage(*zero_filled(np.ascontiguousarray(to_disparity(depth_m))))
     grid = build_cell_grid(image)
     noise = estimate_noise(grid, metric_noise_floor(config))
-    search = SequentialRansac(weigh_cells(grid, noise),
-                              config.segmentation.min_plane_share * depth_m.size, config.ransac,
-                              EVERYWHERE, np.random.default_rng(config.ransac.seed))
-    planes = search.find(config.segmentation.max_planes).coefficients
-    return np.where(image.valid, _nearest_plane(image.values, planes, noise,
-                                                config.ransac.inlier_threshold), -1)
+    search = Search(grid, config.segmentation.min_plane_share * depth_m.size,
+                    config, np.random.default_rng(config.ransac.seed))
+    planes = add_planes(search, weigh_cells(grid, noise), no_planes(grid),
+                        config.segmentation.max_planes).coefficients
+    return np.where(image.valid, _first_plane(image.values, planes, noise,
+                                              config.ransac.inlier_threshold), -1)
 
 
-def _nearest_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
-                   threshold: float) -> np.ndarray:
-    """Return the nearest plane of each pixel, -1 beyond the threshold."""
+def _first_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
+                 threshold: float) -> np.ndarray:
+    """Return the first plane of each pixel that is within the threshold, else -1."""
     x, y = image_coordinates(disparity.shape)
     variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.variance_floor(disparity)
-    best = threshold**2 * variance
     labels = np.full(disparity.shape, -1, np.int32)
     for k, (a, b, c) in enumerate(planes):
         error = (disparity - (a * x + b * y[:, None] + c)) ** 2
-        labels[error < best] = k
-        best = np.minimum(best, error)
+        labels[(labels < 0) & (error < threshold**2 * variance)] = k
     return labels

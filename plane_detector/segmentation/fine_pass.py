@@ -17,11 +17,8 @@ from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved
 from plane_detector.segmentation.regions.merging import MAX_JOINT_VARIANCES
 from plane_detector.segmentation.regions.region_graph import RegionGraph
-from plane_detector.segmentation.search.plane_search import (
-    TYPICAL_FOCAL_SHARE,
-    Search,
-    find_planes,
-)
+from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
+from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 
 # derived: three pixels are the least that a slope and its error need.
 MIN_CELL_SIZE_PX = 3
@@ -71,7 +68,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     kind = noise.kind(coarse.grid.typical_disparity)
     noise = noise.at_cell_size(coarse.grid.size_px, size)
     cells = weigh_cells(grid, noise)
-    regions = find_planes(replace(search, grid=grid), cells, noise, room)
+    regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
     regions = remove_curved(cells, regions, noise.mean_sigma**2)
     if not len(regions.coefficients):
         return labels, coefficients

@@ -33,7 +33,8 @@ from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.icm import compete_for_cells
 from plane_detector.segmentation.regions.merging import merge_coplanar
 from plane_detector.segmentation.regions.region_graph import RegionGraph
-from plane_detector.segmentation.search.plane_search import Search, search_planes, sees_creases
+from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
+from plane_detector.segmentation.search.ransac import Search
 from plane_detector.segmentation.threads import one_blas_thread
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.

@@ -11,7 +11,8 @@ from plane_detector.config import Config, SegmentationConfig
 from plane_detector.segmentation.cells.grid import build_cell_grid, image_coordinates
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.search.plane_search import Search, search_planes
+from plane_detector.segmentation.search.plane_search import search_planes
+from plane_detector.segmentation.search.ransac import Search
 from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()

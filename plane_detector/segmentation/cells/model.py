@@ -69,7 +69,8 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
 
     The floor of the depth is a floor of the disparity that falls with 1/z**2. In a cell of
     n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel. Neighbouring
-    pixels share their quantisation error: it tilts a cell as a whole.
+    pixels share their quantisation error: it tilts a cell as a whole. Far cells are not held to
+    less than the error that near ones leave in the plane of both.
     """
     size = grid.size_px / grid.width_px
     squares = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
@@ -87,6 +88,9 @@ def _weigh(cells, inner_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
     table, is_planar = np.empty((len(usable), 8)), np.zeros(len(usable), np.bool_)
+    of_plane = 0.0
+    for i in range(len(usable)):
+        of_plane += squares[3] * mean[i, 2] ** 4 / len(usable) ** 2
     for i in range(len(usable)):
         for k in range(3):
             table[i, k] = mean[i, k]
@@ -94,7 +98,7 @@ def _weigh(cells, inner_rms, usable, squares, per_slope):
         for k in range(2):
             table[i, 3 + k] = slope[i, k]
             slope2 += slope[i, k] ** 2
-        floor = squares[3] * mean[i, 2] ** 4 + squares[4]
+        floor = squares[3] * mean[i, 2] ** 4 + squares[4] + of_plane
         of_mean = squares[0] + floor + squares[2] * sparsity[i, 0]
         of_slope = (squares[1] + floor * per_slope[1] + squares[5]
                     + squares[2] * sparsity[i, 1])

@@ -5,19 +5,23 @@ Sequential RANSAC: hypotheses from windows of cells, all scored at once, the bes
 
 RANSAC (Fischler and Bolles 1981) with the truncated quadratic score of MSAC (Torr and Zisserman
 2000) and local optimisation (Chum et al. 2003). The samples are windows of cells, not triples of
-points: a window is on one plane far more often than three points are.
+points: a window is on one plane far more often than three points are. A plane is refitted to the
+density cluster of its inliers around its window, so that it collects no streaks from surfaces that
+it happens to cut.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.config import RansacConfig
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.config import Config
+from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, chi_squared
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
-from plane_detector.segmentation.search.dbscan import Neighbourhood
-from plane_detector.segmentation.search.plane_growth import places, refine
+from plane_detector.segmentation.search.dbscan import neighbourhood
 from plane_detector.stopping import raise_if_stopped
 
 # Rows and columns: small windows find small planes, long ones narrow planes, large ones planes
@@ -34,121 +38,147 @@ ROUND_PLANE_SHARE = 0.1
 # A hypothesis that refines to nothing costs time; after this many in a row the round is over.
 # tuned: on rooms, for time; compiled in, so its range was not swept.
 MAX_FAILURES = 3
+# tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
+REFINEMENTS = 4
+# A plane has settled when its cells change by no more than this share.
+# tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
+SETTLED_SHARE = 0.03
 
 
-class SequentialRansac:
+@dataclass(frozen=True)
+class Search:
+    """Inputs of a search beside the noise: grid, smallest plane, settings and random generator."""
+
+    grid: CellGrid
+    min_pixels: float
+    config: Config
+    rng: np.random.Generator
+
+
+def no_planes(grid: CellGrid) -> PlaneRegions:
+    """Return regions without any plane."""
+    return PlaneRegions(np.full(grid.shape, -1, np.int32), np.zeros((0, 3)))
+
+
+def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
+               most: int) -> PlaneRegions:
     """
-    Find planes among the cells one after the other, each time among the cells that are left.
+    Find planes among the cells that belong to none, one after the other.
 
     Parameters
     ----------
+    search : Search
     cells : WeightedCells
-    min_pixels : float
-        Smallest plane.
-    config : RansacConfig
-    near : Neighbourhood
-        Decides which inliers form one cluster.
-    rng : numpy.random.Generator
-        Draws the windows.
-    start : PlaneRegions, optional
-        Planes found before; default: none.
+    regions : PlaneRegions
+        Planes found before.
+    most : int
+        The search ends with so many planes, those found before included.
+
+    Returns
+    -------
+    PlaneRegions
+        Those found before come first.
 
     """
-
-    def __init__(self, cells: WeightedCells, min_pixels: float, config: RansacConfig,
-                 near: Neighbourhood, rng: np.random.Generator,
-                 start: PlaneRegions | None = None) -> None:
-        self._cells, self._min_pixels, self._config = cells, min_pixels, config
-        self._near, self._rng = near, rng
-        self._labels = np.full(cells.is_planar.shape, -1, np.int32)
-        self._planes = np.zeros((0, 3))
-        if start is not None:
-            self._labels, self._planes = start.labels.ravel().copy(), start.coefficients
-        self._free = cells.is_planar & (self._labels < 0)
-        self._drawn, self._is_exhausted = 0, False
-        self._batch: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
-
-    def find(self, most: int) -> PlaneRegions:
-        """Return all planes found so far, at most ``most``; a later call continues the search."""
-        while len(self._planes) < most and not self._is_exhausted:
-            raise_if_stopped()
-            if self._batch is None:
-                self._batch = self._draw()
-            before = len(self._planes)
-            self._peel(most - before)
-            if len(self._planes) < most:  # else the batch may hold more
-                self._batch = None
-                self._is_exhausted |= (len(self._planes) == self._before_batch
-                                       or self._drawn >= self._config.max_iterations)
-        labels = np.where(self._labels < most, self._labels, -1).reshape(self._cells.grid.shape)
-        return PlaneRegions(labels, self._planes[:most])
-
-    def _draw(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return new hypotheses (H, 3), their seed cells (H,) and their support (H,)."""
-        cells, config = self._cells, self._config
-        self._before_batch = len(self._planes)
-        pixels = cells.grid.moments[self._free, 0].sum()
-        if pixels < self._min_pixels:
-            self._drawn = config.max_iterations
-            return np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0, np.float32)
-        share = max(ROUND_PLANE_SHARE, self._min_pixels / max(pixels, 1))
-        wanted = np.log1p(-config.confidence) / np.log1p(-min(share, 0.99))
-        wanted = int(np.clip(np.ceil(wanted), 1, config.max_iterations))
-        chance = self._rng.random((len(WINDOWS_CELLS), wanted))
-        planes, seeds = _window_planes(self._free.reshape(cells.grid.shape), cells.grid.moments,
-                                       cells.table, WINDOWS_CELLS, chance)
-        self._drawn += max(len(planes), 1)
-        gain = np.zeros(len(planes), np.float32)
-        add_support(gain, planes, cells.table, cells.grid.moments,
-                    np.flatnonzero(self._free), config.inlier_threshold**-2)
-        return planes, seeds, gain
-
-    def _peel(self, most: int) -> None:
-        """Move the planes of the best hypotheses from the free cells to the result."""
-        cells, config = self._cells, self._config
-        limits = np.array([self._min_pixels, config.inlier_threshold**2, most,
-                           len(self._planes)], float)
-        found = _peel(self._batch, limits, (cells.table, cells.grid.moments),
-                      self._free.reshape(cells.grid.shape), self._labels,
-                      (self._near.offsets, self._near.min_samples))
-        self._planes = np.vstack([self._planes, found])
+    ransac, near = search.config.ransac, neighbourhood(search.config.dbscan)
+    labels, planes = regions.labels.copy(), regions.coefficients
+    wanted = np.log1p(-ransac.confidence) / np.log1p(-ROUND_PLANE_SHARE)
+    wanted = int(np.clip(np.ceil(wanted), 1, ransac.max_iterations))
+    drawn = 0
+    while len(planes) < most and drawn < ransac.max_iterations:
+        raise_if_stopped()
+        # More than are wanted: a window in which too few cells are free is drawn again.
+        chance = search.rng.random((len(WINDOWS_CELLS), len(WINDOWS_CELLS) * wanted))
+        limits = np.array([search.min_pixels, ransac.inlier_threshold**2, most, len(planes)])
+        found = find_in_one_round((cells.table, cells.grid.moments), cells.is_planar, labels,
+                                  (near.offsets, near.min_samples),
+                                  (WINDOWS_CELLS, chance, wanted), limits)
+        if not len(found):
+            break
+        planes, drawn = np.vstack([planes, found]), drawn + wanted * len(WINDOWS_CELLS)
+    return PlaneRegions(labels, planes)
 
 
-@kernel('Tuple((float64[:, ::1], int64[::1]))'
-        '(boolean[:, ::1], float64[:, ::1], float64[:, ::1], int64[:, ::1], float64[:, ::1])')
-def _window_planes(free, moments, table, windows, chance):
+@kernel('float64[:, ::1](UniTuple(float64[:, ::1], 2), boolean[::1], int32[:, ::1], '
+        'Tuple((int64[:, ::1], int64)), Tuple((int64[:, ::1], float64[:, ::1], int64)), '
+        'float64[::1])')
+def find_in_one_round(cells, is_planar, labels, near, windows, limits):
+    """Draw hypotheses, label the planes (n, 3) of the best ones and return them."""
+    (table, moments), (offsets, min_samples) = cells, near
+    min_pixels, threshold2, most, first = limits
+    found, count, failures = np.empty((int(most - first), 3)), 0, 0
+    listed, free, place = _free_cells(is_planar, labels, offsets.max())
+    step = offsets[:, 0] * (labels.shape[1] + 2 * offsets.max()) + offsets[:, 1]
+    planes, seeds = _draw(listed, is_planar, labels, cells, windows)
+    gain = np.zeros(len(planes), np.float32)
+    add_support(gain, planes, table, moments, listed, 1 / threshold2)
+    while count < len(found) and failures < MAX_FAILURES and len(gain):
+        best = np.argmax(gain)
+        if gain[best] < min_pixels / 2:
+            break
+        plane, members = _refine(planes[best], place[seeds[best]], threshold2, cells,
+                                 (free, step, min_samples))
+        pixels = 0.0
+        for p in members:
+            pixels += moments[-1 - free[p], 0]
+        if pixels < max(min_pixels, 1.0):
+            gain[best] = 0
+            failures += 1
+            continue
+        for k, p in enumerate(members):
+            i = -1 - free[p]
+            labels[i // labels.shape[1], i % labels.shape[1]] = int(first) + count
+            free[p], members[k] = 0, i
+        add_support(gain, planes, table, moments, members, -1 / threshold2)
+        found[count], failures = plane, 0
+        count += 1
+    return found[:count]
+
+
+@kernel('Tuple((int64[::1], int32[::1], int64[::1]))(boolean[::1], int32[:, ::1], int64)')
+def _free_cells(is_planar, labels, margin):
+    """Return the free cells (n,), -1 - i at the place of free cell i, and the place of each."""
+    (rows, columns), stride = labels.shape, labels.shape[1] + 2 * margin
+    free, n = np.zeros((rows + 2 * margin) * stride, np.int32), 0
+    listed, place = np.empty(labels.size, np.int64), np.empty(labels.size, np.int64)
+    for i in range(labels.size):
+        place[i] = (i // columns + margin) * stride + i % columns + margin
+        if is_planar[i] and labels[i // columns, i % columns] < 0:
+            listed[n], free[place[i]] = i, -1 - i
+            n += 1
+    return listed[:n], free, place
+
+
+@kernel('Tuple((float64[:, ::1], int64[::1]))(int64[::1], boolean[::1], int32[:, ::1], '
+        'UniTuple(float64[:, ::1], 2), Tuple((int64[:, ::1], float64[:, ::1], int64)))')
+def _draw(listed, is_planar, labels, cells, windows):
     """Return the planes (h, 3) of random windows that are flat, and their middle cells (h,)."""
-    rows, columns = free.shape
-    integral = np.zeros((rows + 1, columns + 1), np.int64)
-    for i in range(rows):
-        for j in range(columns):
-            integral[i + 1, j + 1] = (integral[i, j + 1] + integral[i + 1, j] - integral[i, j]
-                                      + free[i, j])
+    (table, moments), (sizes, chance, wanted), (rows, columns) = cells, windows, labels.shape
     planes, seeds = np.empty((chance.size, 3)), np.empty(chance.size, np.int64)
-    starts, count = np.empty(rows * columns, np.int64), 0
-    total = np.empty(10)
-    for k in range(len(windows)):
-        height, width, n = windows[k, 0], windows[k, 1], 0
-        for i in range(rows - height + 1):
-            for j in range(columns - width + 1):
-                if (integral[i + height, j + width] - integral[i, j + width]
-                        - integral[i + height, j] + integral[i, j]
-                        >= WINDOW_MIN_FREE * height * width):
-                    starts[n] = i * columns + j
-                    n += 1
-        for draw in range(min(n, chance.shape[1])):
-            start = starts[int(chance[k, draw] * n) if n > chance.shape[1] else draw]
-            total[:], expected = 0.0, 0.0
-            for i in range(height):
-                for j in range(width):
-                    cell = start + i * columns + j
-                    if free[cell // columns, cell % columns]:
-                        total += moments[cell]
+    total, count = np.empty(10), 0
+    for k in range(len(sizes)):
+        height, width, drawn = sizes[k, 0], sizes[k, 1], 0
+        for share in chance[k]:
+            if drawn == min(wanted, len(listed)):
+                break
+            seed = listed[int(share * len(listed))]
+            top, left = seed // columns - height // 2, seed % columns - width // 2
+            total[:], expected, n = 0.0, 0.0, 0
+            for row in range(max(top, 0), min(top + height, rows)):
+                for column in range(max(left, 0), min(left + width, columns)):
+                    cell = row * columns + column
+                    if is_planar[cell] and labels[row, column] < 0:
+                        for j in range(10):
+                            total[j] += moments[cell, j]
                         expected += table[cell, 7]
+                        n += 1
+            if n < WINDOW_MIN_FREE * height * width:
+                continue
+            drawn += 1
             a, b, c = fit_plane(total)
             if squared_error(a, b, c, total) < WINDOW_MAX_VARIANCES * expected:
                 planes[count, 0], planes[count, 1], planes[count, 2] = a, b, c
-                seeds[count] = start + height // 2 * columns + width // 2
+                seeds[count] = seed
                 count += 1
     return planes[:count], seeds[:count]
 
@@ -177,36 +207,64 @@ def add_support(gain, planes, table, moments, cell, weight):
             gain[h] += pixels * max(support, zero)
 
 
-@kernel('float64[:, ::1](Tuple((float64[:, ::1], int64[::1], float32[::1])), float64[::1], '
-        'UniTuple(float64[:, ::1], 2), boolean[:, ::1], int32[::1], '
-        'Tuple((int64[:, ::1], int64)))')
-def _peel(batch, limits, sums, free, labels, near):
-    """Label the planes of the best hypotheses, clear ``free`` there, return the planes (n, 3)."""
-    (planes, seeds, gain), (table, moments) = batch, sums
-    min_pixels, threshold2, most, first = limits
-    found, count, failures = np.empty((int(most), 3)), 0, 0
-    listed = places(free, near[0])
-    while count < most and failures < MAX_FAILURES and len(gain):
-        best = np.argmax(gain)
-        if gain[best] < min_pixels / 2:
+@kernel('Tuple((float64[::1], int64[::1]))(float64[::1], int64, float64, '
+        'UniTuple(float64[:, ::1], 2), Tuple((int32[::1], int64[::1], int64)))')
+def _refine(plane, seed, threshold2, cells, near):
+    """Refit a plane to its inliers about the seed until they settle; return it and them."""
+    (table, moments), free = cells, near[0]
+    members = np.array([seed])
+    for _ in range(REFINEMENTS):
+        grown, kept = _cluster_about(members, plane, threshold2, table, near)
+        if len(grown) == 0:  # no member is in a cluster: the largest one of all
+            grown, _ = _cluster_about(np.flatnonzero(free), plane, threshold2, table, near)
+            kept = 0
+        if len(grown) == 0:
+            return plane, grown
+        if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break
-        plane, members = refine(planes[best], seeds[best], threshold2, table, moments,
-                                (free, near[0], near[1], listed))
-        pixels = 0.0
-        for i in members:
-            pixels += moments[i, 0]
-        if pixels < max(min_pixels, 1.0):
-            gain[best] = 0
-            failures += 1
+        total = np.zeros(10)
+        for p in grown:
+            for j in range(10):
+                total[j] += moments[-1 - free[p], j]
+        a, b, c = fit_plane(total)
+        if np.isnan(a):
+            return plane, grown[:0]
+        plane, members = np.array([a, b, c]), grown
+    return plane, members
+
+
+@kernel('Tuple((int64[::1], int64))(int64[::1], float64[::1], float64, float64[:, ::1], '
+        'Tuple((int32[::1], int64[::1], int64)))')
+def _cluster_about(members, plane, threshold2, table, near):
+    """Return the density cluster of inliers that holds most members, and how many it holds."""
+    free, step, min_samples = near
+    # Free cells that were not tested are below 0; 0: outlier, 1: inlier, then the cluster.
+    marks, is_member, queue = free.copy(), np.zeros(len(free), np.bool_), np.empty(len(free),
+                                                                                  np.int64)
+    is_member[members] = True
+    head, tail, cluster, most, first, last = 0, 0, 1, 0, 0, 0
+    for start in members:
+        if marks[start] > 1:
             continue
-        failures = 0
-        for i in members:
-            labels[i] = int(first) + count
-            free[i // free.shape[1], i % free.shape[1]] = False
-        listed = places(free, near[0])
-        add_support(gain, planes, table, moments, members, -1 / threshold2)
-        found[count] = plane
-        count += 1
-    if count < most:
-        gain[:] = 0
-    return found[:count]
+        begin, held, queue[tail] = tail, 0, start
+        cluster, tail = cluster + 1, tail + 1
+        marks[start] = cluster
+        while head < tail:
+            p, samples = queue[head], 0
+            head, held = head + 1, held + is_member[p]
+            for k in range(len(step)):
+                q = p + step[k]
+                if marks[q] < 0:
+                    marks[q] = chi_squared(table, -1 - marks[q], plane[0], plane[1],
+                                           plane[2]) < threshold2
+                samples += marks[q] > 0
+            for k in range(len(step) if samples >= min_samples else 0):
+                if marks[p + step[k]] == 1:
+                    marks[p + step[k]] = cluster
+                    queue[tail] = p + step[k]
+                    tail += 1
+        if tail > begin + 1 and held > most:
+            most, first, last = held, begin, tail
+        if 2 * most >= len(members):  # no other can hold more
+            break
+    return queue[first:last].copy(), most

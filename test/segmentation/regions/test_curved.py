@@ -111,7 +111,7 @@ def test_a_ball_has_no_plane(radius, angles_deg, keep):
 
 @pytest.mark.parametrize('keep', KEEP)
 @pytest.mark.parametrize(('thing', 'least', 'iou'), [
-    (upright(0.3), 0.96, 0.95), (upright(0.5), 0.96, 0.95), (upright(1.0), 0.9, 0.95),
+    (upright(0.3), 0.96, 0.95), (upright(0.5), 0.96, 0.95), (upright(1.0), 0.8, 0.95),
     (upright(2.0), 0.8, 0.6), (lying(0.3), 0.97, 0.95), (lying(1.0), 0.85, 0.95)], ids=str)
 def test_a_cylinder_at_an_angle_to_the_rows_has_hardly_a_plane(thing, least, iou, keep):
     """Slabs along rows or columns are only a cell or two wide: these show no curve."""
