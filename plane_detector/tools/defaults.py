@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The parameters as a yaml file and as a table in the documentation, made from config.py.
+The parameters as a yaml file and as a table in the documentation, generated from config.py.
 
     python -m plane_detector.tools.defaults --write
 """
@@ -71,12 +71,12 @@ def parameter_table() -> str:
 
 def with_table(page: str) -> str:
     """
-    Return docs/parameters.md with its table of parameters made anew.
+    Return docs/parameters.md with a new table of parameters.
 
     Raises
     ------
     ValueError
-        The two comments that enclose the table are not there.
+        The two comments that enclose the table are missing.
 
     """
     head, begin, rest = page.partition(_BEGIN)
@@ -96,7 +96,7 @@ def _groups() -> Iterator[tuple[str, list[tuple[str, Any, Any]]]]:
 
 
 def _by_name() -> dict[str, tuple[Any, Any]]:
-    """Return metadata and default of each setting by its whole name."""
+    """Return metadata and default of each setting by its full name."""
     return {f'{group}.{name}'.lstrip('.'): (meta, value)
             for group, settings in _groups() for name, meta, value in settings}
 
@@ -119,7 +119,7 @@ def _range(meta: Any) -> str:
 
 
 def _yaml(value: Any) -> str:
-    """Return the value as YAML; JSON is YAML, but a float needs its point: 1e-06 has none."""
+    """Return the value as YAML. JSON is valid YAML except for floats: 1e-06 needs a point."""
     if isinstance(value, tuple):
         return '[' + ', '.join(_yaml(item) for item in value) + ']'
     if isinstance(value, float):
@@ -129,7 +129,7 @@ def _yaml(value: Any) -> str:
 
 
 def main() -> None:
-    """Print the yaml file and the table, or write them to where they belong."""
+    """Print the yaml file and the table, or write them to their files."""
     parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
     parser.add_argument('--write', action='store_true',
                         help='write config/plane_detector.yaml and docs/parameters.md')

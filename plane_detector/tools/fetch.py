@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fetch depth networks before they are needed; without a name, list all networks."""
+"""Download depth networks in advance; without a name, list all networks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HEADER = ('network', 'size', 'licence', 'here', 'gives')
 
 
 def table(networks: Sequence[Network], cache_dir: str) -> str:
-    """Return a table of networks, one a line; ``here``: whether the file is in the cache."""
+    """Return a table of networks, one per line; ``here``: whether the file is in the cache."""
     rows = [_HEADER, *(
         (network.name, _size(network), network.licence,
          'yes' if cached_path(network, cache_dir).is_file() else '', network.summary)
@@ -40,17 +40,17 @@ def obtain(name: str, cache_dir: str) -> tuple[Network, Path]:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Fetch the named networks; exit code 1 if one is not available."""
+    """Download the named networks; exit code 1 if one is not available."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector fetch', description=__doc__)
     parser.add_argument('names', nargs='*', metavar='NAME',
-                        help='network, or auto for what depth.model auto would take now')
+                        help='network, or auto for the one that depth.model auto would use now')
     parser.add_argument('--cache-dir', default='', help='as depth.cache_dir')
     options = parser.parse_args(arguments)
     if wrong := [name for name in options.names if name not in ('auto', *NETWORKS)]:
         parser.error(f'no network is called {wrong[0]!r}; there are auto, {", ".join(NETWORKS)}')
     if not options.names:
         print(table(list(NETWORKS.values()), options.cache_dir))
-        print(f'\ndepth.model auto takes the first that can be had of: {", ".join(AUTO_ORDER)}')
+        print(f'\ndepth.model auto uses the first available one of: {", ".join(AUTO_ORDER)}')
         return
     for name in options.names:
         try:

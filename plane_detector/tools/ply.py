@@ -16,25 +16,25 @@ _PLY_TYPES = {'f4': 'float', 'u1': 'uchar', 'i4': 'int'}
 def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndarray,
               in_metres: bool = True) -> int:
     """
-    Write the points that have a position, little-endian binary.
+    Write the points with finite coordinates, little-endian binary.
 
     Parameters
     ----------
     path : Path
-        The file; replaced when it is there.
+        The file; an existing one is replaced.
     points_m : (..., 3) floating
-        Not finite ones are left out.
+        Points that are not finite are skipped.
     rgb : (..., 3) uint8
         Colour of each point.
     labels : (...) integer
         Plane of each point, 0 for none.
     in_metres : bool
-        Whether the unit of the points is the metre, or not known; the file says it.
+        Whether the unit of the points is the metre or unknown; the file states it.
 
     Returns
     -------
     int
-        How many points were written.
+        Number of points written.
 
     """
     valid = np.isfinite(points_m).all(axis=-1)
@@ -52,7 +52,7 @@ def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndar
 
 
 def _header(count: int, in_metres: bool) -> str:
-    """Return the text before the vertices."""
+    """Return the header of the file."""
     properties = [f'property {_PLY_TYPES[kind.str[1:]]} {name}'
                   for name, (kind, _) in _VERTEX.fields.items()]
     return '\n'.join(['ply', 'format binary_little_endian 1.0',

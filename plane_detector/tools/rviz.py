@@ -29,14 +29,14 @@ _NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
 
 
 def with_frame(config: str, frame: str, node_name: str) -> str:
-    """Return the text of an RViz configuration with another fixed frame and name of the node."""
+    """Return the text of an RViz configuration with another fixed frame and node name."""
     return (config.replace(_FRAME, f'Fixed Frame: {frame}')
             .replace(f'Value: {_NODE}', f'Value: {node_name}/'))
 
 
 def wait_for_frame(node: Node, timeout_s: float, executor: Executor | None = None) -> str:
     """
-    Return the frame of the camera, as its CameraInfo says.
+    Return the frame of the camera from its CameraInfo.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def wait_for_frame(node: Node, timeout_s: float, executor: Executor | None = Non
 
 
 def find_config() -> Path:
-    """Return the configuration: beside the sources, or where colcon installs it."""
+    """Return the path of the configuration: in the sources, or where colcon installs it."""
     beside = Path(__file__).resolve().parents[2] / 'config' / _FILE
     if beside.is_file():
         return beside
@@ -66,13 +66,13 @@ def find_config() -> Path:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Wait for the camera and become RViz; return an exit code where that is not possible."""
+    """Wait for the camera and start RViz in this process; return an exit code on failure."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector rviz',
                                      description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--frame', default='', help='fixed frame (default: of the camera)')
+    parser.add_argument('--frame', default='', help='fixed frame (default: that of the camera)')
     parser.add_argument('--node', default='plane_detector', help='name of the detector')
     parser.add_argument('--timeout', type=float, default=60.0, metavar='S',
-                        help='how long a camera is waited for (default: %(default)s)')
+                        help='time to wait for a camera, s (default: %(default)s)')
     options, of_ros = parser.parse_known_args(args)
     program = shutil.which('rviz2')
     if program is None:

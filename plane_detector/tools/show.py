@@ -58,7 +58,7 @@ def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
 
 class PlanePrinter(Node):
     """
-    Prints every message of ``~/planes``; a terminal is cleared before each. Logs why none comes.
+    Prints every message of ``~/planes``, clearing a terminal before each. Logs why none arrives.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class PlanePrinter(Node):
         self._told = problem
 
     def why_nothing(self) -> str:
-        """Return why no planes come, and what to do."""
+        """Return why no planes arrive, and what to do."""
         own = f'/{self._name}/planes'
         if self.count_publishers(own):
             return f'no planes on {own} yet: the log of the node says what is missing'

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes on real images through the real node: starts it, feeds it, draws what it publishes.
+Demo: starts the node, sends it photographs, and draws the planes that it publishes.
 
-Without --images: two photographs that come inside libraries. The first one, a workshop, is of
-the kind that indoor networks know and has a true depth: it says which planes are right, and is
-shown again with that depth on the depth topic, as a depth camera would give it. The second one
-is outdoors, where they do badly.
+Without --images it uses two photographs that are included in libraries. The first one, a workshop,
+is similar to the training images of indoor networks and has a true depth. With it, the demo states
+which planes are right, and runs a second time with that depth on the depth topic, as from a depth
+camera. The second photograph is outdoors, where these networks do badly.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _interrupt(_number: int, _stack: object) -> None:
-    """End as Ctrl-C does: the node is ended too, and nothing is printed."""
+    """End as with Ctrl-C: the node is ended too, and nothing is printed."""
     raise KeyboardInterrupt
 
 
@@ -85,14 +85,14 @@ def _run(options: argparse.Namespace) -> None:
 
 
 def _network(options: argparse.Namespace) -> dict[str, str]:
-    """Return the parameters that name the depth network, its file in the cache now."""
+    """Return the parameters for the depth network, and make sure that its file is cached."""
     model, path = options.model, Path(options.model).expanduser()
     if model not in ('auto', *NETWORKS):
         if not path.is_file():
             raise FileNotFoundError(f'--model {model} is neither a file nor one of auto, '
                                     f'{", ".join(NETWORKS)}')
         if not options.model_output:
-            raise ValueError('--model-output must say what the network of a file gives')
+            raise ValueError('--model-output must state the output of a network file')
         print(f'Depth network: {path}, {options.model_output}')
         return {'depth.model': str(path.absolute()), 'depth.output': options.model_output}
     if model == 'auto':
@@ -105,7 +105,7 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
 
 def _show(photographs: Sequence[Photograph], parameters: dict[str, str], source: str,
           folder: Path) -> None:
-    """Start the node, let it see each photograph, and report."""
+    """Start the node, process each photograph, and report."""
     from_topic = source == 'depth topic'
     inputs = ['image', 'camera_info', *(['depth'] if from_topic else [])]
     log_path = folder / ('node_depth_topic.log' if from_topic else 'node.log')
@@ -124,7 +124,7 @@ def _show(photographs: Sequence[Photograph], parameters: dict[str, str], source:
 
 
 def _outcome(client: NodeClient, photograph: Photograph, source: str) -> Outcome:
-    """Let the node see the image: once for the results, then for the time it takes."""
+    """Process a photograph: once for the results, then repeatedly to measure the time."""
     with _progress(f'{photograph.name}: frames') as tick:
         received = client.process(photograph, _FRAME_TIMEOUT_S)
         timing = client.measure(photograph, _MEASURED_S, _FRAME_TIMEOUT_S, tick)
@@ -154,9 +154,9 @@ def _parser() -> argparse.ArgumentParser:
         f'depth network: auto, {", ".join(NETWORKS)}, or an .onnx file (default: %(default)s)'))
     parser.add_argument('--model-output', choices=['metric_depth', 'disparity',
                                                    'relative_disparity'],
-                        help='what the network of a file gives')
+                        help='output of a network file')
     parser.add_argument('--without-network', action='store_true',
-                        help='only show images with measured depth')
+                        help='only process images with measured depth')
     parser.add_argument('--output', type=Path, default=Path('demo_output'),
                         help='folder of the results (default: %(default)s)')
     return parser

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Client of the node: publishes images as a camera does and subscribes to the outputs."""
+"""Client of the node: publishes images like a camera and subscribes to the outputs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _RELIABLE = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 _NUMPY_TYPES = {PointField.FLOAT32: '<f4', PointField.UINT32: '<u4', PointField.UINT8: 'u1'}
 _SPIN_S = 0.02
 _INTRODUCTION_S = 0.2
-_PATIENCE_S = 10.0  # a large network on a busy machine takes seconds
+_PATIENCE_S = 10.0  # a large network on a busy machine takes several seconds
 
 
 @dataclass(frozen=True)
@@ -68,29 +68,29 @@ class Timing:
 
     @property
     def rate_hz(self) -> float:
-        """Frames per second with one frame under way at a time."""
+        """Frames per second with one frame in flight at a time."""
         return self.frames / self.seconds
 
     def stage_ms(self) -> dict[str, float]:
-        """Return the mean time of each stage as the node told it."""
+        """Return the mean time of each stage, as reported by the node."""
         told = [{key.removeprefix('latency.').removesuffix('_ms'): float(value)
                  for key, value in status.items() if key.startswith('latency.')}
                 for status in self.statuses]
-        told = [stages for stages in told if len(stages) > 1]  # others: a second without frames
+        told = [stages for stages in told if len(stages) > 1]  # without seconds that had no frame
         return {stage: float(np.mean([stages.get(stage, 0.0) for stages in told]))
                 for stage in (told[-1] if told else {})}
 
 
 class NodeClient:
     """
-    A ROS node that feeds the plane detector and collects its outputs.
+    A ROS node that sends images to the plane detector and collects its outputs.
 
     Parameters
     ----------
     check_running : callable
-        Raises when the plane detector has ended; called while waiting.
+        Raises if the plane detector has ended; called while waiting.
     inputs : sequence of str
-        The topics that the plane detector subscribes to.
+        Topics that the plane detector subscribes to.
 
     """
 
@@ -112,32 +112,32 @@ class NodeClient:
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     def close(self) -> None:
-        """End the ROS node."""
+        """Destroy the ROS node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
     def wait_until_ready(self, timeout_s: float, tick: Callable[[], None]) -> None:
         """
-        Wait until the node has its inputs subscribed and its outputs advertised.
+        Wait until the node has subscribed to its inputs and advertised its outputs.
 
         Raises
         ------
         TimeoutError, RuntimeError
-            It takes too long; the node has ended.
+            The time is over; the node has ended.
 
         """
         self._spin_until(self._connected, timeout_s, 'the node did not become active', tick)
 
     def process(self, photograph: Photograph, timeout_s: float) -> Received:
         """
-        Publish an image once and return what comes back for its stamp.
+        Publish an image once and return the outputs with its stamp.
 
-        Where ``depth`` is among the inputs, the true depth of the image goes there.
+        If ``depth`` is one of the inputs, the true depth of the image is published too.
 
         Raises
         ------
         TimeoutError, RuntimeError
-            Not all outputs came in time; the node has ended, or could not process the image.
+            Not all outputs arrived in time; the node has ended, or could not process the image.
 
         """
         self._messages.clear()
@@ -146,7 +146,7 @@ class NodeClient:
         sent: list[Any] = []
         deadline_s = time.monotonic() + timeout_s
         while not self._complete(sent):
-            # Sent again, as an output that nobody was seen to listen to was not made.
+            # Repeated, because outputs whose subscribers are not discovered yet are not made.
             sent.append(self._send(photograph))
             self._spin_until(
                 lambda: self._complete(sent), deadline_s - time.monotonic(),
@@ -155,7 +155,7 @@ class NodeClient:
         return _decoded(self._messages)
 
     def _send(self, photograph: Photograph) -> Any:
-        """Publish an image with its calibration, and depth where it is an input; its stamp."""
+        """Publish an image with calibration, and depth if it is an input; return its stamp."""
         header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
         self._publishers['camera_info'].publish(camera_info_to_msg(header, photograph.intrinsics))
         if 'depth' in self._publishers:
@@ -164,11 +164,11 @@ class NodeClient:
         return header.stamp
 
     def _introduce(self, photograph: Photograph, timeout_s: float) -> None:
-        """Begin a new scene: its CameraInfo arrives before its first image, no label is kept."""
+        """Start a new scene: its CameraInfo arrives before its first image; labels are reset."""
         header = Header(frame_id=FRAME_ID, stamp=self._node.get_clock().now().to_msg())
         self._publishers['camera_info'].publish(camera_info_to_msg(header, photograph.intrinsics))
         self._publishers['camera_info'].wait_for_all_acked(Duration(seconds=timeout_s))
-        time.sleep(_INTRODUCTION_S)  # acknowledged is not yet handled, and topics may overtake
+        time.sleep(_INTRODUCTION_S)  # acknowledged messages may still be queued behind others
         answer = self._reset.call_async(Trigger.Request())
         self._spin_until(answer.done, timeout_s, f'{self._reset.srv_name} did not answer',
                          lambda: None)
@@ -176,7 +176,7 @@ class NodeClient:
 
     def measure(self, photograph: Photograph, seconds: float, timeout_s: float,
                 tick: Callable[[], None]) -> Timing:
-        """Publish the image again and again, the next when the results are there."""
+        """Publish the image repeatedly, each time after the results of the previous one."""
         self._timing = timing = Timing()
         start_s = time.monotonic()
         while timing.seconds < seconds:
@@ -194,7 +194,7 @@ class NodeClient:
                                   for status in msg.status if status.name.startswith(NODE)]
 
     def _skipped(self) -> str:
-        """Return why frames were skipped, empty when none was."""
+        """Return why frames were skipped; empty if none was."""
         latest = self._timing.statuses[-1:] or [{}]
         return latest[0]['last_error'] if int(latest[0].get('frames_skipped', 0)) else ''
 
@@ -210,7 +210,7 @@ class NodeClient:
 
     def _spin_until(self, done: Callable[[], bool], timeout_s: float, problem: str,
                     tick: Callable[[], None], patience_s: float = float('inf')) -> None:
-        """Spin until it is done, or for as long as patience lasts; an error after the timeout."""
+        """Spin until done, or until patience is over; raises after the timeout."""
         start_s = time.monotonic()
         deadline_s = start_s + timeout_s
         while not done() and time.monotonic() < start_s + patience_s:
@@ -224,7 +224,7 @@ class NodeClient:
 
 
 def cloud_from_msg(msg: PointCloud2) -> np.ndarray:
-    """Return a cloud as a structured array: (H, W), or (N,) when it is not organised."""
+    """Return a cloud as a structured array: (H, W), or (N,) if it is not organised."""
     names = [point_field.name for point_field in msg.fields]
     dtype = np.dtype({'names': names, 'itemsize': msg.point_step,
                       'formats': [_NUMPY_TYPES[f.datatype] for f in msg.fields],

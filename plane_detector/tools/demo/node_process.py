@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node as a process of its own, on a private ROS domain of this machine."""
+"""The node as a separate process, in a private ROS domain on this machine."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _LOG_LINES_SHOWN = 15
 
 def use_private_domain() -> None:
     """
-    Set the environment, of this process and its children, for large messages on this machine.
+    Set the environment of this process and its children for large messages on this machine.
 
-    To be called before rclpy.init(). Other ROS nodes, here or in the network, neither see nor
-    disturb what follows. What the user has set for Fast DDS is kept.
+    Must be called before rclpy.init(). Other ROS nodes, on this machine or in the network, are not
+    affected and do not interfere. Fast DDS settings of the user are kept.
     """
     os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)  # above 101 ports may clash
     os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
@@ -28,7 +28,7 @@ def use_private_domain() -> None:
 
 
 def _profile() -> Path:
-    """Return the Fast DDS profile: beside the sources, or where colcon installs it."""
+    """Return the path of the Fast DDS profile: in the sources, or where colcon installs it."""
     name = 'fastdds_large_messages.xml'
     beside = Path(__file__).resolve().parents[3] / 'config' / name
     if beside.is_file():
@@ -58,7 +58,7 @@ class NodeProcess:
         with open(log_path, 'wb') as log:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True)  # Ctrl-C reaches the demo alone, which ends the node
+                start_new_session=True)  # Ctrl-C reaches only the demo, which ends the node
 
     def __enter__(self) -> NodeProcess:
         return self
@@ -68,12 +68,12 @@ class NodeProcess:
 
     @property
     def process_id(self) -> int:
-        """Of the operating system."""
+        """Process id of the node."""
         return self._process.pid
 
     def check_running(self) -> None:
         """
-        Check that the node lives.
+        Check that the node is running.
 
         Raises
         ------
@@ -86,12 +86,12 @@ class NodeProcess:
                                f'{self.last_words()}')
 
     def last_words(self) -> str:
-        """Return the end of the node's output."""
+        """Return the last lines of the node's output."""
         lines = self._log_path.read_text(errors='replace').splitlines()[-_LOG_LINES_SHOWN:]
         return '\n'.join([f'The end of {self._log_path}:', *lines])
 
     def stop(self) -> int:
-        """End the node, by force when it does not answer; return its exit code."""
+        """End the node, by force if it does not react; return its exit code."""
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
             try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo's photographs and their calibration: those inside libraries, or the user's own."""
+"""Photographs of the demo and their calibration: from libraries, or the user's own."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ import numpy as np
 from plane_detector.types import CameraIntrinsics
 
 STATED_FIELD_OF_VIEW_DEG = 60.0
-"""Horizontal field of view for images without calibration: that of a usual phone or web camera."""
+"""Horizontal field of view for images without calibration, typical of phones and webcams."""
 LONGEST_SIDE_PX = 800
-"""Larger images are shrunk: a labelled cloud of 4000 x 3000 points is 240 MB a frame."""
+"""Larger images are reduced: a labelled cloud of 4000 x 3000 points is 240 MB per frame."""
 _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 
 
 @dataclass(frozen=True)
 class Lens:
     """
-    Calibration of a camera, for images at their full size.
+    Calibration of a camera, for images of full size.
 
     Parameters
     ----------
     fx, fy, cx, cy : float, optional
-        Pixels. Without fx the camera is not calibrated; fy is fx and the centre that of the
-        image where they are not given.
+        Pixels. Without fx the camera is not calibrated; by default fy is fx, and the principal
+        point is the centre of the image.
     field_of_view_deg : float, optional
         Horizontal, for a camera that is not calibrated.
 
@@ -69,26 +69,26 @@ class Lens:
             return 'calibration as given'
         if self.field_of_view_deg is not None:
             return f'not calibrated, field of view {self.field_of_view_deg:g} degrees as given'
-        return f'not calibrated, field of view taken to be {STATED_FIELD_OF_VIEW_DEG:g} degrees'
+        return f'not calibrated, field of view assumed to be {STATED_FIELD_OF_VIEW_DEG:g} degrees'
 
 
 @dataclass(frozen=True)
 class Photograph:
     """
-    An image, its camera, and the truth where it is known.
+    An image, its camera, and the true depth if known.
 
     Attributes
     ----------
     name : str
-        Also the name of the result files.
+        Also used as name of the result files.
     rgb : (H, W, 3) uint8
     intrinsics : CameraIntrinsics
     calibration : str
-        Where the intrinsics come from, for people.
+        Readable source of the intrinsics.
     true_depth_m : (H, W) float32 or None
-        NaN where it is not known.
+        NaN where unknown.
     remark : str
-        What must be known to judge the result.
+        Facts needed to judge the result.
 
     """
 
@@ -102,7 +102,7 @@ class Photograph:
 
 def library_images() -> list[Photograph]:
     """
-    Return the photographs that come inside scikit-learn and scikit-image, without a download.
+    Return the photographs included in scikit-learn and scikit-image, without a download.
 
     Raises
     ------
@@ -115,12 +115,12 @@ def library_images() -> list[Photograph]:
 
 def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
     """
-    Return the images of a folder, their longest side at most `LONGEST_SIDE_PX`.
+    Return the images of a folder, reduced to `LONGEST_SIDE_PX` if they are larger.
 
     Raises
     ------
     FileNotFoundError
-        There is no such folder, or no image in it.
+        The folder does not exist, or contains no image.
     ValueError
         An image cannot be read.
 
@@ -136,7 +136,7 @@ def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
 
 
 def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photograph:
-    """Return the photograph with its longest side at most this long, the intrinsics with it."""
+    """Return the photograph and its intrinsics, reduced to this longest side."""
     height, width = photograph.rgb.shape[:2]
     scale = longest_px / max(height, width)
     if scale >= 1:
@@ -144,7 +144,7 @@ def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photogr
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     scale_x, scale_y = size[0] / width, size[1] / height
     old = photograph.intrinsics
-    # The corner of the image, half a pixel outside the first one's centre, stays where it is.
+    # The corner of the image, half a pixel from the centre of the first pixel, does not move.
     intrinsics = CameraIntrinsics(
         old.fx * scale_x, old.fy * scale_y, (old.cx + 0.5) * scale_x - 0.5,
         (old.cy + 0.5) * scale_y - 0.5, *size)
@@ -163,18 +163,18 @@ def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
 
 
 def _temple() -> Photograph:
-    """Outdoors, a temple behind trees; from Flickr, its camera is not known."""
+    """Return the temple behind trees, outdoors; from Flickr, taken with an unknown camera."""
     from sklearn.datasets import load_sample_image
     rgb = np.ascontiguousarray(load_sample_image('china.jpg'))
     lens = Lens()
     return Photograph('china', rgb, lens.intrinsics(rgb.shape[1], rgb.shape[0]), str(lens),
-                      remark='Outdoors, far from what indoor networks were trained on: planes on '
+                      remark='Outdoors, unlike the training images of indoor networks: planes on '
                       'the lake and the\n  trees mean nothing, and metres are wrong.')
 
 
 def _motorcycle() -> Photograph:
     """
-    Indoors, a motorcycle in a workshop, with true disparity and calibration.
+    Return the motorcycle in a workshop, with true disparity and calibration.
 
     Middlebury 2014 stereo, Scharstein et al.: z = fx * baseline / (disparity + doffs).
     """

@@ -23,7 +23,8 @@ from plane_detector.tools.ply import write_ply
 from plane_detector.types import CameraIntrinsics
 
 _ROWS_SHOWN = 12
-# A plane is called right where this share of its pixels is one real plane, turned by no more.
+# A plane is right if this share of its pixels is on one real plane within this angle.
+# smaller.
 _PURE, _RIGHT_DEG = 0.8, 10.0
 
 
@@ -36,13 +37,13 @@ class Outcome:
     ----------
     photograph : Photograph
     source : str
-        Where the depth is from: a network, or the depth topic.
+        Source of the depth: a network, or the depth topic.
     received : Received
         Messages of the node.
     timing : Timing
-        Of many frames of this image.
+        For many frames of this image.
     ransac_labels : (H, W) integer
-        Label of each pixel when RANSAC works without clustering, 0 for none.
+        Label of each pixel by RANSAC without clustering, 0 for none.
 
     """
 
@@ -54,19 +55,19 @@ class Outcome:
 
     @property
     def name(self) -> str:
-        """Of the result files."""
+        """Name of the result files."""
         suffix = '_depth_topic' if self.source == 'depth topic' else ''
         return self.photograph.name + suffix
 
     @property
     def depth_title(self) -> str:
-        """Where the depth is from, for people."""
+        """Readable source of the depth."""
         return ('measured depth' if self.source == 'depth topic'
                 else f'depth from {self.source}')
 
     @property
     def unit(self) -> str:
-        """Of lengths: metres only where the node's diagnostics say where they come from."""
+        """Unit of lengths: metres only if the node's diagnostics name their source."""
         scales = [status.get('scale', '') for status in self.timing.statuses] or ['']
         return 'm' if scales[-1] not in ('', 'relative') else 'units'
 
@@ -84,7 +85,7 @@ def write_files(outcome: Outcome, folder: Path) -> list[Path]:
 
 
 def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
-    """Print table, rate, time of each stage and the distance from the truth."""
+    """Print table, rate, time of each stage and the errors against the true depth."""
     photograph, timing = outcome.photograph, outcome.timing
     size = photograph.intrinsics
     print(f'\n{outcome.name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
@@ -120,7 +121,7 @@ def _figure(outcome: Outcome) -> np.ndarray:
 
 
 def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
-    """Return the image with the lines and the vertical found from them, as the node does."""
+    """Return the image with its lines, and the vertical estimated from them as in the node."""
     found = _directions(photograph)
     axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in found.pairs[:1])])
     drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
@@ -132,7 +133,7 @@ def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
 
 
 def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
-    """Whether corners of the image lie on both sides of it."""
+    """Return whether corners of the image lie on both sides of the horizon."""
     corners = np.array([((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
                         for u in (0, camera.width) for v in (0, camera.height)])
     side = corners @ found.gravity_camera
@@ -184,13 +185,13 @@ def _print_truth(outcome: Outcome) -> None:
 
 
 def _print_verdict(judged: list[JudgedPlane], planes: np.ndarray) -> None:
-    """Say plainly which planes are right."""
+    """Print which planes are right."""
     right = [one for one in judged if one.purity >= _PURE and one.normal_error_deg <= _RIGHT_DEG]
     wrong = [one for one in judged if one not in right]
     share = sum(one.pixels for one in right) / max(sum(one.pixels for one in judged), 1)
     named = [', '.join(str(planes['label'][one.index]) for one in some[:_ROWS_SHOWN]) or 'none'
              for some in (right, wrong)]
-    print(f'  right, that is one real plane, turned by {_RIGHT_DEG:g} degrees at most: '
+    print(f'  right (one real plane, angle to it at most {_RIGHT_DEG:g} degrees): '
           f'{named[0]}; wrong: {named[1]}\n'
           f'  ({len(right)} of {len(judged)} planes, {share:.0%} of their pixels)')
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the planes of a scene by class: floor, walls, others, and their angles."""
+"""Table of the planes of a scene by class, with the angles between them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _COLUMNS_SHOWN = 6
 
 def class_colours(planes: np.ndarray) -> np.ndarray:
     """
-    Return a colour for each label: that of its class, or its own where the class is unknown.
+    Return a colour for each label: that of its class, or its own if the class is unknown.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def class_colours(planes: np.ndarray) -> np.ndarray:
     Returns
     -------
     (L, 3) uint8
-        RGB of the labels 0 to the largest one.
+        RGB of the labels from 0 to the largest.
 
     """
     colours = label_colours(np.arange(planes['label'].max(initial=0) + 1))
@@ -48,7 +48,7 @@ def legend(planes: np.ndarray) -> str:
 
 
 def by_class(planes: np.ndarray) -> np.ndarray:
-    """Return the planes in the order floor, ceiling, walls, others, the largest of each first."""
+    """Return the planes in the order floor, ceiling, walls, others, largest first in each."""
     rank = {kind: place for place, kind in enumerate(NAMES)}
     order = np.lexsort((-planes['num_inliers'].astype(np.int64),
                         [rank[PlaneClass(kind)] for kind in planes['class']]))
@@ -70,7 +70,7 @@ def scene_table(planes: np.ndarray, unit: str) -> str:
     planes : (N,) structured
         Fields of ``~/planes``.
     unit : str
-        Of lengths.
+        Unit of lengths.
 
     """
     if not len(planes):

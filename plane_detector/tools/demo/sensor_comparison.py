@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes judged by the depth that a sensor measured.
+Evaluation of planes by the measured depth of a sensor.
 
-The truth about a plane is the best plane through the sensor's points under its pixels: the one
-that most of them are near, then fitted to these by least squares.
+The reference for a plane is the best plane through the sensor's points in its pixels: the plane
+close to most of them, fitted to these by least squares.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
-# A pixel is on a plane within this, or within this share of its depth where that is more.
+# A pixel is on a plane within this distance, or within this share of its depth if that is more.
 TOLERANCE_M = 0.03
 TOLERANCE_SHARE = 0.015
 MIN_SENSOR_PIXELS = 100
@@ -29,21 +29,21 @@ _REFITS = 3
 @dataclass(frozen=True)
 class JudgedPlane:
     """
-    One plane against the sensor's points under its pixels.
+    Errors of one plane against the sensor's points in its pixels.
 
     Attributes
     ----------
     index : int
-        Of the plane among those judged.
+        Of the plane among those evaluated.
     pixels : int
-        Of the plane that the sensor measured.
+        Pixels of the plane with sensor depth.
     distance_m : float
         Median distance of the sensor's points from the plane.
     purity : float
-        Share of these points near the best plane through them: 1 where the pixels really are
-        one plane.
+        Share of these points close to the best plane through them; 1 if the pixels really are one
+        plane.
     normal_error_deg, offset_error_m : float
-        Of the plane against that best one.
+        Errors of the plane against that best plane.
 
     """
 
@@ -58,19 +58,19 @@ class JudgedPlane:
 def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndarray,
                  intrinsics: CameraIntrinsics, rng: np.random.Generator) -> list[JudgedPlane]:
     """
-    Judge each plane of which the sensor measured at least MIN_SENSOR_PIXELS.
+    Evaluate each plane with at least MIN_SENSOR_PIXELS pixels of sensor depth.
 
     Parameters
     ----------
     labels : (H, W) int
-        Index into ``planes``, -1 none.
+        Index into ``planes``, or -1.
     planes : (K, 4) floating
         Unit normal and offset in metres.
     sensor_depth_m : (H, W) floating
         NaN where not measured.
     intrinsics : CameraIntrinsics
     rng : numpy.random.Generator
-        Draws the hypotheses of the best plane.
+        For the hypotheses of the best plane.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def depth_error(depth_m: np.ndarray, true_depth_m: np.ndarray) -> tuple[float, f
 
 
 def best_plane(points_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the plane (4,) that most of the points (n, 3) are near, towards the camera."""
+    """Return the plane (4,) close to most of the points (n, 3), facing the camera."""
     sample = points_m[rng.integers(len(points_m), size=min(len(points_m), _MAX_SAMPLES))]
     triples = sample[rng.integers(len(sample), size=(_HYPOTHESES, 3))]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])

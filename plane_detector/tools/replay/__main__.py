@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Replay one bag or many; return the exit code, see `--help`."""
     options = parse(sys.argv[1:] if arguments is None else arguments)
     try:
-        # Imported here, so that a missing library is one line and no traceback.
+        # Imported here, so that a missing library gives one line instead of a traceback.
         with stop_on_signal() as should_stop:
             return leave(_run(options, should_stop))
     except (KeyboardInterrupt, Stopped):
@@ -96,7 +96,7 @@ def _options(arguments: argparse.Namespace, source: Path, target: Path) -> Repla
 
 
 def _assignments(arguments: argparse.Namespace) -> list[str]:
-    """Return the parameters; those that other options stand for come first."""
+    """Return the parameters; those set by other options come first."""
     by_depth = ['depth.source:=topic'] if arguments.depth else []
     if arguments.network is not None:
         by_depth = ['depth.source:=model']
@@ -105,7 +105,7 @@ def _assignments(arguments: argparse.Namespace) -> list[str]:
 
 
 def _depth_is_open(arguments: argparse.Namespace, config: Config) -> bool:
-    """Whether nobody said where depth comes from: neither a topic, nor a network, nor a use."""
+    """Whether the source of depth is not given: no topic, no network, no parameter."""
     named = {text.partition(':=')[0] for text in arguments.parameter}
     return (not arguments.depth and arguments.network is None
             and named.isdisjoint({'depth.source', 'depth.model'})

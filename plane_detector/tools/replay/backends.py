@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where many bags are worked on: processes of this machine, or a cluster, all by joblib.
+Backends for many bags: processes on this machine, or a cluster, through joblib.
 
-joblib has the backends; Dask and Ray are installed by those who have a cluster of them
+Dask and Ray are only needed on clusters that use them
 (``pip install plane_detector[dask]`` or ``[ray]``).
 """
 
@@ -19,21 +19,21 @@ from joblib.externals.loky import get_reusable_executor
 @contextmanager
 def use_backend(name: str, jobs: int, scheduler: str = '') -> Iterator[int | str]:
     """
-    Let `joblib.Parallel` work there; yield its ``pre_dispatch``, how many jobs are out at a time.
+    Make `joblib.Parallel` use a backend; yield its ``pre_dispatch``, the jobs in flight.
 
     Parameters
     ----------
     name : str
         ``processes``, ``dask`` or ``ray``.
     jobs : int
-        How many at a time; on Dask the cluster decides.
+        Jobs at a time; on Dask the cluster decides.
     scheduler : str
-        Address of the cluster; for Ray empty: one that is started here for this run.
+        Address of the cluster; for Ray empty: one is started here for this run.
 
     Raises
     ------
     ModuleNotFoundError
-        The engine is not installed.
+        The backend is not installed.
     ValueError
         Dask needs the address of a scheduler.
     OSError
@@ -45,14 +45,14 @@ def use_backend(name: str, jobs: int, scheduler: str = '') -> Iterator[int | str
 
 
 def kill_processes() -> None:
-    """End the processes of this machine's pool at once."""
+    """End the processes of the pool on this machine at once."""
     get_reusable_executor().shutdown(wait=False, kill_workers=True)
 
 
 @contextmanager
 def _processes(jobs: int, _scheduler: str) -> Iterator[int]:
     jobs = joblib.effective_n_jobs(jobs)
-    # With one worker joblib would work in this process, which a crash in a library would end.
+    # With one worker joblib would use this process, which a crash in a library would end.
     with joblib.parallel_config('loky', n_jobs=max(jobs, 2), inner_max_num_threads=1):
         yield jobs
 

@@ -27,12 +27,12 @@ except ModuleNotFoundError as error:
         'pip install rosbags', name=error.name) from error
 
 FILE_SUFFIXES = ('.bag', '.mcap', '.db3')
-# Where a bag is damaged, reading goes on after a pause of at least this, found by bisection.
+# Reading continues after damage at a later time, found by bisection to this resolution.
 _FINEST_SKIP_NS = 1_000_000
 
 
 class BagError(ValueError):
-    """A bag cannot be read, or lacks what is required."""
+    """A bag cannot be read, or lacks required topics."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class Recorded:
     ----------
     topic : str
     time_ns : int
-        When it was recorded.
+        Time of recording.
     cdr : bytes or memoryview
-        As it travels in ROS 2.
+        Serialised as in ROS 2.
 
     """
 
@@ -76,7 +76,7 @@ class BagReader:
     Attributes
     ----------
     damaged : int
-        How many messages, or stretches of unreadable bytes, were passed over.
+        Number of messages, or of unreadable sections, that were skipped.
 
     Raises
     ------
@@ -91,7 +91,7 @@ class BagReader:
         self.path = path
         file = _storage(path)
         self.is_ros1 = file.suffix == '.bag'
-        # ROS 1's bytes in ROS 2's definitions: rosbags leaves out the seq of the headers itself.
+        # ROS 1 messages use ROS 2's definitions: rosbags itself removes the seq of headers.
         self._types = get_typestore(Stores.ROS2_JAZZY)
         with self._readable():
             self._reader = (rosbag1 if self.is_ros1 else rosbag2).Reader(file)
@@ -110,7 +110,7 @@ class BagReader:
 
     @property
     def topics(self) -> tuple[Topic, ...]:
-        """The recorded topics, by name."""
+        """Recorded topics, sorted by name."""
         return tuple(Topic(name, connections[0].msgtype, sum(c.msgcount for c in connections))
                      for name, connections in sorted(self._connections.items()))
 
@@ -125,14 +125,14 @@ class BagReader:
         return self._reader.end_time if self._reader.message_count else 0
 
     def describe(self) -> str:
-        """Return the recorded topics as a table for people."""
+        """Return the recorded topics as a readable table."""
         width = max((len(topic.name) for topic in self.topics), default=0)
         rows = [f'  {topic.name:<{width}}  {topic.msg_type}, {topic.count} messages'
                 for topic in self.topics]
-        return '\n'.join([f'{self.path} holds {"these topics" if rows else "no topic"}:', *rows])
+        return '\n'.join([f'{self.path} has {"these topics" if rows else "no topics"}:', *rows])
 
     def connection(self, topic: str) -> Connection:
-        """Return what rosbags knows of a topic."""
+        """Return the connection of a topic, as in rosbags."""
         return self._connections[topic][0]
 
     def read(self, topics: Collection[str], start_ns: int | None = None,
@@ -145,7 +145,7 @@ class BagReader:
         topics : collection of str
             Names of recorded topics.
         start_ns, stop_ns : int, optional
-            Time of recording: from the one, before the other.
+            Times of recording: from the first, before the second.
 
         Raises
         ------
@@ -162,7 +162,7 @@ class BagReader:
                     last_ns = time_ns
                     yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
                 return
-            except Exception as error:  # damaged bytes may provoke anything in a parser
+            except Exception as error:  # damaged bytes may cause any exception in a parser
                 start_ns = self._after_damage(connections, last_ns, stop_ns)
                 if start_ns is None:
                     raise self._unreadable(error) from error
@@ -170,7 +170,7 @@ class BagReader:
 
     def messages(self, topic: str, message_class: Any, start_ns: int | None = None,
                  stop_ns: int | None = None) -> Iterator[Any]:
-        """Yield the messages of a topic as a subscription would get them; damaged ones not."""
+        """Yield the messages of a topic as a subscription would get them, without damaged ones."""
         for recorded in self.read([topic], start_ns, stop_ns):
             try:
                 yield to_message(recorded, message_class)
@@ -178,7 +178,7 @@ class BagReader:
                 continue
 
     def plain(self, recorded: Recorded) -> Any:
-        """Return a message as rosbags reads it, of whatever type of ROS 2 Jazzy."""
+        """Return a message as an object of rosbags, of any type of ROS 2 Jazzy."""
         return self._types.deserialize_cdr(recorded.cdr, self.connection(recorded.topic).msgtype)
 
     def first(self, topic: str, message_class: Any) -> Any:
@@ -189,7 +189,7 @@ class BagReader:
 
     def _after_damage(self, connections: list[Connection], last_ns: int,
                       stop_ns: int | None) -> int | None:
-        """Return from when on there is something to read again, or None."""
+        """Return the next time at which the bag can be read again, or None."""
         end_ns = self.end_ns if stop_ns is None else min(stop_ns, self.end_ns)
         step_ns = _FINEST_SKIP_NS
         while last_ns + step_ns < end_ns and not self._can_read(connections, last_ns + step_ns):
@@ -218,7 +218,7 @@ class BagReader:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Damaged bytes may provoke anything in a library that parses them."""
+        """Convert exceptions caused by damaged bytes, which may be any, to BagError."""
         try:
             yield
         except (OSError, BagError):
@@ -239,43 +239,43 @@ def to_message(recorded: Recorded, message_class: Any) -> Any:
     Raises
     ------
     BagError
-        The bytes are no message of this class.
+        The bytes are not a message of this class.
 
     """
     try:
         return deserialize_message(bytes(recorded.cdr), message_class)
     except Exception as error:  # the middleware's own error class is not public
-        raise BagError(f'a message on {recorded.topic} is no {message_class.__name__}: '
+        raise BagError(f'a message on {recorded.topic} is not a {message_class.__name__}: '
                        f'{error}') from error
 
 
 def _storage(path: Path) -> Path:
-    """Return what rosbags opens: the folder, or the only file of a folder without metadata."""
+    """Return the path for rosbags: the folder, or the only file of a folder without metadata."""
     if not path.exists():
         raise FileNotFoundError(f'there is no bag {path}')
     if not path.is_dir():
         if path.suffix not in FILE_SUFFIXES:
-            raise BagError(f'{path} is no bag: a rosbag2 folder or a file '
-                           f'{", ".join(FILE_SUFFIXES)} is')
+            raise BagError(f'{path} is not a bag: a bag is a rosbag2 folder or a file '
+                           f'{", ".join(FILE_SUFFIXES)}')
         return path
     if (path / 'metadata.yaml').exists():
         return path
     files = [file for file in path.iterdir() if file.suffix in FILE_SUFFIXES]
     if len(files) == 1:  # a recording that was killed
         return files[0]
-    raise BagError(f'{path} is no bag: it has no metadata.yaml. {_listing(path)} Of a folder '
-                   'with several files, ros2 bag reindex makes the metadata anew')
+    raise BagError(f'{path} is not a bag: it has no metadata.yaml. {_listing(path)} For a folder '
+                   'with several files, ros2 bag reindex recreates the metadata')
 
 
 def _listing(path: Path) -> str:
-    """Return what files there are, in a sentence."""
+    """Return a sentence that lists the files."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     named = ', '.join(f'{file.name} ({file.stat().st_size} bytes)' for file in files)
     return f'There is {named or "nothing in it"}.'
 
 
 def _repair(path: Path) -> str:
-    """Return the tool that mends such a bag."""
+    """Return the tool that repairs such a bag."""
     if path.suffix == '.bag':
         return 'rosbag reindex'
     is_mcap = path.suffix == '.mcap' or any(path.glob('*.mcap'))

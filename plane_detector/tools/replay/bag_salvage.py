@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A bag of ours whose writing was killed becomes one that can be read."""
+"""Repair of a bag whose writing by this package was interrupted."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import struct
 from pathlib import Path
 
 _MAGIC = b'\x89MCAP0\r\n'
-# Records of an mcap file, by their operation code: https://mcap.dev/spec
+# Records of an mcap file, by their opcode: https://mcap.dev/spec
 _HEADER, _FOOTER, _CHUNK, _MESSAGE_INDEX, _DATA_END = 0x01, 0x02, 0x06, 0x07, 0x0F
 _RECORD = struct.Struct('<BQ')
 
 
 def salvage(folder: Path) -> bool:
     """
-    Make the folder of a killed writer readable, with all that was committed.
+    Make the folder of a killed writer readable, with everything that was committed.
 
     Parameters
     ----------
     folder : Path
-        What a `CommittingWriter` left, closed or not. The file in it is changed.
+        Folder written by a `CommittingWriter`, closed or not. The file in it is changed.
 
     Returns
     -------
     bool
-        Whether there is a file that can be read.
+        Whether there is a readable file.
 
     Raises
     ------
     OSError
-        The file cannot be mended.
+        The file cannot be repaired.
 
     """
     if (folder / 'metadata.yaml').exists():
@@ -43,7 +43,7 @@ def salvage(folder: Path) -> bool:
 
 
 def _roll_back(path: Path) -> bool:
-    """Open and close the database: SQLite itself undoes a commit that was cut off."""
+    """Open and close the database: SQLite rolls an incomplete commit back."""
     try:
         connection = sqlite3.connect(path)
         try:
@@ -55,7 +55,7 @@ def _roll_back(path: Path) -> bool:
 
 
 def _close_mcap(path: Path) -> bool:
-    """Cut a file after its last whole chunk and write the end that a reader looks for."""
+    """Truncate a file after its last complete chunk and write the end that readers need."""
     with open(path, 'r+b') as file:
         end = _end_of_chunks(file)
         if not end:
@@ -68,7 +68,7 @@ def _close_mcap(path: Path) -> bool:
 
 
 def _end_of_chunks(file) -> int:
-    """Return where the index after the last chunk ends; 0 where there is no whole chunk."""
+    """Return the end of the index after the last complete chunk; 0 if there is none."""
     size = file.seek(0, 2)
     position, end = file.seek(len(_MAGIC)), 0
     while len(head := file.read(_RECORD.size)) == _RECORD.size:
@@ -76,7 +76,7 @@ def _end_of_chunks(file) -> int:
         position += _RECORD.size + length
         if code not in (_HEADER, _CHUNK, _MESSAGE_INDEX) or position > size:
             break
-        if code == _MESSAGE_INDEX:  # it comes after its chunk, which so is whole
+        if code == _MESSAGE_INDEX:  # follows its chunk, which is therefore complete
             end = position
         file.seek(position)
     return end

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which topics of a bag are the inputs: those asked for, or those that only can be meant."""
+"""Choice of the input topics of a bag: those requested, or the only ones that fit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _RECTIFIED_WORD = 'rect'
 @dataclass(frozen=True)
 class InputTopics:
     """
-    Names of the topics that are read; empty for those that are not.
+    Names of the input topics; empty if not used.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class InputTopics:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All that are read."""
+        """All topics that are used."""
         return tuple(name for f in fields(self) if (name := getattr(self, f.name)))
 
 
@@ -57,13 +57,13 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     ----------
     bag : BagReader
     wanted : mapping of str to str
-        Topics asked for, by ``image``, ``camera_info``, ``depth`` and ``imu``. An image is
-        looked for among all topics, its ``camera_info`` beside it.
+        Requested topics, by ``image``, ``camera_info``, ``depth`` and ``imu``. By default all
+        image topics are considered, and the ``camera_info`` in the namespace of the image.
 
     Raises
     ------
     BagError
-        A topic is missing, has another type, or several may be meant; with what is there.
+        A topic is missing, has another type, or several fit; the message lists the topics.
 
     """
     for role, name in wanted.items():
@@ -75,7 +75,7 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
 def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, str],
                     depth_use: str, use_imu: bool) -> InputTopics:
     """
-    Choose depth and IMU, as far as they are used.
+    Choose depth and IMU, if they are used.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, st
     camera : InputTopics
         Image and calibration.
     wanted : mapping of str to str
-        As for :func:`find_camera`. Depth is looked for among the images of the image's
-        frame_id: others are not registered to it.
+        As for :func:`find_camera`. Depth is chosen from the images with the frame_id of the image,
+        because others are not registered to it.
     depth_use : str
         ``required``, ``optional`` or ``unused``.
     use_imu : bool
@@ -92,7 +92,7 @@ def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, st
     Raises
     ------
     BagError
-        What is needed is missing, or several may be meant; with what is there.
+        A required topic is missing, or several fit; the message lists the topics.
 
     """
     depth = wanted.get('depth', '') if depth_use != 'unused' else ''
@@ -107,7 +107,7 @@ def _check(bag: BagReader, role: str, name: str) -> None:
     types = {topic.name: topic.msg_type for topic in bag.topics}
     option = '--' + role.replace('_', '-')
     if name not in types:
-        raise BagError(f'there is no topic {name}, as {option} says. {bag.describe()}')
+        raise BagError(f'there is no topic {name}, as given by {option}. {bag.describe()}')
     if _CLASSES.get(types[name]) not in _ROLES[role]:
         expected = ' or '.join(f'sensor_msgs/msg/{c.__name__}' for c in _ROLES[role])
         raise BagError(f'{name} is of type {types[name]}, but {option} must be {expected}. '
@@ -117,14 +117,14 @@ def _check(bag: BagReader, role: str, name: str) -> None:
 
 
 def _of_role(bag: BagReader, role: str) -> list[Topic]:
-    """Return the topics that have messages, not only announce them, and a type that fits."""
+    """Return the topics with a suitable type that have messages."""
     return [topic for topic in bag.topics
             if topic.count and _CLASSES.get(topic.msg_type) in _ROLES[role]
             and _first(bag, topic.name) is not None]
 
 
 def _find_image(bag: BagReader) -> str:
-    """Prefer colour, then rectified, then not compressed; of two cameras none is better."""
+    """Return the best topic: colour, then rectified, then raw; raise if several are equal."""
     candidates = [topic for topic in _of_role(bag, 'image')
                   if not topic.name.endswith(('/compressedDepth', '/theora'))
                   and _encoding(bag, topic) not in _DEPTH_ENCODINGS]
@@ -143,14 +143,14 @@ def _find_camera_info(bag: BagReader, image: str) -> str:
 
 
 def _calibrations(bag: BagReader, image: str) -> list[str]:
-    """Return the CameraInfo topics beside an image's topic or one of its compressed form."""
+    """Return the CameraInfo topics in the namespace of an image topic or its raw form."""
     names = [topic.name for topic in _of_role(bag, 'camera_info')]
     folders = [image.rsplit('/', depth)[0] for depth in (1, 2) if image.count('/') >= depth]
     return [f'{folder}/camera_info' for folder in folders if f'{folder}/camera_info' in names]
 
 
 def _find_depth(bag: BagReader, image: str, required: bool) -> str:
-    """Registered depth is in the frame of the image."""
+    """Return the depth topic in the frame of the image; registered depth is in this frame."""
     frame_id = _first(bag, image).header.frame_id
     candidates = [topic for topic in _depth_images(bag, image)
                   if _first(bag, topic.name).header.frame_id == frame_id]
@@ -166,19 +166,19 @@ def _depth_images(bag: BagReader, image: str) -> list[Topic]:
 
 def registered_depth(bag: BagReader, camera: InputTopics) -> tuple[str, str]:
     """
-    Return measured depth that needs no transform: in the frame_id and the size of the image.
+    Return measured depth that needs no transform: with the frame_id and size of the image.
 
     Returns
     -------
     topic : str
-        Empty where there is none.
+        Empty if there is none.
     what : str
-        Description, or why there is none, for people.
+        Readable description, or why there is none.
 
     Raises
     ------
     BagError
-        Several may be meant.
+        Several topics fit.
 
     """
     image, size = _first(bag, camera.image), _image_size(bag, camera)
@@ -200,7 +200,7 @@ def registered_depth(bag: BagReader, camera: InputTopics) -> tuple[str, str]:
 
 
 def _image_size(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
-    """Return width and height of the image; a compressed one has that of its calibration."""
+    """Return width and height of the image; for a compressed one, those of its calibration."""
     image = _first(bag, camera.image)
     if isinstance(image, CompressedImage):
         return image_size(_first(bag, camera.camera_info))
@@ -214,14 +214,14 @@ def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
     if not candidates:
         empty = [topic.name for topic in bag.topics if topic.count
                  and _CLASSES.get(topic.msg_type) in _ROLES[role] and not _first(bag, topic.name)]
-        why = f', and of {", ".join(empty)} no announced message is there' if empty else ''
+        why = f', and {", ".join(empty)} have no messages' if empty else ''
         raise BagError(f'no topic for {option} was found{why}. {bag.describe()}')
     names = ', '.join(topic.name for topic in candidates)
-    raise BagError(f'{names} may all be meant: say which by {option}. {bag.describe()}')
+    raise BagError(f'{names} all fit: select one by {option}. {bag.describe()}')
 
 
 def _encoding(bag: BagReader, topic: Topic) -> str:
-    """Return the encoding of the first image, in lower case; empty when compressed."""
+    """Return the encoding of the first image, in lower case; empty for a compressed one."""
     return getattr(_first(bag, topic.name), 'encoding', '').lower()
 
 

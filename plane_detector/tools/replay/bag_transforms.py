@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The transforms that a bag brings."""
+"""Transforms of a bag."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ _STATIC_NAME = 'tf_static'
 
 def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | None:
     """
-    Return all transforms of a bag; None where the settings name no frame.
+    Return all transforms of a bag; None if the settings name no frame.
 
-    All are read before the first image: one from before it may arrive after it.
+    All are read before the first image, because they may be recorded after the image they precede.
 
     Raises
     ------

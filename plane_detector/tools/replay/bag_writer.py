@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Results as a rosbag2, which `ros2 bag`, RViz and Foxglove open."""
+"""Writing of results as a rosbag2, which `ros2 bag`, RViz and Foxglove open."""
 
 from __future__ import annotations
 
@@ -28,49 +28,49 @@ from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
 from plane_detector.tools.replay.bag_storage import CommittingWriter
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
-# Chunks of an mcap file are compressed inside it; sqlite3 has no chunks.
+# Chunks of an mcap file are compressed inside the file; sqlite3 has no chunks.
 _COMPRESSIONS = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
 _FOREVER = QosTime(2147483647, 4294967295)
-# As the node offers its outputs: see ros/qos.py.
+# As offered by the node: see ros/qos.py.
 _OUTPUT_QOS = Qos(QosHistory.KEEP_LAST, 2, QosReliability.RELIABLE, QosDurability.VOLATILE,
                   _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
-# The last one whose quality of service rosbag2 before Jazzy reads too.
+# The last version whose quality of service can be read by rosbag2 before Jazzy.
 _VERSION = 8
-# A process that is killed loses what came after the last commit: a second, or so many bytes.
+# A killed process loses the data after the last commit: a second, or this many bytes.
 _COMMIT_PERIOD_S = 1.0
 _COMMIT_BYTES = 1 << 22
 
 
 class BagWriter:
     """
-    A new rosbag2; a context manager, which closes it so that it can be read, come what may.
+    A new rosbag2; a context manager that always closes it in a readable state.
 
     Written data survives a killed process, except for the last second, see `end_frame`.
 
     Parameters
     ----------
     path : Path
-        The folder; it must not be there yet.
+        The folder; it must not exist.
     storage : str
         ``mcap`` or ``sqlite3``.
     compressed : bool
-        Whether messages are compressed by zstd.
+        Whether messages are compressed with zstd.
 
     Attributes
     ----------
     is_full : bool
-        Whether there was no room for what was written last, which was taken back.
+        Whether there was no space for the last data, which was removed.
 
     Raises
     ------
     FileExistsError
-        There is something at this path.
+        The path exists.
 
     """
 
     def __init__(self, path: Path, storage: str = 'mcap', compressed: bool = False):
         if os.path.lexists(path):
-            raise FileExistsError(f'{path} is there already: choose another name')
+            raise FileExistsError(f'{path} already exists: choose another name')
         self._types = get_typestore(Stores.ROS2_JAZZY)
         self._writer = CommittingWriter(path, version=_VERSION, storage_plugin=STORAGES[storage])
         if compressed:
@@ -94,11 +94,11 @@ class BagWriter:
 
     @property
     def topics(self) -> frozenset[str]:
-        """The announced topics."""
+        """Topics announced so far."""
         return frozenset(self._connections)
 
     def describe(self, fields: Mapping[str, str]) -> None:
-        """Put names and values into the metadata, where `ros2 bag info` shows them."""
+        """Put names and values into the metadata, which `ros2 bag info` shows."""
         self._fields.update(fields)
 
     def add_outputs(self, classes: Mapping[str, Any]) -> None:
@@ -120,13 +120,13 @@ class BagWriter:
 
         """
         for topic in topics:
-            if topic not in self._connections:  # diagnostics of both go on one topic
+            if topic not in self._connections:  # diagnostics of both share a topic
                 self._connections[topic] = self._copied(bag, bag.connection(topic))
 
     def write(self, topic: str, time_ns: int, msg: Any) -> None:
-        """Write a message of an announced topic; the same message is the same bytes."""
+        """Write a message of an announced topic; equal messages give equal bytes."""
         kind = self._connections[topic].msgtype
-        # The middleware leaves whatever was in memory between the fields; rosbags writes zeros.
+        # The middleware leaves padding between fields uninitialised; rosbags writes zeros.
         plain = self._types.deserialize_cdr(serialize_message(msg), kind)
         self._put(topic, time_ns, self._types.serialize_cdr(plain, kind))
 
@@ -136,17 +136,17 @@ class BagWriter:
 
     def end_frame(self) -> bool:
         """
-        Say that the messages of a frame are complete; once a second they go into the file.
+        Mark the messages of a frame as complete; once per second they are committed.
 
         Returns
         -------
         bool
-            Whether they are in the file now.
+            Whether they have been committed.
 
         Raises
         ------
         OSError
-            There is no room for them: the bag holds the frames up to the last such moment.
+            There is no space for them: the bag contains the frames up to the last commit.
 
         """
         now_s = time.monotonic()
@@ -157,7 +157,7 @@ class BagWriter:
         return False
 
     def commit(self) -> None:
-        """Bring all that was written into the file now; see `end_frame`."""
+        """Commit everything written so far; see `end_frame`."""
         try:
             self._writer.commit()
         except OSError:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of the old bag that go into the new one."""
+"""Messages of the input bag that are copied into the new one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WAITING = 64
 
 class CopiedMessages:
     """
-    Copies messages: all of them, or, where only some frames are taken, what belongs to these.
+    Copies messages: all of them, or only those of the processed frames.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ class CopiedMessages:
     topics : tuple of str
         Topics to copy.
     inputs : InputTopics
-        Of which image, calibration and depth belong to frames; other topics are copied whole.
+        Image, calibration and depth belong to frames; other topics are copied completely.
     every : int
         One frame in this many is copied.
     done : Counter of str
-        How many messages of each topic an earlier run copied: the first ones, as the order is
-        the same in every run.
+        Number of messages of each topic that an earlier run copied: the first ones, because the
+        order is the same in every run.
 
     """
 
@@ -44,7 +44,7 @@ class CopiedMessages:
             name: OrderedDict() for name in of_frames if every > 1 and name in self.topics}
 
     def add(self, recorded: Recorded, msg: Any) -> None:
-        """Copy a message, or keep it until its frame is taken; ``msg`` is None when damaged."""
+        """Copy a message, or keep it until its frame is taken; ``msg`` is None if damaged."""
         if recorded.topic not in self.topics:
             return
         waiting = self._waiting.get(recorded.topic)
@@ -56,12 +56,12 @@ class CopiedMessages:
                 waiting.popitem(last=False)
 
     def take(self, frame: Frame) -> None:
-        """Copy what belongs to a frame."""
+        """Copy the messages of a frame."""
         for topic, msg in ((self._inputs.image, frame.image), (self._inputs.depth, frame.depth),
                            (self._inputs.camera_info, frame.camera_info)):
             if msg is not None and topic in self._waiting:
                 recorded = self._waiting[topic].pop(_stamp(msg), None)
-                if recorded is not None:  # else copied with an earlier frame
+                if recorded is not None:  # None: copied with an earlier frame
                     self._copy(recorded)
 
     def _copy(self, recorded: Recorded) -> None:

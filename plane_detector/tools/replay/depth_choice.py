@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where the depth of a bag comes from, and why: measured where it is there, else a network."""
+"""Choice of the depth for a bag, with the reason: measured if available, else a network."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from plane_detector.tools.replay.options import ReplayOptions
 @dataclass(frozen=True)
 class DepthChoice:
     """
-    Where depth comes from.
+    Source of depth.
 
     Attributes
     ----------
     config : Config
-        With that source.
+        With this source set.
     topic : str
-        Of measured depth, where it was looked for and found; else empty.
+        Topic of measured depth if one was found, else empty.
     why : str
-        The reason, for people.
+        Readable reason.
 
     """
 
@@ -37,7 +37,7 @@ class DepthChoice:
     why: str
 
     def describe(self, detector: PlaneDetector) -> str:
-        """Return in one line what depth it is and why."""
+        """Return one line with the source and the reason."""
         if self.config.depth.source == 'topic':
             return f'measured: {self.why}'
         facts = detector.source.facts
@@ -48,12 +48,12 @@ class DepthChoice:
 
 def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) -> DepthChoice:
     """
-    Take measured depth where the bag has it for this image, unless another source is asked for.
+    Return measured depth if the bag has it for this image, unless another source is requested.
 
     Raises
     ------
     BagError
-        Several depth topics may be meant.
+        Several depth topics fit.
 
     """
     config, asked = options.config, options.topics.get('depth', '')
@@ -66,21 +66,21 @@ def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) ->
     if not topic:
         return DepthChoice(config, '', f'because {what}')
     measured = replace(config, depth=replace(config.depth, source='topic'))
-    return DepthChoice(measured, topic, f'{what}; --network takes a network instead')
+    return DepthChoice(measured, topic, f'{what}; --network uses a network instead')
 
 
 def make_detector(config: Config, depth_model: ModelOrFunction | None,
                   thread: int) -> PlaneDetector:
     """
-    Return a pipeline; its network is the one that this thread has loaded before, if it is.
+    Return a pipeline; its network is reused if this thread has loaded it before.
 
     Parameters
     ----------
     config : Config
     depth_model : DepthModel, callable or None
-        Takes the place of the network.
+        Used instead of the network.
     thread : int
-        Who will use it: two threads do not share a network.
+        Id of the thread that will use it: threads do not share a network.
 
     """
     if depth_model is None and config.depth.source == 'model':
@@ -90,5 +90,5 @@ def make_detector(config: Config, depth_model: ModelOrFunction | None,
 
 @lru_cache(maxsize=8)
 def _network(config: DepthConfig, _thread: int) -> DepthEstimator:
-    """Return a network, one for each thread: a worker loads it once for all its bags."""
+    """Return a network, cached per thread: a worker loads it once for all its bags."""
     return DepthEstimator(config)

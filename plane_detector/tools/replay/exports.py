@@ -31,13 +31,13 @@ class ReplayFiles:
     Parameters
     ----------
     figures, ply : Path, optional
-        Folders, made if need be, of an image (.jpg) and of a labelled cloud of each frame.
+        Folders, created if needed, of a figure (.jpg) and of a labelled cloud of each frame.
     table : Path, optional
-        CSV file of all planes of all frames, replaced when it is there.
+        CSV file of all planes of all frames; an existing one is replaced.
     shapes : bool
-        Whether there is a second table, ``<stem>_shapes.csv`` beside it, of all shapes.
+        Whether to write a second table, ``<stem>_shapes.csv``, of all shapes.
     first_index : int
-        Number of the first frame that comes: of a table that is there the rows before are kept.
+        Number of the first frame to come: earlier rows of an existing table are kept.
 
     Raises
     ------
@@ -75,12 +75,12 @@ class ReplayFiles:
 
     @property
     def is_wanted(self) -> bool:
-        """Whether anything is written at all."""
+        """Whether any file is written."""
         return any((self._figures, self._ply, self._tables))
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs that these files are made of."""
+        """Names of the outputs that these files are made from."""
         return tuple(self._tables)
 
     def write(self, index: int, processed: FrameOutputs) -> None:
@@ -98,18 +98,18 @@ class ReplayFiles:
                       in_metres=result.detection.scale_method != RELATIVE)
         for name, file in self._files.items():
             csv.writer(file).writerows(_rows(index, processed, name, self._tables[name][1]))
-            file.flush()  # no later than the bag, which a resumed run goes by
+            file.flush()  # not later than the bag, on which a resumed run relies
 
 
 def _check_writable(folder: Path) -> None:
-    """Make a folder and a file in it, which is removed: the first frame comes much later."""
+    """Create a folder, and a file in it that is removed: the first frame comes much later."""
     folder.mkdir(parents=True, exist_ok=True)
     with NamedTemporaryFile(dir=folder):
         pass
 
 
 def _rows_before(table: Path, first_index: int) -> list[list[str]]:
-    """Return the rows of the frames before one, of a table that is there."""
+    """Return the rows of earlier frames of an existing table."""
     if not first_index or not table.exists():
         return []
     with open(table, newline='', encoding='utf-8') as file:
@@ -132,7 +132,7 @@ def _figure(result: ProcessedFrame) -> np.ndarray:
 
 def _rows(index: int, processed: FrameOutputs, name: str,
           dtype: np.dtype) -> Iterator[list[object]]:
-    """Yield the content of the message of planes or shapes, a row per point."""
+    """Yield the content of the message of planes or shapes, one row per point."""
     stamp = processed.result.header.stamp
     for point in np.frombuffer(processed.messages[name].data, dtype):
         yield [index, f'{stamp.sec}.{stamp.nanosec:09d}',

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bags in folders and behind patterns, and the names of their results."""
+"""Search for bags in folders and by patterns, and the names of their results."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError
 
 
 def is_collection(text: str) -> bool:
-    """Whether a path is a pattern, or a folder that is no bag itself but holds some."""
+    """Whether a path is a pattern, or a folder of bags that is not a bag itself."""
     if not os.path.lexists(text):
         return glob.has_magic(text)
     path = Path(text)
@@ -22,25 +22,25 @@ def is_collection(text: str) -> bool:
 
 def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, Path]:
     """
-    Return the bags that are meant, by the names of the new ones.
+    Return the bags to process, by the names of the new ones.
 
     Parameters
     ----------
     inputs : sequence of str
-        Bags; folders, which are searched with all their subfolders; patterns.
+        Bags; folders, which are searched recursively; patterns.
     left_out : Path, optional
         A folder that is not searched: that of the new bags.
 
     Returns
     -------
     dict of str to Path
-        In a fixed order. A bag that is named itself keeps its name; one that was found in a
-        folder is named by its way there: ``monday_walk`` for ``monday/walk``.
+        In a fixed order. A bag given as such keeps its name; one found in a folder is named by its
+        path in the folder: ``monday_walk`` for ``monday/walk``.
 
     Raises
     ------
     FileNotFoundError
-        There is nothing at a path, or no bag in a folder.
+        A path does not exist, or a folder contains no bag.
     BagError
         Two new bags would have the same name.
 
@@ -53,8 +53,8 @@ def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, 
                                     f'{text}')
         for name, path in found:
             if named.setdefault(name, path).resolve() != path.resolve():
-                raise BagError(f'{named[name]} and {path} would both become {name}: take them in '
-                               'two runs, into two folders')
+                raise BagError(f'{named[name]} and {path} would both become {name}: process them '
+                               'in two runs, with two folders')
     return named
 
 
@@ -73,7 +73,7 @@ def _of_input(text: str, left_out: Path | None) -> Iterable[tuple[str, Path]]:
 
 
 def _below(folder: Path, left_out: Path | None) -> Iterable[Path]:
-    """Yield the bags in a folder, subfolders included, in the order of their names."""
+    """Yield the bags in a folder and its subfolders, sorted by name."""
     for path in sorted(folder.iterdir()):
         if path.is_dir():
             if _is_bag_folder(path):
@@ -85,7 +85,7 @@ def _below(folder: Path, left_out: Path | None) -> Iterable[Path]:
 
 
 def _is_bag_folder(path: Path) -> bool:
-    """Whether it has metadata, or is a recording that was killed: one storage file alone."""
+    """Whether it has metadata, or is a killed recording, a single storage file."""
     if (path / 'metadata.yaml').exists():
         return True
     entries = list(path.iterdir())

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The frames of a bag, in the order in which they are complete."""
+"""Frames of a bag, in the order in which they are complete."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from plane_detector.tools.replay.options import ReplayOptions
 
 class FrameReader:
     """
-    Reads the messages of a bag and makes frames of them.
+    Reads the messages of a bag and assembles frames.
 
     Parameters
     ----------
     bag : BagReader
     topics : InputTopics
-        Of the messages that become frames.
+        Topics of the frames.
     part_ns : (int, int)
-        Times of recording: start, and end, which is not read.
+        Times of recording: start, and end, which is excluded.
     synchronizer : FrameSynchronizer
-        Brings messages of one time together.
+        Combines messages that belong together.
 
     Attributes
     ----------
     damaged : int
-        Messages that could not be decoded and were left out.
+        Number of messages that could not be decoded and were skipped.
 
     """
 
@@ -43,7 +43,7 @@ class FrameReader:
         self._synchronizer = synchronizer
 
     def frames(self, copies: CopiedMessages) -> Iterator[tuple[int, Frame]]:
-        """Yield frames, with the time at which their last message was recorded."""
+        """Yield frames, each with the time at which its last message was recorded."""
         topics, synchronizer, time_ns = self.topics, self._synchronizer, self._start_ns
         add = {topics.image: synchronizer.add_image,
                topics.camera_info: synchronizer.add_camera_info,
@@ -64,18 +64,18 @@ class FrameReader:
         yield from ((time_ns, frame) for frame in synchronizer.finish())
 
     def take_dropped(self) -> int:
-        """Return how many images found no calibration or depth since the last call."""
+        """Return the number of images without calibration or depth since the last call."""
         return self._synchronizer.take_dropped()
 
     def expected_frames(self, every: int) -> int:
-        """Return about how many frames there are if one of so many is taken."""
+        """Return the approximate number of frames if one of ``every`` is processed."""
         count = {topic.name: topic.count for topic in self.bag.topics}[self.topics.image]
         length_ns = max(self.bag.end_ns - self.bag.start_ns, 1)
         share = np.clip((self._stop_ns - self._start_ns) / length_ns, 0, 1)
         return int(np.ceil(count * share / every))
 
     def _add_first_calibration(self) -> None:
-        """Let images from before the first CameraInfo have it, and those after a late start."""
+        """Add the first CameraInfo for images before it, and after a late start."""
         topic = self.topics.camera_info
         kind = input_class(self.bag, topic)
         earlier = list(self.bag.messages(topic, kind, None, self._start_ns + 1))
@@ -83,13 +83,13 @@ class FrameReader:
 
 
 def part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
-    """Return start and end of the replay; raise BagError if no image lies between them."""
+    """Return start and end of the replay; raise BagError if there is no image between them."""
     length_ns = bag.end_ns - bag.start_ns
     start_ns = bag.start_ns + round(min(options.start_s * 1e9, length_ns))
     stop_ns = start_ns + round(min(options.duration_s * 1e9, bag.end_ns - start_ns))
     if start_ns == stop_ns or not any(bag.read([image], start_ns, stop_ns)):
         raise BagError(
-            f'{options.source} spans 0 to {length_ns * 1e-9:.3f} s, and in what is '
-            f'asked for, --start {options.start_s:g} --duration {options.duration_s:g}, there is '
+            f'{options.source} spans 0 to {length_ns * 1e-9:.3f} s, and in the requested part, '
+            f'--start {options.start_s:g} --duration {options.duration_s:g}, there is '
             f'no image on {image}')
     return start_ns, stop_ns

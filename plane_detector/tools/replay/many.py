@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Many bags, each a job of its own on a pool of workers.
+Many bags, each a separate job on a pool of workers.
 
-What a job has done is in its files, not in its answer: the new bag, which is renamed when it is
-whole, and a summary in a folder of the run. So a worker that dies takes nothing with it, and the
-bags that it had begun are begun anew; one on which a worker dies alone is the cause, and fails.
+The result of a job is in its files, not in its return value: the new bag, which is renamed when it
+is complete, and a summary in the folder of the run. If a worker dies, the bags that it had begun
+are therefore restarted; a bag on which a worker dies while it is alone is the cause, and fails.
 """
 
 from __future__ import annotations
@@ -41,16 +41,16 @@ from plane_detector.tools.replay.signals import ShouldStop
 
 SUMMARY_NAME = 'summary.csv'
 _LOOK_S = 0.2
-# derived: workers leave a frame after 1.5 s and close their bags; all are gone within 3 s.
+# derived: workers abandon a frame after 1.5 s and close their bags; all have ended within 3 s.
 _PATIENCE_S = 2.5
-# A bag may have been beside the one that ended its worker: it is tried twice, then alone.
+# A bag may have been next to the one that ended its worker: it is tried twice, then alone.
 _TRIES_BESIDE_OTHERS = 2
 _SHOWN_ERROR = 60
 
 
 @dataclass(frozen=True)
 class Pool:
-    """Where the work is done: see :func:`use_backend`."""
+    """Where the jobs run: see :func:`use_backend`."""
 
     backend: str = 'processes'
     jobs: int = -1
@@ -58,7 +58,7 @@ class Pool:
 
 
 def make_jobs(bags: dict[str, Path], folder: Path, options: ReplayOptions) -> list[ReplayOptions]:
-    """Return the options of each bag: one thread, its place in the folders of the results."""
+    """Return the options of each bag: one thread, its paths in the result folders."""
     config = options.config
     if not config.depth.threads:
         config = replace(config, depth=replace(config.depth, threads=1))
@@ -76,7 +76,7 @@ def make_jobs(bags: dict[str, Path], folder: Path, options: ReplayOptions) -> li
 def replay_many(jobs: Sequence[ReplayOptions], folder: Path, pool: Pool,
                 should_stop: ShouldStop) -> list[BagSummary]:
     """
-    Replay bags; return what became of each, in their order, and write it as a table.
+    Replay bags; return the summary of each, in order, and write them as a table.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def replay_many(jobs: Sequence[ReplayOptions], folder: Path, pool: Pool,
 
 
 def describe(summaries: Sequence[BagSummary]) -> str:
-    """Return the table for people."""
+    """Return the summaries as a readable table."""
     width = max(len('bag'), *(len(one.bag) for one in summaries))
     lines = [f'{"bag":<{width}}  {"state":<11} {"frames":>7} {"planes":>8} {"skipped":>7} '
              f'{"damaged":>7} {"seconds":>8}  error']
@@ -116,7 +116,7 @@ def describe(summaries: Sequence[BagSummary]) -> str:
 def _run_folder(folder: Path):
     folder.mkdir(parents=True, exist_ok=True)
     run_folder = Path(mkdtemp(prefix='.replay-', dir=folder.absolute()))
-    run_folder.chmod(0o777)  # workers of a cluster may be other users
+    run_folder.chmod(0o777)  # workers of a cluster may run as other users
     try:
         yield run_folder
     finally:
@@ -125,7 +125,7 @@ def _run_folder(folder: Path):
 
 def _watch(work: Background, jobs: Sequence[ReplayOptions], run_folder: Path,
            should_stop: ShouldStop) -> None:
-    """Show how far it is; after a signal let the workers end, and leave those that do not."""
+    """Show the progress; after a signal let the workers end, and abandon those that do not."""
     deadline_s = float('inf')
     with tqdm(total=len(jobs), unit='bag', disable=None) as progress:
         while not work.wait(_LOOK_S) and time.monotonic() < deadline_s:
@@ -146,8 +146,8 @@ def _show(progress: tqdm, run_folder: Path) -> None:
 
 
 def _work(jobs: Sequence[ReplayOptions], run_folder: Path, pool: Pool) -> None:
-    """Have all jobs done; those whose worker died again, as long as there is hope."""
-    # Ctrl-C goes to all processes of the terminal; the workers are told by the stop file.
+    """Run all jobs; repeat those whose worker died, up to the limits."""
+    # Ctrl-C is sent to all processes of the terminal; the stop file informs the workers.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     tries: Counter[str] = Counter()
     waiting = list(jobs)
@@ -163,13 +163,13 @@ def _work(jobs: Sequence[ReplayOptions], run_folder: Path, pool: Pool) -> None:
 
 
 def _one_round(jobs: Sequence[ReplayOptions], run_folder: Path, ahead: int | str) -> str:
-    """Return why the pool broke; empty when all jobs came to their end."""
+    """Return why the pool broke; empty if all jobs have ended."""
     try:
         summaries = Parallel(batch_size=1, pre_dispatch=ahead)(
             delayed(replay_bag)(job, run_folder) for job in jobs)
-    except Exception as error:  # each engine has its own for a worker that died
+    except Exception as error:  # each backend has its own class for a worker that died
         return f'{type(error).__name__}: {" ".join(str(error).split())}'
-    for summary in summaries:  # where the folder of the run is not shared by the cluster
+    for summary in summaries:  # if the cluster does not share the folder of the run
         write_summary(summary, run_folder)
     return ''
 

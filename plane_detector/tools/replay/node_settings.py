@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The parameters of the node for programs that are none: a yaml file and NAME:=VALUE."""
+"""Parameters of the node for programs that are not nodes: a yaml file and NAME:=VALUE."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def load_settings(params_file: Path | None, assignments: Sequence[str]
     Parameters
     ----------
     params_file : Path, optional
-        As ``ros2 run`` takes it after ``--params-file``.
+        As for ``ros2 run`` after ``--params-file``.
     assignments : sequence of str
-        As ``ros2 run`` takes them after ``-p``: ``depth.source:=topic``. They come last.
+        As for ``ros2 run`` after ``-p``: ``depth.source:=topic``. They override the file.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     ValueError
-        A parameter is not known, or a value is not possible.
+        A parameter is not known, or a value is invalid.
 
     """
     values = [*_from_file(params_file), *map(_from_assignment, assignments)]
@@ -51,7 +51,7 @@ def load_settings(params_file: Path | None, assignments: Sequence[str]
 
 
 def _from_file(path: Path | None) -> Iterable[Parameter]:
-    """Read what the file has for this node, under whatever namespace, and for all nodes."""
+    """Read the parameters of a file for this node, in any namespace, and for all nodes."""
     if path is None:
         return []
     if not path.is_file():
@@ -62,12 +62,12 @@ def _from_file(path: Path | None) -> Iterable[Parameter]:
                if name.rpartition('/')[2] in (_NODE_NAME, '**', '*')]
         messages = parameter_dict_from_yaml_file(str(path), target_nodes=own) if own else {}
     except (yaml.YAMLError, RuntimeError, TypeError, AttributeError) as error:
-        raise ValueError(f'{path} is no file of ROS parameters: {error}') from error
+        raise ValueError(f'{path} is not a ROS parameter file: {error}') from error
     return [Parameter.from_parameter_msg(message) for message in messages.values()]
 
 
 def _from_assignment(text: str) -> Parameter:
     name, separator, value = text.partition(':=')
     if not (name and separator):
-        raise ValueError(f'a parameter is given as NAME:=VALUE, not {text!r}')
+        raise ValueError(f'a parameter must be NAME:=VALUE, not {text!r}')
     return Parameter(name, value=value_to_python(get_parameter_value(value)))

@@ -22,12 +22,12 @@ DONE_BEFORE, FAILED, INTERRUPTED = 'done before', 'failed', 'interrupted'
 @dataclass(frozen=True)
 class BagSummary:
     """
-    What became of a bag.
+    Result of a bag.
 
     Attributes
     ----------
     bag : str
-        Name of the new one.
+        Name of the new bag.
     state : str
         ``finished``, ``done before``, ``failed`` or ``interrupted``.
     frames, planes, skipped, damaged : int
@@ -35,9 +35,9 @@ class BagSummary:
     seconds : float
         Wall time.
     depth : str
-        Which depth was taken and why.
+        The depth that was used and why.
     error : str
-        Empty when all went well.
+        Empty if there was none.
 
     """
 
@@ -54,14 +54,14 @@ class BagSummary:
 
 def replay_bag(options: ReplayOptions, run_folder: Path) -> BagSummary:
     """
-    Replay a bag on one thread, unless that was done before; raises nothing.
+    Replay a bag on one thread, unless it is finished already; never raises.
 
     Parameters
     ----------
     options : ReplayOptions
     run_folder : Path
-        Shared by all workers and who started them: the summary is left there as a JSON file, and
-        a file named ``stop`` there ends the work.
+        Shared by all workers and the main process: the summary is written there as a JSON file,
+        and a file named ``stop`` there ends the work.
 
     """
     summary = _done_before(options)
@@ -75,7 +75,7 @@ def replay_bag(options: ReplayOptions, run_folder: Path) -> BagSummary:
 
 
 def write_summary(summary: BagSummary, run_folder: Path) -> None:
-    """Leave a summary for who started the work."""
+    """Write a summary for the main process."""
     path = run_folder / f'{summary.bag}.json'
     draft = path.with_suffix('.draft')
     draft.write_text(json.dumps(asdict(summary)), encoding='utf-8')
@@ -83,7 +83,7 @@ def write_summary(summary: BagSummary, run_folder: Path) -> None:
 
 
 def read_summary(bag: str, run_folder: Path) -> BagSummary | None:
-    """Return the summary that a worker left, or None."""
+    """Return the summary written by a worker, or None."""
     try:
         return BagSummary(**json.loads((run_folder / f'{bag}.json').read_text(encoding='utf-8')))
     except FileNotFoundError:
@@ -97,7 +97,7 @@ def _done_before(options: ReplayOptions) -> BagSummary | None:
     made = (fields['replay.source'], fields['replay.options'])
     if made != (options.source.name, options.fingerprint):
         return BagSummary(name, FAILED, error=(
-            f'{options.target} was made of {made[0]} with other options: remove it, or choose '
+            f'{options.target} was made from {made[0]} with other options: remove it, or choose '
             'another folder'))
     return BagSummary(name, DONE_BEFORE, *(int(fields[f'replay.{key}']) for key in (
         'frames', 'planes', 'skipped', 'damaged')), depth=fields['replay.depth'])

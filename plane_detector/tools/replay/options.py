@@ -12,7 +12,7 @@ from pathlib import Path
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.outputs.topics import OUTPUTS
 
-# Where a bag is read from and written to, and how fast, is not what is in it.
+# Paths and the handling of unfinished bags do not affect the content.
 _NOT_OF_THE_CONTENT = ('source', 'target', 'figures', 'ply', 'table', 'leftover')
 
 
@@ -24,30 +24,30 @@ class ReplayOptions:
     Attributes
     ----------
     source, target : Path
-        The bag that is read, and the new one.
+        The input bag and the new bag.
     config : Config
     settings : NodeConfig
     topics : mapping of str to str
-        Input topics asked for; see :func:`find_camera`.
+        Requested input topics; see :func:`find_camera`.
     depth_by_bag : bool
-        Whether measured depth is taken where the bag has it for the image, whatever
-        ``config.depth.source`` says.
+        Whether to use measured depth if the bag has it for the image, whatever
+        ``config.depth.source`` is.
     start_s, duration_s : float
-        The part of the bag that is replayed, from its first message on.
+        Part of the bag to replay, relative to its first message.
     every : int
-        One frame in this many is used, the first.
+        One frame in this many is processed, starting with the first.
     outputs : tuple of str
-        Names of the outputs that are written.
+        Names of the outputs to write.
     copied : tuple of str or None
-        Topics that are copied; an empty tuple: the inputs; None: nothing.
+        Topics to copy; an empty tuple: the inputs; None: nothing.
     storage : str
         ``mcap`` or ``sqlite3``.
     compressed : bool
     figures, ply, table : Path or None
         See :class:`ReplayFiles`.
     leftover : str
-        What is done with a bag that was begun earlier and not finished: ``refuse``, ``restart``
-        or ``resume``.
+        What to do with an unfinished bag of an earlier run: ``refuse``, ``restart`` or
+        ``resume``.
 
     """
 
@@ -71,7 +71,7 @@ class ReplayOptions:
 
     @property
     def fingerprint(self) -> str:
-        """Return a hash of the settings that decide the content of the new bag."""
+        """Return a hash of the settings that determine the content of the new bag."""
         content = [(f.name, repr(getattr(self, f.name))) for f in fields(self)
                    if f.name not in _NOT_OF_THE_CONTENT]
         return hashlib.sha256(repr(content).encode()).hexdigest()[:16]

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where a new bag is until it is whole: OUTPUT.part, held by one process, renamed in the end.
+The folder of a new bag until it is complete: OUTPUT.part, used by one process, then renamed.
 
-    OUTPUT.part/lock      held while a process writes there, whatever becomes of the process
-    OUTPUT.part/OUTPUT    the bag that is written
-    OUTPUT.part/before    what an earlier run left, while a resumed one copies it
+    OUTPUT.part/lock      held while a process writes there; released if the process dies
+    OUTPUT.part/OUTPUT    the bag being written
+    OUTPUT.part/before    the bag of an earlier run, while a resumed run copies it
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ STATE = 'replay.state'
 
 
 def replay_fields(bag: Path) -> dict[str, str]:
-    """Return what a replay wrote into the metadata of its bag; empty for any other bag."""
+    """Return the fields that a replay wrote into the metadata of its bag; empty for other bags."""
     try:
         with open(bag / 'metadata.yaml', encoding='utf-8') as file:
             found = yaml.safe_load(file)['rosbag2_bagfile_information']['custom_data']
@@ -35,28 +35,28 @@ def replay_fields(bag: Path) -> dict[str, str]:
 
 class PartFolder:
     """
-    The place of a bag that is being written; a context manager.
+    Folder of a bag that is being written; a context manager.
 
     Parameters
     ----------
     target : Path
-        Where the bag will be in the end.
+        Final path of the bag.
     leftover : str
         See :class:`ReplayOptions`.
 
     Attributes
     ----------
     bag : Path
-        Where to write it.
+        Path to write it to.
     before : Path or None
-        A bag that an earlier run did not finish and this one goes on from.
+        An unfinished bag of an earlier run, which this run continues.
 
     Raises
     ------
     FileExistsError
-        There is something at the target, or what an earlier run left and shall not be touched.
+        The target exists, or there is an unfinished bag that must not be changed.
     BlockingIOError
-        Another process writes this bag.
+        Another process is writing this bag.
 
     """
 
@@ -80,13 +80,13 @@ class PartFolder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Leave nothing behind that is of no use."""
+        """Remove what is no longer needed."""
         self._lock.close()
         if not self.bag.exists() and not self._before.exists():
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def finish(self) -> None:
-        """Give the bag, which is closed now, its own name."""
+        """Rename the bag, which is closed now, to its final path."""
         if os.path.lexists(self._target):  # an unfinished bag: _check_target
             shutil.rmtree(self._target)
         self.bag.rename(self._target)
@@ -102,10 +102,10 @@ class PartFolder:
             return
         unfinished = replay_fields(target).get(STATE, FINISHED) != FINISHED
         if not unfinished:
-            raise FileExistsError(f'{target} is there already: choose another name')
+            raise FileExistsError(f'{target} already exists: choose another name')
         if self._leftover == 'refuse':
-            raise FileExistsError(f'{target} is there already, not finished: --resume goes on '
-                                  'with it, or choose another name')
+            raise FileExistsError(f'{target} already exists, not finished: --resume continues '
+                                  'it, or choose another name')
 
     def _hold(self) -> None:
         try:
@@ -115,11 +115,11 @@ class PartFolder:
                                   ) from error
 
     def _clear(self) -> None:
-        """Remove what an earlier run left, or lay it ready to go on from."""
+        """Remove the unfinished bag of an earlier run, or prepare it for resuming."""
         left = [path for path in (self._before, self.bag) if path.exists()]
         if left and self._leftover == 'refuse':
-            raise FileExistsError(f'{self._folder} holds what a run left that was killed: '
-                                  '--resume goes on with it, or remove it')
+            raise FileExistsError(f'{self._folder} contains the bag of a killed run: '
+                                  '--resume continues it, or remove it')
         if self._leftover == 'resume':
             self.before = self._laid_ready()
         else:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an earlier run did, read from the bag that it left."""
+"""The work of an earlier run, read from its unfinished bag."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from plane_detector.tools.replay.tally import DIAGNOSTICS_TOPIC, FRAME_KEY, REPL
 @dataclass(frozen=True)
 class Earlier:
     """
-    What an earlier run left.
+    The work of an earlier run.
 
     Attributes
     ----------
     bag : Path or None
-        Its frames; None where there are none.
+        Its frames; None if there are none.
     next_index : int
-        Number of the first frame that was not done.
+        Number of the first unprocessed frame.
     facts : mapping of str to str
-        Of the diagnostics of the last frame that was.
+        From the diagnostics of the last processed frame.
 
     """
 
@@ -38,7 +38,7 @@ class Earlier:
 
 
 def read_earlier(path: Path | None) -> Earlier:
-    """Return what an earlier run left at a path, or that there is nothing."""
+    """Return the work of an earlier run at a path, which may be none."""
     if path is None:
         return Earlier()
     facts: dict[str, str] = {}
@@ -51,17 +51,17 @@ def read_earlier(path: Path | None) -> Earlier:
 
 def copy_earlier(earlier: Earlier, writer: BagWriter, tally: Tally) -> Counter[str]:
     """
-    Write what an earlier run left, and count it.
+    Write the messages of an earlier run, and count them.
 
     Returns
     -------
     Counter of str
-        How many messages of each topic were not made by the replay, but copied.
+        Number of messages of each topic that are copies of the input, not results.
 
     Raises
     ------
     BagError
-        It has topics that are not to be in the new bag.
+        It has topics that the new bag does not have.
 
     """
     copies: Counter[str] = Counter()
@@ -74,8 +74,8 @@ def copy_earlier(earlier: Earlier, writer: BagWriter, tally: Tally) -> Counter[s
     with BagReader(earlier.bag) as bag:
         names = [topic.name for topic in bag.topics]
         if unknown := [name for name in names if name not in writer.topics]:
-            raise BagError(f'{earlier.bag} cannot be gone on with: {", ".join(unknown)} would not '
-                           'be in the new bag. Give the same options, or start anew')
+            raise BagError(f'{earlier.bag} cannot be continued: {", ".join(unknown)} would not '
+                           'be in the new bag. Give the same options, or start again')
         for recorded in bag.read(names):
             own = recorded.topic == DIAGNOSTICS_TOPIC and bool(_own_facts(recorded))
             copies[recorded.topic] += not own
@@ -85,7 +85,7 @@ def copy_earlier(earlier: Earlier, writer: BagWriter, tally: Tally) -> Counter[s
 
 
 def _own_facts(recorded: Recorded) -> dict[str, str]:
-    """Return keys and values of a replay's diagnostics; empty for those of another program."""
+    """Return keys and values of a replay's diagnostics; empty for those of other programs."""
     (status, *_) = to_message(recorded, DiagnosticArray).status or [None]
     if status is None or (status.hardware_id, status.name) != (HARDWARE_ID, REPLAY_NAME):
         return {}

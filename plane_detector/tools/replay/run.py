@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the frames of a bag to a bag of planes: read, process as the node does, write."""
+"""From the frames of a bag to a bag of planes: read, process like the node, write."""
 
 from __future__ import annotations
 
@@ -61,14 +61,15 @@ def replay(options: ReplayOptions, should_stop: ShouldStop = lambda: False,
     should_stop : callable
         Checked before and during every frame; written data stays complete.
     depth_model : DepthModel or callable, optional
-        Takes the place of the network, as in :class:`PlaneDetector`.
+        Used instead of the network, as in :class:`PlaneDetector`.
     quiet : bool
-        Whether to print neither source nor progress.
+        Whether to print neither the source of depth nor the progress.
 
     Raises
     ------
     OSError, BagError, ValueError, Stopped
-        A bag cannot be opened or written, a topic is missing, the network cannot be run, stopped.
+        A bag cannot be opened or written, a topic is missing, the network cannot run, or a stop
+        was requested.
 
     """
     with BagReader(options.source) as bag:
@@ -107,7 +108,7 @@ def _tell_nobody(_text: str) -> None:
 
 
 def _keep(folder: PartFolder, tally: Tally) -> None:
-    """Give the bag its name, unless it is of no use."""
+    """Rename the bag to its final path, unless it is of no use."""
     if tally.processed or tally.state == 'finished':
         folder.finish()
     else:
@@ -115,7 +116,7 @@ def _keep(folder: PartFolder, tally: Tally) -> None:
 
 
 class _Run:
-    """The open parts of a replay, and its loop."""
+    """Open files and state of a replay, and its loop."""
 
     def __init__(self, options: ReplayOptions, reader: FrameReader, processor: FrameProcessor,
                  depth: str):
@@ -126,7 +127,7 @@ class _Run:
         self._facts = {'depth': depth}
 
     def to_end(self, folder: PartFolder, should_stop: ShouldStop, quiet: bool) -> Tally:
-        """Process all frames; an error of a bag ends it, one of a frame or a message does not."""
+        """Process all frames; an error of a bag ends the replay, one of a frame does not."""
         options, earlier = self._options, read_earlier(folder.before)
         with (ReplayFiles(options.figures, options.ply, options.table, earlier.next_index,
                           bool(self._config.shapes.wanted)) as self._files,
@@ -150,7 +151,7 @@ class _Run:
         self._close_books()
 
     def _announce(self, earlier: Earlier) -> None:
-        """Announce the topics, and write what an earlier run did."""
+        """Announce the topics, and write the messages of an earlier run."""
         options, writer = self._options, self._writer
         copied = () if options.copied is None else options.copied or self._reader.topics.names
         writer.add_outputs({
@@ -204,7 +205,7 @@ class _Run:
             tally.stage_seconds['files'] += time.perf_counter() - start_s
         start_s = time.perf_counter()
         for name in self._options.outputs:
-            if name in processed.messages:  # an output may have nothing to say of a frame
+            if name in processed.messages:  # some outputs are not available for every frame
                 self._writer.write(_output_topic(name), time_ns, processed.messages[name])
         tally.stage_seconds['write'] += time.perf_counter() - start_s
         tally.processed += 1
@@ -218,7 +219,7 @@ class _Run:
                            gravity_note=detection.gravity_note)
 
     def _close_books(self) -> None:
-        """Bring all into the file, and how it ended into its metadata."""
+        """Commit everything, and write the final state into the metadata."""
         tally = self._tally
         try:
             self._writer.commit()
@@ -231,7 +232,7 @@ class _Run:
                                'replay.options': self._options.fingerprint})
 
     def _timed_frames(self) -> Iterator[tuple[int, Frame]]:
-        """Yield the frames, the time that reading them takes on the tally."""
+        """Yield the frames; the time to read them is added to the tally."""
         frames = self._reader.frames(self._copies)
         while True:
             start_s = time.perf_counter()

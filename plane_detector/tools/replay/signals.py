@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""SIGINT and SIGTERM end a replay between two frames, or leave a frame that takes too long."""
+"""SIGINT and SIGTERM end a replay between two frames, or abandon a frame that takes too long."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PATIENCE_S = 1.5
 
 @contextmanager
 def stop_on_signal(on_signal: Callable[[], None] = lambda: None) -> Iterator[ShouldStop]:
-    """Yield whether SIGINT or SIGTERM came; a second one ends the program at once."""
+    """Yield a function that tells whether SIGINT or SIGTERM came; a second one exits at once."""
     came: list[int] = []
 
     def remember(number: int, _stack: object) -> None:
@@ -45,12 +45,13 @@ def stop_on_signal(on_signal: Callable[[], None] = lambda: None) -> Iterator[Sho
 
 def until_stopped(function: Callable[[], Result], should_stop: ShouldStop) -> Result:
     """
-    Return what a function returns; when told to stop, wait for it no longer than 1.5 s.
+    Return the result of a function; after a stop request, wait for at most 1.5 s.
 
     Raises
     ------
     Stopped
-        It was left, and may still run in its thread: see :func:`plane_detector.stopping.leave`.
+        It was abandoned, and may still run in its thread: see
+        :func:`plane_detector.stopping.leave`.
 
     """
     call = Background(function, 'replay')

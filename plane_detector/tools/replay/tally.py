@@ -120,7 +120,7 @@ class Tally:
         if self.without_partner:
             lines.append(f'{self.without_partner} images had no calibration or depth')
         if self.damaged:
-            lines.append(f'{self.damaged} damaged messages were left out')
+            lines.append(f'{self.damaged} damaged messages were skipped')
         lines += [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
         if self.interrupted:
             lines.insert(0, 'interrupted: the results so far are complete, --resume goes on')

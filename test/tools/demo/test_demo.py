@@ -220,7 +220,7 @@ def test_demo_says_what_is_wrong(tmp_path):
     reasons = {
         ('--images', '.'): 'demo: no image in', ('--fx', '525'): 'demo: a calibration',
         ('--model', 'nowhere.onnx'): 'demo: --model nowhere.onnx is neither a file nor one of ',
-        ('--model', __file__): 'demo: --model-output must say what the network of a file gives'}
+        ('--model', __file__): 'demo: --model-output must state the output of a network file'}
     started = [start_demo(tmp_path, *arguments) for arguments in reasons]
     for process, reason in zip(started, reasons.values(), strict=True):
         _, told = process.communicate(timeout=120)

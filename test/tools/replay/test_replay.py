@@ -143,7 +143,7 @@ def test_a_part_without_images_is_told_and_nothing_is_written(bag, replay, tmp_p
     code, target, text = replay(bag, *asked, '--figures', tmp_path / 'figures')
     assert code == 1
     asked_for = ' '.join(f'{word:g}' if isinstance(word, float) else str(word) for word in asked)
-    assert text.startswith(f'replay: {bag} spans 0 to 0.300 s, and in what is asked for, '
+    assert text.startswith(f'replay: {bag} spans 0 to 0.300 s, and in the requested part, '
                            f'{asked_for}')
     assert text.count('\n') == 1
     assert list(tmp_path.iterdir()) == [bag], target

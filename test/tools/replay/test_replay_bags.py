@@ -78,14 +78,14 @@ def test_of_two_cameras_one_must_be_named(tmp_path, scenes, replay):
     source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
     code, target, text = replay(source)
     assert (code, target.exists()) == (1, False)
-    assert '/cam/image_raw, /right/image_raw may all be meant: say which by --image' in text
+    assert '/cam/image_raw, /right/image_raw all fit: select one by --image' in text
     code, _, text = replay(source, '--image', right[0], depth=right[2])
     assert code == 0
     assert f'Reading {", ".join(right)}' in text
 
 
 @pytest.mark.parametrize('options, told', [
-    (('--image', '/cam/image'), 'there is no topic /cam/image, as --image says'),
+    (('--image', '/cam/image'), 'there is no topic /cam/image, as given by --image'),
     (('--image', '/bumper'), f'/bumper is of type {CUSTOM_TYPE}, but --image must be '
                              'sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage'),
     (('--camera-info', IMAGE), '--camera-info must be sensor_msgs/msg/CameraInfo')])
@@ -147,7 +147,7 @@ def test_reading_goes_on_after_a_damaged_record(tmp_path, scenes, replay):
     source.write_bytes(bytes(data))
     code, target, text = replay(source)
     assert code == 3
-    assert '1 damaged messages were left out' in text
+    assert '1 damaged messages were skipped' in text
     assert stamps_of(planes_of(target)) == [0.0, 0.1, 0.3]
 
 
@@ -169,7 +169,7 @@ def test_what_is_no_bag_is_told(tmp_path, replay):
     (tmp_path / 'folder' / 'notes.txt').write_text('no bag')
     (tmp_path / 'walk.avi').write_bytes(b'RIFF')
     for name, told in (('nowhere', 'there is no bag'), ('folder', 'There is notes.txt (6 bytes)'),
-                       ('walk.avi', 'is no bag')):
+                       ('walk.avi', 'is not a bag')):
         code, _, text = replay(tmp_path / name)
         assert code == 1
         assert told in text
@@ -185,7 +185,7 @@ def test_nothing_is_overwritten(bag, replay, tmp_path):
     (tmp_path / 'planes').mkdir()
     code, target, text = replay(bag)
     assert code == 1
-    assert 'is there already' in text
+    assert 'already exists' in text
     assert list(target.iterdir()) == []
 
 

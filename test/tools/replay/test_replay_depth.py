@@ -47,7 +47,7 @@ def test_measured_depth_that_is_there_is_used(bag, scenes, replay):
     assert code == 0, text
     assert_true(target, scenes)
     line = (f"measured: {DEPTH} (160 x 120, 32FC1, frame_id 'camera_optical_frame'), registered "
-            'to the image; --network takes a network instead')
+            'to the image; --network uses a network instead')
     assert f'Depth: {line}' in text
     assert f'Scale of {len(scenes)} frames: metres, as measured' in text
     facts = facts_of(target)
@@ -125,7 +125,7 @@ def test_of_two_registered_depths_one_must_be_named(tmp_path, scenes, replay):
     source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
     code, target, text = replay(source, depth='')
     assert (code, target.exists()) == (1, False)
-    assert '/cam/depth, /cam/depth_filtered may all be meant: say which by --depth' in text
+    assert '/cam/depth, /cam/depth_filtered all fit: select one by --depth' in text
     assert replay(source, depth=DEPTH)[0] == 0
 
 

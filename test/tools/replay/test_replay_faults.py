@@ -64,7 +64,7 @@ def test_a_killed_replay_keeps_its_frames_and_is_gone_on_with(
     assert not (tmp_path / 'planes').exists()
     code, _, text = replay(bag, *options)
     assert code == 1
-    assert '--resume goes on with it, or remove it' in text
+    assert '--resume continues it, or remove it' in text
     assert salvage(part)
     with BagReader(part) as left:
         assert stamps_of(to_message(r, PointCloud2) for r in left.read(
@@ -97,13 +97,13 @@ def test_a_signal_leaves_a_whole_bag_that_is_gone_on_with(
     assert done in ([0.0, 0.1], [0.0, 0.1, 0.2])
     code, _, text = replay(bag)
     assert code == 1
-    assert 'not finished: --resume goes on with it' in text
+    assert 'not finished: --resume continues it' in text
     code, target, text = replay(bag, '--resume')
     assert code == 0, text
     assert_true(target, scenes)
     code, _, text = replay(bag, '--resume')
     assert code == 1
-    assert 'is there already' in text
+    assert 'already exists' in text
 
 
 def test_a_frame_that_takes_for_ever_does_not_hold_up_the_end(bag, tmp_path):
@@ -207,7 +207,7 @@ def test_a_dangling_link_as_output_is_told(bag, replay, tmp_path):
     (tmp_path / 'planes').symlink_to(tmp_path / 'nowhere')
     code, _, text = replay(bag)
     assert code == 1
-    assert text.splitlines()[-1].endswith('is there already: choose another name')
+    assert text.splitlines()[-1].endswith('already exists: choose another name')
 
 
 @pytest.mark.parametrize('topic, told', [
@@ -237,7 +237,7 @@ def test_a_damaged_message_is_left_out_and_counted(tmp_path, scenes, replay, top
                                                                       rows[index][0]))
     code, target, text = replay(source)
     assert code == 3, text
-    assert '1 damaged messages were left out' in text
+    assert '1 damaged messages were skipped' in text
     stamps = [0.0, 0.1, 0.2, 0.3]
     if topic != INFO:  # the calibration of another image serves
         del stamps[index]
