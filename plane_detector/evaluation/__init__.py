@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What developers measure the package with; it is not installed."""
+"""Tools for developers to evaluate the package: scenes, metrics, benchmarks; not installed."""

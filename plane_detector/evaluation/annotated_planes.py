@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-True planes of a real frame: people drew the instances, the sensor says which parts are flat.
+Reference planes of a real image, from annotated instances and the depth of a sensor.
 
-In each annotated instance the plane that most of the sensor's points are near is taken, then the
-next, until what is left is small. Nothing here uses the detector. An instance seen in several
-pieces, like a wall behind furniture, stays one plane; two instances are never joined.
+In each annotated instance the plane close to most of the sensor's points is removed repeatedly,
+until few points remain. No code of the detector is used. An instance that is visible in several
+pieces, such as a wall behind furniture, is one plane; instances are never merged.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from plane_detector.tools.demo.sensor_comparison import TOLERANCE_M, TOLERANCE_S
 from plane_detector.types import CameraIntrinsics
 
 MIN_PIXELS = 1500
-# assumed, not tuned, as no annotated frame was at hand: a smaller share of an instance is rather
-# a strip of something curved, within the tolerance by chance.
+# assumed, not tuned, because no annotated image was available: a smaller share of an instance is
+# more likely a strip of a curved surface that is within the tolerance by chance.
 MIN_INSTANCE_SHARE = 0.2
 MAX_PLANES = 6
 
@@ -33,19 +33,19 @@ def annotated_planes(segments: np.ndarray, depth_m: np.ndarray, intrinsics: Came
     Parameters
     ----------
     segments : (H, W) int
-        Instance of each pixel, 0 none.
+        Instance of each pixel, 0 for none.
     depth_m : (H, W) floating
-        Of the sensor, NaN where it measured nothing.
+        Of the sensor, NaN where not measured.
     intrinsics : CameraIntrinsics
     rng : numpy.random.Generator
-        Draws the hypotheses.
+        For the hypotheses.
 
     Returns
     -------
     labels : (H, W) int32
-        Index into the planes, -1 none.
+        Index into the planes, or -1.
     planes : (K, 4) float64
-        Unit normal towards the camera and offset in metres.
+        Unit normal pointing to the camera, and offset in metres.
 
     """
     points_m = depth_to_points(depth_m, intrinsics)
@@ -62,7 +62,7 @@ def annotated_planes(segments: np.ndarray, depth_m: np.ndarray, intrinsics: Came
 
 def _peeled(points_m: np.ndarray, rng: np.random.Generator,
             ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield planes (4,) of points (N, 3), largest first, and the numbers of the points on each."""
+    """Yield planes (4,) of points (N, 3), largest first, and the indices of the points on each."""
     left = np.arange(len(points_m))
     least = max(MIN_PIXELS, MIN_INSTANCE_SHARE * len(left))
     for _ in range(MAX_PLANES):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Fit the confidence of planes on rendered rooms, of boxes and lived in; check it on others."""
+"""Fit of the confidence of planes to rendered rooms, and its check on other rooms."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
 
 def samples(make_scene: Callable[[np.random.Generator], Scene],
             seeds: range) -> tuple[np.ndarray, np.ndarray]:
-    """Return features (n, 3) of the planes found in scenes, and whether each is true (n,)."""
+    """Return features (n, 3) of the planes found in scenes, and whether each is correct (n,)."""
     features, matched = [], []
     for seed in tqdm(seeds, make_scene.__name__, leave=False):
         rng = np.random.default_rng(seed)
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the fitted weights and how reliable the ones in use are on unseen scenes."""
+    """Print the fitted weights, and the reliability of those in use on unseen scenes."""
     features, matched = (np.concatenate(part) for part in zip(
         *(samples(make_scene, FIT_SEEDS) for make_scene in SCENES), strict=True))
     fit = LogisticRegression(C=10.0, fit_intercept=False).fit(features, matched)

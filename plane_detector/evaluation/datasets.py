@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Real images with the depth that a sensor measured.
+Real images with the measured depth of a sensor.
 
-A data folder holds sets, one folder each: ``<id>_rgb.png`` or ``.jpg``, ``<id>_depth.png``
+A data folder contains one folder per set, with ``<id>_rgb.png`` or ``.jpg``, ``<id>_depth.png``
 (uint16, registered to the image, 0 invalid) and ``intrinsics.json`` with fx, fy, cx, cy, width,
 height and depth_unit_m.
 """
@@ -21,7 +21,7 @@ import numpy as np
 from plane_detector.tools.demo.photographs import library_images
 from plane_detector.types import CameraIntrinsics
 
-# Of long sequences every tenth frame is enough: neighbours look alike.
+# Every tenth frame of long sequences, because neighbouring frames are similar.
 STEPS = {'living_room': 10}
 
 
@@ -35,7 +35,7 @@ class Frame:
     set_name, name : str
     rgb : (H, W, 3) uint8
     depth_m : (H, W) float32
-        NaN where the sensor saw nothing.
+        NaN where not measured.
     intrinsics : CameraIntrinsics
 
     """
@@ -49,15 +49,15 @@ class Frame:
 
 def frames(data: Path, sets: tuple[str, ...] | None = None, first: int = 0) -> Iterator[Frame]:
     """
-    Yield the frames of a data folder, set by set.
+    Yield the frames of a data folder, one set after another.
 
     Parameters
     ----------
     data : Path
     sets : tuple of str, optional
-        Names of the sets, default all.
+        Names of the sets; default: all.
     first : int
-        First frame to take from a long sequence, of which only every STEPS-th is taken.
+        First frame of long sequences, of which only every STEPS-th frame is used.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def frames(data: Path, sets: tuple[str, ...] | None = None, first: int = 0) -> I
 
 
 def read_frame(depth_path: Path) -> Frame:
-    """Read the frame of a depth image; raises as :func:`frames` does."""
+    """Read the frame of a depth image; raises as :func:`frames`."""
     folder, name = depth_path.parent, depth_path.name.removesuffix('_depth.png')
     about = json.loads((folder / 'intrinsics.json').read_text())
     intrinsics = CameraIntrinsics(
@@ -98,7 +98,7 @@ def read_frame(depth_path: Path) -> Frame:
 
 def library_frames() -> list[Frame]:
     """
-    Return the images of known depth that come with libraries.
+    Return the images with known depth that are included in libraries.
 
     Raises
     ------

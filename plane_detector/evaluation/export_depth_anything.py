@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Export the architecture of Depth Anything V2 Small with random weights.
+Export of the architecture of Depth Anything V2 Small with random weights.
 
-Where the true weights cannot be had, it shows that their shapes run through the package, and how
-long they take; what it says about depth is meaningless. Needs the development extra ``export``.
+Used if the original weights are not available: it shows that their shapes work with the package
+and measures their time. Its depth is meaningless. Needs the development extra ``export``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _CHECKED_SIZES = ((252, 336), (392, 518), (518, 518))
 
 def build(seed: int):
     """
-    Return a torch module from (1, 3, H, W) to (1, H, W), with random weights.
+    Return a torch module from (1, 3, H, W) to (1, H, W) with random weights.
 
     The sizes are those of the published Small model: a DINOv2 ViT-S/14 backbone, tapped after
     blocks 3, 6, 9 and 12, and a DPT head of width 64; 24.8 million parameters.
@@ -50,24 +50,25 @@ def build(seed: int):
 
 
 def export(model, path: Path) -> None:
-    """Write the module as one ONNX file with free sides, by the exporter of the zoo's files."""
+    """Write the module as one ONNX file for inputs of any size, like the files of the zoo."""
     import torch
     from transformers.models.depth_anything import modeling_depth_anything
 
-    # The head calls int() on the size of its output, which would freeze the traced one.
+    # The head calls int() on the size of its output, which would fix it to that of the trace.
     with mock.patch.object(modeling_depth_anything, 'int', lambda side: side, create=True):
         torch.onnx.export(
             model, (torch.zeros(1, 3, *_TRACED_SIZE),), str(path),
             input_names=['image'], output_names=['depth'], opset_version=17,
             dynamic_axes={'image': {2: 'height', 3: 'width'}, 'depth': {1: 'height', 2: 'width'}},
-            dynamo=False)  # the tracer: its networks run a fifth faster than torch.export's
+            dynamo=False)  # by tracing, a fifth faster at run time than torch.export
 
 
 def largest_difference(model, path: Path, size: tuple[int, int]) -> float:
     """
-    Return the largest difference of torch and ONNX at (height, width), over the largest value.
+    Return the largest difference between torch and ONNX at (height, width), relative to the
+    maximum.
 
-    The image goes through `plane_detector.depth.estimator.DepthEstimator`, as in the package.
+    The image is processed by `plane_detector.depth.estimator.DepthEstimator`.
     """
     import torch
 
@@ -92,7 +93,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Export, then compare with torch at several sizes."""
+    """Export the network, then compare it with torch at several sizes."""
     try:
         model = build(options.seed)
     except ImportError as error:

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes of any method as files: a label image for each frame, with or without the planes.
+Results of any method as files: a label image for each frame, optionally with its planes.
 
-A label image is a PNG of 8 or 16 bits: 0 no plane, any other value a plane. The last number in
-its name is the frame's. Tables of planes are CSV files in the same folder with the columns of
-COLUMNS: a plane is normal . p + d = 0 in metres, p in the optical frame (x right, y down, z
-forward), and ``label`` is the value in the image.
+A label image is a PNG of 8 or 16 bits: 0 for no plane, any other value for a plane. The last
+number in its name is that of the frame. Tables of planes are CSV files in the same folder with the
+columns COLUMNS: a plane is normal . p + d = 0 in metres, p in the optical frame (x right, y down,
+z forward), and ``label`` is the value in the image.
 
-The published plane annotation of NYU Depth V2 (NYUv2-Plane, by the authors of PlaneAE) is read
-too: ``plane_instance_<frame>.npz`` with ``plane_instance`` (192, 256), 0 no plane, which shows the
-frame without its border.
+The published plane annotation of NYU Depth V2 (NYUv2-Plane, by the authors of PlaneAE) is
+supported too: ``plane_instance_<frame>.npz`` with ``plane_instance`` (192, 256), 0 for no plane,
+which shows the frame without its border.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ def label_files(folder: Path) -> dict[int, Path]:
     Raises
     ------
     FileNotFoundError
-        There is no such folder, or no PNG file in it.
+        The folder does not exist, or contains no PNG file.
     ValueError
         A name has no number, or two have the same.
 
     """
-    # Beside the published annotation lie PNG files that show it in colours.
+    # The published annotation also has PNG files, which show it in colours.
     paths = sorted(folder.glob('*.npz')) or sorted(folder.glob('*.png'))
     if not paths:
         raise FileNotFoundError(f'there is no folder {folder} with label images (PNG, or NPZ of '
@@ -65,8 +65,8 @@ def read_labels(path: Path, shape: tuple[int, int]) -> np.ndarray:
     ----------
     path : Path
     shape : (int, int)
-        Height and width that are wanted. An image of another size but the same shape is resized
-        to it, each pixel taking the nearest label.
+        Required height and width. An image of another size but the same aspect ratio is resized
+        with nearest labels.
 
     Returns
     -------
@@ -76,14 +76,14 @@ def read_labels(path: Path, shape: tuple[int, int]) -> np.ndarray:
     Raises
     ------
     ValueError
-        It cannot be read, has colours, or is of another shape.
+        It cannot be read, has several channels, or another aspect ratio.
 
     """
     values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if values is None or values.ndim != 2 or values.dtype not in (np.uint8, np.uint16):
         raise ValueError(f'{path} must be a PNG of one channel with 8 or 16 bits')
     height, width = shape
-    # Half a pixel of the smaller image is not another shape.
+    # Allows for rounding by half a pixel of the smaller image.
     if abs(values.shape[1] * height - values.shape[0] * width) > max(height, width) / 2:
         raise ValueError(f'{path} is {values.shape[1]} x {values.shape[0]}; it must have the '
                          f'shape of {width} x {height}')
@@ -92,12 +92,12 @@ def read_labels(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 def read_annotation(path: Path, shape: tuple[int, int]) -> np.ndarray:
     """
-    Read a file of NYUv2-Plane, stretched to the height and width that are wanted.
+    Read a file of NYUv2-Plane, stretched to the required height and width.
 
     Raises
     ------
     ValueError
-        It is no such file.
+        It is not such a file.
 
     """
     try:
@@ -110,12 +110,12 @@ def read_annotation(path: Path, shape: tuple[int, int]) -> np.ndarray:
 
 def read_plane_table(folder: Path) -> dict[tuple[int, int], np.ndarray]:
     """
-    Read all tables of planes in a folder; without any the result is empty.
+    Read all tables of planes in a folder; the result may be empty.
 
     Raises
     ------
     ValueError
-        A column is missing, a value is not a number, or a normal has no length.
+        A column is missing, a value is not a number, or a normal is zero.
 
     """
     planes: dict[tuple[int, int], np.ndarray] = {}
@@ -131,7 +131,7 @@ def read_plane_table(folder: Path) -> dict[tuple[int, int], np.ndarray]:
                 length = np.linalg.norm(plane[:3])
                 if not (np.isfinite(plane).all() and length > 0):
                     raise ValueError(f'{path}: the plane of frame {key[0]}, label {key[1]} is '
-                                     'none')
+                                     'zero')
                 planes[key] = plane / length * (-1 if plane[3] < 0 else 1)
     return planes
 
@@ -143,7 +143,7 @@ def planes_of_frame(table: PlaneTable, frame: int, values: np.ndarray) -> np.nda
     Raises
     ------
     ValueError
-        The table lacks one.
+        The table lacks a plane.
 
     """
     missing = [int(value) for value in values if (frame, int(value)) not in table]
@@ -159,10 +159,10 @@ def write_labels(folder: Path, frame: int, labels: np.ndarray, planes: np.ndarra
     Parameters
     ----------
     folder : Path
-        Made where it is missing.
+        Created if it does not exist.
     frame : int
     labels : (H, W) int
-        Index into ``planes``, -1 none.
+        Index into ``planes``, or -1.
     planes : (K, 4) float
         Unit normal and offset in metres.
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Given labels as the regions of a disparity image, as if the segmentation had found them."""
+"""Given labels as regions of a disparity image, in the format of the segmentation."""
 
 from __future__ import annotations
 

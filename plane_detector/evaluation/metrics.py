@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Accuracy of a segmentation, as the evaluation code of PlaneRCNN and ZeroPlane measures it.
+Accuracy of a segmentation, measured as in the evaluation code of PlaneRCNN and ZeroPlane.
 
-Label images are (H, W) int, -1 for no plane, which is one more class on each side. Only the
-pixels of the mask count: those whose true depth is valid.
+Label images are (H, W) int, -1 for no plane, which is an additional class on each side. Only
+pixels of the mask count: those with valid true depth.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from dataclasses import dataclass
 import numpy as np
 
 MIN_PIXELS = 1500
-"""True planes of fewer pixels cannot be missed."""
+"""Smaller true planes are not counted as missed."""
 
 
 @dataclass(frozen=True)
 class Overlap:
     """
-    The pixels that true plane i and predicted plane j share.
+    Numbers of pixels common to true plane i and predicted plane j.
 
     Attributes
     ----------
     counts : (I + 1, J + 1) int64
-        The last row and column stand for no plane.
+        The last row and column are for no plane.
     iou : (I, J) float64
-        Intersection over union of the planes proper.
+        Intersection over union of the planes.
 
     """
 
@@ -36,7 +36,7 @@ class Overlap:
 
 
 def overlap(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray) -> Overlap:
-    """Count the shared pixels of two label images."""
+    """Count the common pixels of two label images."""
     true_count = int(true_labels.max(initial=-1)) + 2
     count = int(labels.max(initial=-1)) + 2
     true_class = np.where(true_labels < 0, true_count - 1, true_labels)[mask].astype(np.int64)
@@ -67,7 +67,7 @@ def _entropy(probabilities: np.ndarray) -> float:
 
 
 def segmentation_covering(counts: np.ndarray) -> float:
-    """Return the mean best IoU of either side's segments, by their pixels."""
+    """Return the mean best IoU of the segments of both sides, weighted by their pixels."""
     rows, columns = counts.sum(1), counts.sum(0)
     iou = counts / np.maximum(rows[:, None] + columns[None, :] - counts, 1)
     return float(((rows * iou.max(1)).sum() + (columns * iou.max(0)).sum()) / (2 * counts.sum()))
@@ -91,7 +91,7 @@ class Score:
 def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
           planes: np.ndarray, mask: np.ndarray, min_pixels: int = MIN_PIXELS) -> Score:
     """
-    Compare a segmentation with the truth.
+    Compare a segmentation with the ground truth.
 
     Parameters
     ----------
@@ -101,12 +101,12 @@ def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
     mask : (H, W) bool
         Pixels that count.
     min_pixels : int
-        Only true planes of more pixels can be missed. A predicted plane may match any.
+        Smaller true planes are not counted as missed. A predicted plane may match any.
 
     Returns
     -------
     Score
-        Recall and precision count matches of IoU > 0.5; without any plane to find or found they
+        Recall and precision count matches with IoU > 0.5; without true or predicted planes they
         are NaN. The errors are medians over the matched planes.
 
     """
@@ -140,8 +140,8 @@ def depth_recall(true_labels: np.ndarray, true_depth_m: np.ndarray, labels: np.n
     """
     Return plane recall and pixel recall at each of RECALL_DEPTHS_M.
 
-    A true plane is found at a depth when some predicted plane has IoU > 0.5 with it and their
-    depths differ by no more on average over the intersection.
+    A true plane is found at a depth if some predicted plane has IoU > 0.5 with it and the mean
+    difference of their depths over the intersection is at most that depth.
     """
     shared = overlap(true_labels, labels, mask)
     planes_found = np.zeros((len(shared.iou), len(RECALL_DEPTHS_M)), bool)
@@ -160,8 +160,8 @@ def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.n
     """
     Return plane recall and pixel recall at each of RECALL_ANGLES_DEG.
 
-    A true plane is found at an angle when some predicted plane has IoU > 0.5 with it and their
-    normals differ by no more.
+    A true plane is found at an angle if some predicted plane has IoU > 0.5 with it and the angle
+    between their normals is at most that angle.
     """
     shared = overlap(true_labels, labels, mask)
     cosine = np.abs(true_planes[:, :3] @ planes[:, :3].T).clip(0, 1)
@@ -173,24 +173,24 @@ def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.n
 
 
 LARGE_PLANE_SHARE = 0.02
-"""A plane of the sensor over this share of the image is large."""
+"""A plane of the sensor with more than this share of the image is large."""
 PIECE_SHARE = 0.1
-"""A predicted plane that holds this share of a sensor's plane is one of its pieces."""
+"""A predicted plane that covers this share of a sensor's plane is one of its pieces."""
 
 
 @dataclass(frozen=True)
 class Coverage:
     """
-    How the sensor's large planes were found.
+    Coverage of the sensor's large planes.
 
     Attributes
     ----------
     planes : int
-        How many the sensor has over LARGE_PLANE_SHARE of the image.
+        Number of planes of the sensor over LARGE_PLANE_SHARE of the image.
     share : float
-        Of their pixels, those that a predicted plane with IoU > 0.5 covers; NaN without any.
+        Share of their pixels covered by a predicted plane with IoU > 0.5; NaN without planes.
     pieces : float
-        Mean number of predicted planes that each of them is cut into.
+        Mean number of predicted planes that each of them is split into.
 
     """
 
@@ -202,14 +202,14 @@ class Coverage:
 def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
                    seen: np.ndarray) -> Coverage:
     """
-    Measure how the large planes of the sensor's depth were found.
+    Measure how well the large planes of the sensor's depth were found.
 
     Parameters
     ----------
     sensor_labels, labels : (H, W) int
-        Planes of the sensor's depth and predicted planes, -1 none.
+        Planes of the sensor's depth, and predicted planes; -1 for none.
     seen : (H, W) bool
-        Where the sensor measured; only these pixels count.
+        Pixels with sensor depth; only these count.
 
     """
     shared = overlap(sensor_labels, labels, seen)
@@ -224,6 +224,6 @@ def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
 
 
 def known_mean(values: np.ndarray) -> float:
-    """Return the mean of what is finite, NaN without any."""
+    """Return the mean of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]
     return float(known.mean()) if known.size else float('nan')

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-NYU Depth V2, the labelled part: ``nyu_depth_v2_labeled.mat``, read frame by frame.
+Reader for the labelled part of NYU Depth V2, ``nyu_depth_v2_labeled.mat``, frame by frame.
 
-The file is MATLAB 7.3, which is HDF5; MATLAB's H x W x 3 x N is N x 3 x W x H there. Frames are
-counted from 1, as in the split file. Needs h5py.
+The file is MATLAB 7.3, which is HDF5 with reversed axes: H x W x 3 x N is N x 3 x W x H. Frames
+are counted from 1, as in the split file. Needs h5py.
 
 References
 ----------
 N. Silberman, D. Hoiem, P. Kohli, R. Fergus: Indoor Segmentation and Support Inference from RGBD
-Images, ECCV 2012; calibration and border from the toolbox that comes with the data.
+Images, ECCV 2012; calibration and border are from the toolbox of the data set.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from plane_detector.types import CameraIntrinsics
 # The toolbox counts pixels from 1, CameraIntrinsics from 0.
 INTRINSICS = CameraIntrinsics(518.85790117450188, 519.46961112127485, 325.58244941119034 - 1,
                               253.73616633400465 - 1, 640, 480)
-# Where both cameras see, rows and columns; outside the images are white.
+# Rows and columns that both cameras see; outside of them the images are white.
 ROWS, COLUMNS = slice(44, 471), slice(40, 601)
-# The toolbox clamps what is farther.
+# The toolbox limits larger depths to this.
 MAX_DEPTH_M = 10.0
 DEPTHS = {'raw': 'rawDepths', 'filled': 'depths'}
 _SPLITS = {'test': 'testNdxs', 'train': 'trainNdxs'}
@@ -46,9 +46,9 @@ class NyuFrame:
         From 1.
     rgb : (H, W, 3) uint8
     depth_m : (H, W) float32
-        NaN where there is none.
+        NaN where not measured.
     segments : (H, W) int32
-        A number for each annotated instance, 0 for pixels without annotation.
+        Index of each annotated instance, 0 for pixels without annotation.
     intrinsics : CameraIntrinsics
 
     """
@@ -73,9 +73,9 @@ class NyuDepth:
     ImportError
         h5py is not installed.
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     ValueError
-        It is not HDF5, or data sets are missing in it.
+        It is not HDF5, or data sets are missing.
 
     """
 
@@ -105,12 +105,12 @@ class NyuDepth:
         number : int
             From 1.
         depth : str
-            ``raw``, as the sensor gave it, or ``filled``.
+            ``raw``, as measured by the sensor, or ``filled``.
 
         Raises
         ------
         ValueError
-            There is no such frame or depth.
+            The frame or the kind of depth does not exist.
 
         """
         if not 1 <= number <= len(self):
@@ -148,16 +148,16 @@ def read_split(path: Path, part: str = 'test') -> tuple[int, ...]:
     Parameters
     ----------
     path : Path
-        The split's own .mat (testNdxs, trainNdxs), or a text file of numbers from 1.
+        The split file of the data set (testNdxs, trainNdxs), or a text file of numbers from 1.
     part : str
-        ``test`` or ``train``; a text file has one part only.
+        ``test`` or ``train``; a text file has only one part.
 
     Raises
     ------
     FileNotFoundError
-        There is no such file.
+        The file does not exist.
     ValueError
-        It holds no numbers.
+        It contains no numbers.
 
     """
     if not path.is_file():

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Ways to segment a depth image into planes: ours and others', behind one interface.
+Plane segmentation methods, ours and others, with a common interface.
 
-The others are extras, not dependencies: one that is not installed says so (`Method.absent`).
+The others are optional: `Method.absent` states why one is not available.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from plane_detector.segmentation.baselines import paper_labels
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 MIN_PIXELS = 1500
-"""Smallest plane of the peers, at 640 x 480; as a share of the image at other sizes."""
+"""Smallest plane of the other methods, at 640 x 480; as a share of the image at other sizes."""
 MIN_THICKNESS_M = 0.04
-"""Open3D's patches are boxes; on exact depth they are too thin to hold their own points."""
+"""Open3D's patches are boxes; on exact depth they are too thin to contain their own points."""
 
 Segments = tuple[np.ndarray, np.ndarray]
-"""Labels (H, W) int32, -1 none, and planes (K, 4): unit normal towards the camera, offset."""
+"""Labels (H, W) int32, -1 for none, and planes (K, 4): unit normal to the camera, offset."""
 
 
 class Method:
     """
-    A way to segment planes, in three steps of which the second is timed.
+    A plane segmentation method, in three steps of which the second is timed.
 
     Attributes
     ----------
     name : str
-        For the tables.
+        Name in the tables.
     absent : str
-        Why it cannot run here; empty when it can.
+        Why it is not available; empty if it is.
     slow : bool
-        Takes seconds for an image.
+        Whether it takes seconds per image.
 
     """
 
@@ -62,12 +62,12 @@ class Method:
         raise NotImplementedError
 
     def __call__(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Segments:
-        """Take all three steps."""
+        """Run all three steps."""
         return self.result(self.run(self.prepare(depth_m, intrinsics)))
 
 
 class Ours(Method):
-    """`segment_planes` as it comes."""
+    """`segment_planes` with its default settings."""
 
     name = 'plane_detector'
 
@@ -79,12 +79,12 @@ class Ours(Method):
         return segment_planes(*prepared, self.config)
 
     def result(self, raw: PlaneSegmentation) -> Segments:
-        """Take labels and planes out of a segmentation."""
+        """Return labels and planes of a segmentation."""
         return raw.labels, plane_array(raw)
 
 
 class Paper(Ours):
-    """The paper's method: pyRANSAC-3D plane by plane, then DBSCAN."""
+    """The paper's method: sequential RANSAC of pyRANSAC-3D, then DBSCAN."""
 
     slow = True
 
@@ -103,7 +103,7 @@ class PlainRansac(Paper):
         self.name = f'RANSAC alone, {max_points} points'
 
     def run(self, prepared: Any) -> Any:
-        """Take plane by plane off the points."""
+        """Find the planes by sequential RANSAC."""
         rng = np.random.default_rng(self.config.ransac.seed)
         return paper_labels(*prepared, self.config, rng, cluster=False)[0], *prepared
 
@@ -138,7 +138,7 @@ class OpenCv(Method):
                               threshold=self.threshold_m)
 
     def result(self, raw: Any) -> Segments:
-        """Turn the mask, 255 for no plane, into labels."""
+        """Convert the mask, 255 for no plane, to labels."""
         mask, planes = raw
         labels = mask.astype(np.int32)
         labels[mask == 255] = -1
@@ -146,7 +146,7 @@ class OpenCv(Method):
         return labels, _towards_camera(planes)
 
     def _estimator(self, intrinsics: CameraIntrinsics) -> Any:
-        """Return the estimator of normals, made once for a camera: it keeps tables."""
+        """Return the estimator of normals, cached per camera because it computes tables."""
         if self._normals is None or self._normals[0] != intrinsics:
             matrix = np.array([[intrinsics.fx, 0, intrinsics.cx],
                                [0, intrinsics.fy, intrinsics.cy], [0, 0, 1]], np.float32)
@@ -157,7 +157,7 @@ class OpenCv(Method):
 
 
 class Open3dCloud(Method):
-    """Base of the two methods of Open3D: a point cloud of every valid pixel."""
+    """Base class of the two methods of Open3D: a point cloud of all valid pixels."""
 
     slow = True
 
@@ -165,7 +165,7 @@ class Open3dCloud(Method):
         self.absent = _missing('open3d')
 
     def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
-        """Return the cloud and which pixels are in it."""
+        """Return the cloud and the mask of its pixels."""
         import open3d
         points_m = depth_to_points(depth_m, intrinsics).astype(float)
         seen = np.isfinite(points_m[..., 2])
@@ -173,7 +173,7 @@ class Open3dCloud(Method):
         return open3d.geometry.PointCloud(vector), seen
 
     def result(self, raw: Any) -> Segments:
-        """Turn the indices of each plane's points into labels."""
+        """Convert the indices of each plane's points to labels."""
         seen, indices, planes = raw
         flat = np.full(int(seen.sum()), -1, np.int32)
         for k, index in enumerate(indices):
@@ -204,7 +204,7 @@ class Open3dPatches(Open3dCloud):
 
 
 class Open3dRansac(Open3dCloud):
-    """Open3D's segment_plane, peeled plane by plane."""
+    """Open3D's segment_plane, applied repeatedly."""
 
     def __init__(self, threshold_m: float = 0.02) -> None:
         super().__init__()
@@ -212,7 +212,7 @@ class Open3dRansac(Open3dCloud):
         self.name = f'Open3D segment_plane, peeled, {100 * threshold_m:g} cm'
 
     def run(self, prepared: Any) -> Any:
-        """Take the best plane off the cloud until the best one is too small."""
+        """Remove the best plane from the cloud until the best one is too small."""
         import open3d
         open3d.utility.random.seed(0)
         cloud, seen = prepared
@@ -230,13 +230,13 @@ class Open3dRansac(Open3dCloud):
 
 
 def all_methods() -> list[Method]:
-    """Return ours first, then every peer, installed or not."""
+    """Return our method first, then all others, available or not."""
     return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05), Open3dPatches(),
             Open3dRansac()]
 
 
 def relabelled(labels: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Return labels numbered 0, 1, ... without gaps, (H, W) int32, -1 where ``kept`` is false."""
+    """Return labels renumbered without gaps, (H, W) int32, -1 where ``kept`` is false."""
     out = np.full(labels.shape, -1, np.int32)
     out[kept] = np.unique(labels[kept], return_inverse=True)[1]
     return out
@@ -249,7 +249,7 @@ def plane_array(segmentation: PlaneSegmentation) -> np.ndarray:
 
 
 def _missing(module: str) -> str:
-    """Return why a module cannot be used, empty when it can."""
+    """Return why a module cannot be used; empty if it can."""
     if importlib.util.find_spec(module) is None:
         return f'{module} is not installed'
     try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From planes to depth and from labelled depth to planes."""
+"""Conversion from planes to depth, and from labelled depth to planes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MIN_POINTS = 3
 
 def plane_depth(labels: np.ndarray, planes: np.ndarray,
                 intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Return the depth (H, W) at which each pixel's ray meets its plane, NaN where none."""
+    """Return the depth (H, W) at which each pixel's ray meets its plane, NaN without a plane."""
     if not len(planes):
         return np.full(labels.shape, np.nan)
     x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
@@ -32,7 +32,7 @@ def fit_planes(labels: np.ndarray, depth_m: np.ndarray,
     Parameters
     ----------
     labels : (H, W) int
-        0..K-1, -1 none.
+        0..K-1, or -1 for none.
     depth_m : (H, W) floating
         NaN where invalid.
     intrinsics : CameraIntrinsics
@@ -40,7 +40,7 @@ def fit_planes(labels: np.ndarray, depth_m: np.ndarray,
     Returns
     -------
     (K, 4) float64
-        Unit normal towards the camera and offset in metres; NaN where a label has fewer than
+        Unit normal pointing to the camera and offset in metres; NaN for labels with fewer than
         MIN_POINTS valid points.
 
     """

@@ -1,16 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Labels of the flat surfaces in exact depth, to judge the detector by; it shares no code with it.
+Reference labels of flat surfaces in exact depth; independent of the detector's code.
 
-Region growing, as Poppinga, Vaskevicius, Birk and Pathak do it in "Fast plane detection and
-polygonalization in noisy 3D range images" (IROS 2008), with the time that exact depth is worth:
-pixel by pixel, from the flattest place on, and grown anew after each fit until nothing changes.
+Region growing after Poppinga, Vaskevicius, Birk and Pathak, "Fast plane detection and
+polygonalization in noisy 3D range images" (IROS 2008), slower but more accurate: it works on
+pixels, starts at the flattest place, and grows again after each fit until nothing changes.
 
-What is curved is told from a plane by a second tolerance. On a plane nearly all that lies within
-four times the tolerance lies within the tolerance; on a curved surface the region goes on.
+A second tolerance distinguishes curved surfaces from planes. On a plane nearly all pixels within
+four times the tolerance are within the tolerance; on a curved surface the region becomes larger.
 
-A plane is affine in disparity, 1/z = a x/z + b y/z + c, and is worked with as (a, b, c).
+A plane is affine in disparity, 1/z = a x/z + b y/z + c, and is represented as (a, b, c).
 """
 
 from __future__ import annotations
@@ -26,43 +26,43 @@ from plane_detector.geometry.projection import check_depth, pixel_rays
 from plane_detector.types import CameraIntrinsics
 
 TOLERANCE_M = 0.0015
-"""Depth that a plane's pixels may be off: three times the most that rounding to 1 mm does."""
+"""Largest depth error of a plane's pixels: three times that of rounding to 1 mm."""
 LOOSE_TOLERANCE_M = 4 * TOLERANCE_M
-"""A strip along a cylinder is as wide as the root of the tolerance: nearly twice, by this."""
+"""The width of a strip along a cylinder grows with the root of the tolerance, here by two."""
 FLAT_RATIO = 1.15
-"""What the loose tolerance makes at most this many times larger is a plane; edges are bevelled."""
+"""Largest growth by the loose tolerance for a plane; allows for bevelled edges."""
 UNCLEAR_RATIO = 1.5
-"""What it makes larger than this is curved; in between it is neither called a plane nor not."""
+"""A region that grows by more is curved; regions in between are not judged."""
 WINDOW_PX = 9
-"""Side of the windows that regions start from: rounding averages out, narrow faces hold one."""
+"""Side of the start windows: averages rounding errors, but fits into narrow faces."""
 ROUGHEST_START_M = 0.0005
-"""Root mean square error of a window to start from; rounding to 1 mm alone gives 0.0003."""
+"""Largest root mean square error of a start window; rounding to 1 mm alone gives 0.0003."""
 MERGE_M = 0.002
-"""Two pieces are one plane when most of the smaller one's pixels fit the larger's this well."""
+"""Two pieces are one plane if most pixels of the smaller fit the larger one's plane this well."""
 MERGE_SHARE = 0.9
 MIN_PIXELS = 300
-"""Smaller regions are no planes; the metrics only miss planes of more than 1500 pixels."""
+"""Smaller regions are dropped; the metrics only count planes over 1500 pixels as missed."""
 Pixel = tuple[int, int]
 _MOST_REFITS = 12
-_SETTLED_SHARE = 0.001  # of the region's pixels may still change
+_SETTLED_SHARE = 0.001  # of the region's pixels may change in the last round
 _MIN_TO_FIT = WINDOW_PX**2 // 2
 
 
 @dataclass(frozen=True)
 class ExactLabels:
     """
-    The flat surfaces of an image, largest first.
+    Flat surfaces of an image, largest first.
 
     Attributes
     ----------
     labels : (H, W) int32
         Index into ``planes``, -1 for none.
     planes : (K, 4) float64
-        Unit normal towards the camera and offset, 0 or more, in metres: n.p + d = 0.
+        Unit normal pointing to the camera and offset, 0 or more, in metres: n.p + d = 0.
     unclear : (H, W) bool
-        Pixels without a label that may be on a plane: on surfaces that are flat within the loose
-        tolerance and not within the other, like the faces of a curtain's folds, on narrow faces
-        with bevelled edges, and on the ends of curved surfaces, which go on to one side only.
+        Unlabelled pixels that may be on a plane: surfaces that are flat only within the loose
+        tolerance, such as the folds of a curtain, narrow faces with bevelled edges, and the ends
+        of curved surfaces, which continue on one side only.
 
     """
 
@@ -82,14 +82,14 @@ class _DepthRays:
     valid: np.ndarray
 
     def error_m(self, plane: np.ndarray) -> np.ndarray:
-        """Return how far each pixel's depth is off a plane, to first order, (H, W)."""
+        """Return the depth error of each pixel from a plane, to first order, (H, W)."""
         error = plane[0] * self.ray_x + plane[1] * self.ray_y
         error += plane[2]
         error -= self.disparity
         return np.abs(error, out=error) * self.depth_m**2
 
     def fit(self, region: np.ndarray) -> np.ndarray:
-        """Return the plane (3,) with the least squared depth error over a region."""
+        """Return the plane (3,) with the smallest squared depth error over a region."""
         weight = self.depth_m[region]**2
         rays = weight * np.stack([self.ray_x[region], self.ray_y[region], np.ones(len(weight))])
         return np.linalg.lstsq(rays @ rays.T, rays @ (weight * self.disparity[region]),
@@ -99,14 +99,14 @@ class _DepthRays:
 def label_exact_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                        min_pixels: int = MIN_PIXELS) -> ExactLabels:
     """
-    Label the flat surfaces in depth without noise; takes a second or two.
+    Label the flat surfaces in depth without noise; takes one or two seconds.
 
-    Coplanar surfaces have one label, also where something stands between them.
+    Coplanar surfaces have one label, even if something stands between them.
 
     Parameters
     ----------
     depth_m : (H, W) floating
-        Exact up to rounding to millimetres; not finite or not positive is invalid.
+        Exact except for rounding to millimetres; not finite or not positive is invalid.
     intrinsics : CameraIntrinsics
     min_pixels : int
         A piece with fewer pixels is not labelled.
@@ -142,7 +142,7 @@ def _depth_rays(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> _DepthRays
 
 
 def _grow_all(rays: _DepthRays, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the regions (H, W) that are planes, and the pixels of those that may be."""
+    """Return the regions (H, W) that are planes, and the pixels of doubtful ones."""
     free = rays.valid.copy()
     regions, doubtful = [], []
     for start, plane in _candidates(rays, free, min_pixels):
@@ -170,7 +170,7 @@ def _candidates(rays: _DepthRays, free: np.ndarray, min_pixels: int
 
 def _second_look(rays: _DepthRays, doubtful: Sequence[tuple[Pixel, np.ndarray]],
                  free: np.ndarray, min_pixels: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Judge again, as :func:`_grow_all`, now that nothing grows into the planes beside it."""
+    """Judge doubtful regions again, as :func:`_grow_all`, after their neighbours are labelled."""
     free, unclear = free.copy(), np.zeros(free.shape, bool)
     regions = []
     for start, plane in doubtful:
@@ -187,7 +187,7 @@ def _second_look(rays: _DepthRays, doubtful: Sequence[tuple[Pixel, np.ndarray]],
 
 def _growth(rays: _DepthRays, plane: np.ndarray, start: Pixel, free: np.ndarray
             ) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return a region, how much larger the loose tolerance makes it, and that larger region."""
+    """Return a region, its growth by the loose tolerance, and the larger region."""
     region, loose = (_around(rays, plane, tolerance_m, start, free)
                      for tolerance_m in (TOLERANCE_M, LOOSE_TOLERANCE_M))
     return region, np.count_nonzero(loose) / max(np.count_nonzero(region), 1), loose
@@ -201,12 +201,12 @@ def _windows(rays: _DepthRays) -> tuple[np.ndarray, np.ndarray]:
     -------
     planes : (H, W, 3) float64
     rms_m : (H, W) float64
-        Root mean square depth error; inf where not all pixels of the window are valid.
+        Root mean square depth error; inf if pixels of the window are invalid.
 
     """
     x, y, disparity = rays.ray_x, rays.ray_y, rays.disparity
     mean = _mean(disparity)
-    # Over a whole window x and y are a grid: their variances are known, and they are uncorrelated.
+    # In a full window x and y form a grid: their variances are known, and they are uncorrelated.
     variance_x, variance_y = (
         (WINDOW_PX**2 - 1) / 12 * step**2 for step in (x[0, 1] - x[0, 0], y[1, 0] - y[0, 0]))
     slope_x = (_mean(x * disparity) - x * mean) / variance_x
@@ -226,20 +226,20 @@ def _mean(values: np.ndarray) -> np.ndarray:
 
 
 def _flattest(rms_m: np.ndarray) -> Pixel | None:
-    """Return row and column of the flattest window, None when all that are left are rough."""
+    """Return row and column of the flattest window; None if all remaining ones are rough."""
     row, column = divmod(int(rms_m.argmin()), rms_m.shape[1])
     return (row, column) if rms_m[row, column] <= ROUGHEST_START_M else None
 
 
 def _window(pixel: Pixel) -> tuple[slice, slice]:
-    """Return the middle of the window around a pixel: what would start much the same."""
+    """Return the centre of the window around a pixel, whose starts would give similar results."""
     row, column = (slice(max(0, k - WINDOW_PX // 4), k + WINDOW_PX // 4 + 1) for k in pixel)
     return row, column
 
 
 def _grown(rays: _DepthRays, plane: np.ndarray, start: Pixel, free: np.ndarray
            ) -> tuple[np.ndarray, np.ndarray]:
-    """Grow the region around a pixel and fit its plane, by turns; return both."""
+    """Grow the region around a pixel and fit its plane in turn; return both."""
     region = _around(rays, plane, TOLERANCE_M, start, free)
     for _ in range(_MOST_REFITS):
         if np.count_nonzero(region) < _MIN_TO_FIT:
@@ -253,7 +253,7 @@ def _grown(rays: _DepthRays, plane: np.ndarray, start: Pixel, free: np.ndarray
 
 def _around(rays: _DepthRays, plane: np.ndarray, tolerance_m: float, start: Pixel,
             free: np.ndarray) -> np.ndarray:
-    """Return the connected free pixels around one that are within a tolerance of a plane."""
+    """Return the free pixels connected with one that are within a tolerance of a plane."""
     near = (rays.error_m(plane) <= tolerance_m) & free
     filled = near.astype(np.uint8)
     if near[start]:
@@ -262,7 +262,7 @@ def _around(rays: _DepthRays, plane: np.ndarray, tolerance_m: float, start: Pixe
 
 
 def _merged(rays: _DepthRays, pieces: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return the regions with those joined that lie on one plane, wherever they are."""
+    """Return the regions after merging coplanar ones, adjacent or not."""
     regions: list[np.ndarray] = []
     for piece in sorted(pieces, key=np.count_nonzero, reverse=True):
         for k, region in enumerate(regions):

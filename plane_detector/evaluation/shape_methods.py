@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Methods that find spheres, cylinders and cones, ours and the baseline."""
+"""Methods that find spheres, cylinders and cones: ours and a baseline."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONFIG = Config(depth=DepthConfig(source='topic'), shapes=ShapesConfig(types='al
 @dataclass(frozen=True)
 class ShapeGuess:
     """
-    What a method says of one shape.
+    One shape found by a method.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class ShapeGuess:
 
 
 def ours(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> list[ShapeGuess]:
-    """Return the shapes of the package with its defaults."""
+    """Return the shapes found by the package with its default settings."""
     detection = PlaneDetector(CONFIG).detect(np.zeros((*depth_m.shape, 3), np.uint8), intrinsics,
                                              depth_m)
     return [ShapeGuess(shape.type, detection.labels == len(detection.planes) + k, shape.radius_m,
@@ -53,18 +53,18 @@ def ours(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> list[ShapeGuess]:
 
 class PyRansac:
     """
-    Spheres and cylinders of pyRANSAC-3D, largest first, in what our planes leave over.
+    Spheres and cylinders of pyRANSAC-3D, largest first, where our method finds no plane.
 
-    It draws three points for a cylinder and takes their plane's normal for the axis, which is
-    right only by chance, and nothing ends a shape: its inliers lie wherever in the image. It has
-    no cones.
+    It uses the normal of three points as the axis of a cylinder, which is correct only by chance,
+    and does not limit the extent of a shape: its inliers may be anywhere in the image. It has no
+    cones.
 
     Parameters
     ----------
     threshold_m : float
         Inlier distance.
     max_points, iterations : int
-        Points are thinned, since every iteration looks at all of them.
+        Points are subsampled, because every iteration tests all of them.
 
     """
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Count what a checkout is made of: modules, import floors, constants, lines, long functions.
+Statistics of a checkout: modules, import floors, constants, lines, long functions.
 
-It reads the sources only, so that it also counts a checkout of another commit:
+It only reads the sources, so that it can also count a checkout of another commit:
 
     git worktree add ../before COMMIT
     python3 -m plane_detector.evaluation.benchmark structure ../before .
@@ -21,7 +21,7 @@ from pathlib import Path
 from plane_detector.evaluation.benchmark.tables import emit, table
 
 PACKAGE = 'plane_detector'
-# The layers that a robot does not get installed.
+# Layers that are not installed.
 NOT_INSTALLED = ('evaluation',)
 MOST_LINES, MOST_ARGUMENTS = 40, 6
 ORIGINS = ('derived', 'after', 'tuned')
@@ -30,9 +30,9 @@ ORIGINS = ('derived', 'after', 'tuned')
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of this subcommand."""
     parser.add_argument('checkouts', nargs='*', type=Path, default=[Path('.')],
-                        help='folders with a plane_detector in them, a column each')
+                        help='folders that contain a plane_detector, one column each')
     parser.add_argument('--segmentation', nargs='*', default=[], metavar='MODULE',
-                        help='modules of the segmentation where it has no folder of its own')
+                        help='modules of the segmentation, if it has no folder of its own')
 
 
 def run(options: argparse.Namespace) -> None:
@@ -55,12 +55,12 @@ def counts(package: Path, segmentation: Sequence[str] = ()) -> dict[str, int]:
     package : Path
         Its folder.
     segmentation : sequence of str
-        Modules in it that are the segmentation, where there is no folder of this name.
+        Modules that belong to the segmentation, if there is no folder of this name.
 
     Returns
     -------
     dict of str to int
-        What is counted, in the order of the table.
+        Counts in the order of the table.
 
     """
     paths, imported = sorted(package.rglob('*.py')), imports(package)
@@ -99,7 +99,7 @@ def _function_counts(paths: Sequence[Path]) -> dict[str, int]:
 
 
 def constants(path: Path) -> Iterator[tuple[str, str]]:
-    """Yield the name of each number at the top of a module, and its origin, empty if none."""
+    """Yield the name of each numeric constant of a module, and its origin, empty if none."""
     lines = path.read_text(encoding='utf-8').splitlines()
     for node in _tree(path).body:
         if isinstance(node, ast.Assign) and _is_numeric(node.value):
@@ -114,7 +114,7 @@ def constants(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def imports(package: Path) -> dict[str, set[str]]:
-    """Return which modules of a package each of them imports, all by their full names."""
+    """Return the modules that each module of a package imports, all by their full names."""
     names = {'.'.join(path.relative_to(package.parent).with_suffix('').parts)
              .removesuffix('.__init__'): path for path in package.rglob('*.py')}
     found = {}
@@ -130,7 +130,7 @@ def imports(package: Path) -> dict[str, set[str]]:
 
 
 def rooms(imported: Mapping[str, set[str]]) -> dict[str, set[str]]:
-    """Return which rooms, folders and files at the top of the package, import each other."""
+    """Return the imports among rooms: folders and files at the top level of the package."""
     found: dict[str, set[str]] = {}
     for name, others in imported.items():
         if '.' in name:
@@ -141,7 +141,7 @@ def rooms(imported: Mapping[str, set[str]]) -> dict[str, set[str]]:
 
 def floors(imported: Mapping[str, set[str]]) -> dict[str, int]:
     """
-    Return how many modules the longest chain of imports below each module has, itself included.
+    Return the length of the longest chain of imports below each module, including itself.
 
     Examples
     --------
@@ -153,7 +153,7 @@ def floors(imported: Mapping[str, set[str]]) -> dict[str, int]:
 
     def floor(name: str, above: tuple[str, ...] = ()) -> int:
         if name not in known:
-            # A module that is above already closes a circle, which adds nothing.
+            # A module already in the chain closes a circle, which does not add to the length.
             below = [floor(other, (*above, name)) for other in imported[name]
                      if other not in above]
             known[name] = 1 + max(below, default=0)
@@ -163,7 +163,7 @@ def floors(imported: Mapping[str, set[str]]) -> dict[str, int]:
 
 
 def _is_numeric(value: ast.expr) -> bool:
-    """Say whether an expression is of numbers written out: 3, -1e-3, 1 / 12, (2, 3), an array."""
+    """Return whether an expression consists of numeric literals: 3, 1 / 12, (2, 3), an array."""
     nodes = list(ast.walk(value))
     numbers = [node for node in nodes if isinstance(node, ast.Constant)]
     names = {node.id for node in nodes if isinstance(node, ast.Name)}

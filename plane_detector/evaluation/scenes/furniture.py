@@ -3,9 +3,9 @@
 """
 Furniture of random sizes for rendered rooms.
 
-Everything stands on z = 0, metres. What belongs to a wall has its back at y = 0, its middle at
-x = 0 and looks along y; the rest has the origin in its middle. Faces of neighbouring parts are
-never flush, so that what is one flat surface to the eye is one plane.
+Everything stands on z = 0, in metres. Furniture for a wall has its back at y = 0, its centre at
+x = 0 and faces y; other furniture has the origin in its centre. Faces of adjacent parts are never
+flush, so that each visually flat surface is one plane.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ X = (1, 0, 0)
 
 
 def sofa(rng: np.random.Generator, least_width: float = 1.5, most_width: float = 2.3) -> Thing:
-    """Return a sofa: base, arms, back, cushions of their own tilts, and round pillows."""
+    """Return a sofa: base, arms, back, cushions with individual tilts, and round pillows."""
     width, depth = rng.uniform([least_width, 0.8], [most_width, 1.0])
     arm, back = rng.uniform([0.12, 0.12], [0.25, 0.2])
     arm_height, back_height, seat = rng.uniform([0.55, 0.72, 0.26], [0.68, 0.9, 0.32])
@@ -53,7 +53,7 @@ def sofa(rng: np.random.Generator, least_width: float = 1.5, most_width: float =
 
 def _seat_and_back(rng: np.random.Generator, width: float, depth: float, back: float,
                    thick: float) -> Thing:
-    """Return the cushion that one sits on and the one that one leans on, 5 to 20 degrees."""
+    """Return the seat cushion and the back cushion, tilted by 5 to 20 degrees."""
     lean_deg, length = rng.uniform([5, 0.38], [20, 0.48])
     back_thick = rng.uniform(0.09, 0.13)
     foot = back + back_thick + length * np.sin(np.radians(lean_deg))
@@ -64,14 +64,14 @@ def _seat_and_back(rng: np.random.Generator, width: float, depth: float, back: f
 
 
 def _cushion(width: float, length: float, thick: float) -> Thing:
-    """Return a cushion that lies along y and is round at its far end."""
+    """Return a cushion along y that is round at its far end."""
     flat_end = length - thick / 2
     return (block([-width / 2, 0, 0], [width / 2, flat_end, thick])
             + bar([-width / 2, flat_end, thick / 2], [width / 2, flat_end, thick / 2], thick / 2))
 
 
 def lounge_chair(rng: np.random.Generator) -> Thing:
-    """Return a chair of a bent sheet between two bent arms, that looks along y."""
+    """Return a chair made of a bent sheet between two bent arms, facing y."""
     half, high = rng.uniform([0.25, 0.85], [0.34, 1.05])
     seat = bezier([(-half, 0.40, 0.42), (-half, -0.05, 0.25), (-half, -0.25, 0.28),
                    (-half, -0.45, high)], 800)
@@ -86,7 +86,7 @@ def lounge_chair(rng: np.random.Generator) -> Thing:
 
 
 def table(rng: np.random.Generator, low: tuple, high: tuple) -> Thing:
-    """Return a table of a size between two, with four legs or, if round, with one."""
+    """Return a table with a size between two, with four legs or, if round, with one."""
     width, depth, height = rng.uniform(low, high)
     thick = rng.uniform(0.025, 0.05)
     if rng.uniform() < 0.25:
@@ -107,7 +107,7 @@ def _leg(x: float, y: float, height: float, width: float) -> Thing:
 
 
 def on_table(rng: np.random.Generator) -> Thing:
-    """Return what lies on a table: a vase, a bowl, a flat box or some books."""
+    """Return objects for a table: a vase, a bowl, a flat box or some books."""
     kind = rng.integers(4)
     if kind == 0:
         return vase(rng)
@@ -130,7 +130,7 @@ def vase(rng: np.random.Generator) -> Thing:
 
 
 def chair(rng: np.random.Generator) -> Thing:
-    """Return a dining chair that looks along y, its back a board or some slats, tilted."""
+    """Return a dining chair that faces y; its back is a tilted board or slats."""
     width, depth, height = rng.uniform([0.4, 0.4, 0.43], [0.48, 0.46, 0.48])
     leg, thick, tilt_deg = rng.uniform([0.035, 0.025, 5], [0.05, 0.05, 12])
     x, y = width / 2 - leg / 2 - 0.012, depth / 2 - leg / 2 - 0.012
@@ -147,7 +147,7 @@ def chair(rng: np.random.Generator) -> Thing:
 
 
 def bookshelf(rng: np.random.Generator) -> Thing:
-    """Return sides, boards a little set back, a back wall, and books on most boards."""
+    """Return sides, boards slightly set back, a back wall, and books on most boards."""
     width, depth, height = rng.uniform([0.6, 0.25, 1.2], [1.2, 0.36, 2.1])
     half, board = width / 2, rng.uniform(0.018, 0.03)
     parts = [block([-half, 0, 0], [half, 0.008, height - 0.01])]
@@ -174,7 +174,7 @@ def _books(rng: np.random.Generator, width: float, depth: float, room: float) ->
 
 
 def cupboard(rng: np.random.Generator, low: tuple, high: tuple) -> Thing:
-    """Return a body on a set back plinth, below a top that stands out, with knobs."""
+    """Return a body on a recessed plinth below a protruding top, with knobs."""
     width, depth, height = rng.uniform(low, high)
     out = rng.uniform(0.01, 0.03)
     parts = [block([-width / 2 + 0.02, 0.01, 0], [width / 2 - 0.02, depth - 0.05, 0.08]),

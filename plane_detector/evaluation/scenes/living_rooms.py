@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rendered living rooms: lived in, with much that is thin, tilted or curved.
+Rendered lived-in rooms, with many thin, tilted or curved objects.
 
-One wall has the sofa, the one opposite the television, the others a window and a door.
+One wall has the sofa, the opposite one the television, the others a window and a door.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Pose = tuple[float, float, float, float]
 
 
 def living_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return a living room seen from a random place in it, 0.9 to 1.8 m above the floor."""
+    """Return a living room seen from a random position, 0.9 to 1.8 m above the floor."""
     things, rotation, position = furnished_living_room(rng)
     everything = joined(*(thing for _, thing in things))
     return render(everything.flat, rotation, position, intrinsics, rng,
@@ -39,7 +39,7 @@ def living_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) ->
 
 def furnished_living_room(
         rng: np.random.Generator) -> tuple[list[tuple[str, Thing]], np.ndarray, np.ndarray]:
-    """Return what is in a room, by name, and rotation (3, 3) and position (3,) of a camera."""
+    """Return the objects of a room, by name, and rotation (3, 3) and position (3,) of a camera."""
     room = _Room(rng)
     sides = np.roll([0, 1, 2, 3] if rng.uniform() < 0.5 else [0, 3, 2, 1], rng.integers(4))
     for furnish, side in zip((_sofa_wall, _window_wall, _television_wall, _door_wall), sides,
@@ -50,7 +50,7 @@ def furnished_living_room(
 
 
 class _Room:
-    """A room that is being furnished, and the boxes in it that are taken."""
+    """A room that is being furnished, and the occupied boxes in it."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self.rng = rng
@@ -67,17 +67,17 @@ class _Room:
         return float(self.size[side % 2])
 
     def on_wall(self, thing: Thing, side: int, x: float, y: float = 0.0, z: float = 0.0) -> Thing:
-        """Return a thing moved from the middle of y = 0 to a place on a wall."""
+        """Return a thing moved from the centre of y = 0 to a place on a wall."""
         corner = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])[side] * self.size[:2]
         return thing.at(x, y, z).at(*corner, 0, 90.0 * side)
 
     def put(self, name: str, thing: Thing, keep_clear_m: float = 0.0) -> None:
-        """Add a thing where it is."""
+        """Add a thing at its current place."""
         self.things.append((name, thing))
         self.taken.append(thing.bounds() + keep_clear_m * np.array([[-1, -1, 0], [1, 1, 0]]))
 
     def try_to_put(self, name: str, thing: Thing, moved: Callable[[Thing], Thing]) -> Thing | None:
-        """Add a thing at the first random place where it is free and in the room, if any."""
+        """Add a thing at the first random place that is free and in the room, if any."""
         for _ in range(_TRIES):
             there = moved(thing)
             low, high = there.bounds()
@@ -90,7 +90,7 @@ class _Room:
 
     def try_on_wall(self, name: str, thing: Thing, side: int, low: tuple,
                     high: tuple) -> Thing | None:
-        """Add a thing on a wall between two (x as a share of its length, y, z), if it fits."""
+        """Add a thing on a wall within a range (x as a share of its length, y, z), if it fits."""
         def moved(thing: Thing) -> Thing:
             share, y, z = self.rng.uniform(low, high)
             return self.on_wall(thing, side, share * self.length(side), y, z)
@@ -103,7 +103,7 @@ class _Room:
         return self.try_to_put(name, thing, moved)
 
     def put_on(self, name: str, thing: Thing, below: Thing) -> None:
-        """Add a thing on top of another, away from its edges, if there is place."""
+        """Add a thing on top of another, away from its edges, if there is space."""
         low, high = below.bounds()
 
         def moved(thing: Thing) -> Thing:
@@ -112,7 +112,7 @@ class _Room:
         self.try_to_put(name, thing, moved)
 
     def put_skirting(self, side: int, door: tuple[float, float] | None = None) -> None:
-        """Add the skirting boards of a wall, but not before its door."""
+        """Add the skirting boards of a wall, except at its door."""
         spans = [(0.0, self.length(side))]
         if door is not None:
             spans = [(0.0, door[0]), (door[1], self.length(side))]
@@ -120,9 +120,9 @@ class _Room:
         self.things.append(('skirting', self.on_wall(board, side, 0)))
 
     def camera(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return rotation and position of a camera that looks between two things, not too near."""
+        """Return rotation and position of a camera that looks between two things at a distance."""
         boxes = np.array(self.taken)
-        for less in 0.99 ** np.arange(1000):  # contents itself with less, the longer it looks
+        for less in 0.99 ** np.arange(1000):  # the requirements decrease with each try
             position = self.rng.uniform([0.3, 0.3, 0.9], [*self.size[:2] - 0.3, 1.8])
             outside = position - np.clip(position, boxes[:, 0], boxes[:, 1])
             away = boxes[self.rng.integers(len(boxes), size=2)].mean((0, 1)) - position
@@ -136,7 +136,7 @@ class _Room:
 
 
 def _sofa_wall(room: _Room, side: int) -> None:
-    """Add a sofa, pictures above it, and at its sides a lamp and a small table."""
+    """Add a sofa, pictures above it, and a lamp and a small table at its sides."""
     rng = room.rng
     _plain_wall(room, side)
     sofa = room.on_wall(furniture.sofa(rng), side, rng.uniform(0.42, 0.58) * room.length(side),
@@ -175,7 +175,7 @@ def _television_wall(room: _Room, side: int) -> None:
 
 
 def _window_wall(room: _Room, side: int) -> None:
-    """Add a window with sill, curtains and what is below it."""
+    """Add a window with sill, curtains and the objects below it."""
     rng = room.rng
     half, low, top = rng.uniform([0.5, 0.65, 0.2], [0.95, 0.95, 0.45])
     hole = wall_fittings.Opening(half, low, room.size[2] - top)
@@ -213,7 +213,7 @@ def _door_wall(room: _Room, side: int) -> None:
 
 
 def _middle(room: _Room, side: int) -> None:
-    """Add what stands free: coffee table on a rug before the sofa, chairs, a plant, a lamp."""
+    """Add free-standing objects: coffee table on a rug at the sofa, chairs, a plant, a lamp."""
     rng = room.rng
     ahead = rng.uniform(1.55, 1.75)
     x = rng.uniform(0.45, 0.55) * room.length(side)

@@ -11,19 +11,19 @@ import numpy as np
 def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Generator,
                          smooth_share: float = 0.5, correlation_px: float = 12.0) -> np.ndarray:
     """
-    Add noise of constant standard deviation to 1/depth, as stereo and depth networks have it.
+    Add noise of constant standard deviation to 1/depth, as in stereo and depth networks.
 
     Parameters
     ----------
     depth_m : (H, W) floating
     sigma : float
-        Standard deviation of the sum, per metre.
+        Standard deviation of the total noise, 1/m.
     rng : numpy.random.Generator
     smooth_share : float
         Share of the variance that is smooth over the image; the rest is independent from pixel
         to pixel.
     correlation_px : float
-        Standard deviation of the Gaussian that the smooth part is blurred with.
+        Standard deviation of the Gaussian blur of the smooth part.
 
     Returns
     -------

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Rendering of surfaces, with exact depth, labels and plane coefficients.
+Rendering of surfaces with exact depth, labels and plane coefficients.
 
-A scene is a list of rectangles in a world with z up; each pixel's ray is intersected with all of
-them and the nearest hit wins. Every rectangle is a plane of its own, also where two are coplanar.
+A scene is a list of rectangles in a world with z up. Each pixel's ray is intersected with all of
+them, and the nearest hit is used. Every rectangle is a separate plane, even if two are coplanar.
 Curved surfaces can be added: they occlude planes and have no label.
 """
 
@@ -20,10 +20,10 @@ from plane_detector.geometry.projection import pixel_rays
 from plane_detector.types import CameraIntrinsics
 
 VGA = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
-# Columns: the axes x right, y down, z forward of a level camera that looks along world y.
+# Columns: the axes x right, y down, z forward of a horizontal camera that looks along world y.
 LEVEL_WORLD_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 NEAREST_M = 0.05
-"""Nothing nearer is seen."""
+"""Nearer surfaces are not visible."""
 
 
 @dataclass(frozen=True)
@@ -39,15 +39,15 @@ class Scene:
     labels : (H, W) int32
         Index into ``planes``, -1 for none.
     planes : (N, 4) float64
-        Unit normal towards the camera and offset of every visible plane, camera frame.
+        Unit normal pointing to the camera and offset of every visible plane, in the camera frame.
     intrinsics : CameraIntrinsics
     gravity_camera : (3,) float64
         Direction of gravity in the camera frame.
     rectangles : (N,) int
-        Index of each plane's rectangle in the list that was rendered: the same surface in
-        images from several places.
+        Index of each plane's rectangle in the rendered list, which identifies a surface in images
+        from several positions.
     height_m : float
-        Of the camera above the world's z = 0, where rooms have their floor.
+        Height of the camera above z = 0, the floor of rooms.
 
     """
 
@@ -62,23 +62,23 @@ class Scene:
 
 
 class Surface(Protocol):
-    """What can be rendered."""
+    """A surface that can be rendered."""
 
     def hull(self) -> np.ndarray:
-        """Return points (K, 3) in the world whose convex hull holds the surface, metres."""
+        """Return points (K, 3) in the world whose convex hull contains the surface, metres."""
 
     def depth(self, ray_x: np.ndarray, ray_y: np.ndarray, world_from_camera: np.ndarray,
               position: np.ndarray) -> np.ndarray:
-        """Return the depth (h, w) at which rays (w,), (h, 1) meet it, inf where they do not."""
+        """Return the depth (h, w) at which rays (w,), (h, 1) meet it; inf if they do not."""
 
 
 @dataclass(frozen=True)
 class Rectangle:
     """
-    A corner and the two edges that leave it, perpendicular to each other, metres.
+    A corner and the two perpendicular edges that start there, metres.
 
-    The mask, if any, says which part of the rectangle is there: it is given the coordinates of
-    hits along the edges, 0 to 1, and returns bool.
+    The mask, if any, returns which points of the rectangle exist, bool, from their coordinates
+    along the edges, 0 to 1.
     """
 
     corner: np.ndarray
@@ -93,7 +93,7 @@ class Rectangle:
 
     def depth(self, ray_x: np.ndarray, ray_y: np.ndarray, world_from_camera: np.ndarray,
               position: np.ndarray) -> np.ndarray:
-        """Return the depth at which each ray meets it, inf where it does not."""
+        """Return the depth at which each ray meets it; inf if it does not."""
         corner, edge_u, edge_v = self.in_camera(world_from_camera, position)
         plane = _plane_towards_camera(corner, edge_u, edge_v)
         with np.errstate(divide='ignore', invalid='ignore'):
@@ -112,7 +112,7 @@ class Rectangle:
 
 
 def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
-    """Return world_from_camera (3, 3); yaw turns left about up, pitch up looks up."""
+    """Return world_from_camera (3, 3); positive yaw turns left, positive pitch looks up."""
     yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
     about_up = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
     about_x = np.array(
@@ -139,7 +139,7 @@ def render(rectangles: Sequence[Rectangle], world_from_camera: np.ndarray, posit
            intrinsics: CameraIntrinsics, rng: np.random.Generator,
            curved: Sequence[Surface] = ()) -> Scene:
     """
-    Intersect the ray of every pixel with every surface; the generator only colours the image.
+    Intersect the ray of every pixel with every surface; the generator only affects the colours.
 
     Curved surfaces have depth but no label.
     """
@@ -166,12 +166,12 @@ def render(rectangles: Sequence[Rectangle], world_from_camera: np.ndarray, posit
 
 
 def _window(hull_camera_m: np.ndarray, intrinsics: CameraIntrinsics) -> tuple[slice, slice]:
-    """Return the rows and columns outside of which no ray can meet what is in the hull."""
+    """Return the rows and columns whose rays can meet the hull."""
     before, behind = (hull_camera_m[side] for side in (hull_camera_m[:, 2] > NEAREST_M,
                                                        hull_camera_m[:, 2] <= NEAREST_M))
     if not len(before):
         return slice(0), slice(0)
-    # Where the lines from what is before to what is behind pass the nearest depth.
+    # Points where lines from vertices before to vertices behind cross the nearest depth.
     lines = before[:, None] - behind
     passing = behind + lines * ((NEAREST_M - behind[:, 2]) / lines[..., 2])[..., None]
     x, y, z = np.vstack([before, passing.reshape(-1, 3)]).T
@@ -195,7 +195,7 @@ def _along(ray_x, ray_y, z_m, corner, edge) -> np.ndarray:
 
 
 def colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Give each plane a colour, with a little grain so that nothing is perfectly flat."""
+    """Give each plane a colour, with slight pixel noise so that no area is perfectly uniform."""
     colours = rng.uniform(60, 220, (len(planes) + 1, 3)).astype(np.float32)
     grain = rng.normal(0, 6, labels.shape).astype(np.float32)
     return np.clip(colours[labels] + grain[..., None], 0, 255).astype(np.uint8)

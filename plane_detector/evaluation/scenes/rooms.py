@@ -19,7 +19,7 @@ from plane_detector.types import CameraIntrinsics
 
 
 def random_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return a furnished room: boxes on the floor, and cupboards and pictures on the walls."""
+    """Return a furnished room: boxes on the floor, cupboards and pictures on the walls."""
     return render(*furnished_room(rng), intrinsics, rng)
 
 
@@ -37,7 +37,7 @@ def furnished_room(rng: np.random.Generator) -> tuple[list[Rectangle], np.ndarra
 
 
 def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -> list[Rectangle]:
-    """Return one box clear of the camera: free on the floor, at a wall, or hung on a wall."""
+    """Return a box away from the camera: free on the floor, at a wall, or hung on a wall."""
     while True:
         kind = rng.integers(3)
         side, end = rng.integers(2), rng.integers(2)
@@ -67,7 +67,7 @@ def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
 
 def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
                 distance_m: float = 3.0) -> Scene:
-    """Return one wall that fills the image, turned away by the yaw."""
+    """Return one wall that fills the image, rotated by the yaw."""
     wall = Rectangle(np.array([-500.0, distance_m, -500.0]), np.array([1000.0, 0, 0]),
                      np.array([0, 0, 1000.0]))
     return render([wall], camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
@@ -75,7 +75,7 @@ def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
 
 
 def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return a scene without any plane: everything in it is strongly curved."""
+    """Return a scene without planes: all its surfaces are strongly curved."""
     v, u = np.mgrid[0:intrinsics.height, 0:intrinsics.width] / intrinsics.width * 640.0
     depth_m = 2.0 + 0.6 * np.sin(u / 9.0) * np.cos(v / 11.0) + 0.3 * np.sin(v / 4.0)
     labels = np.full(depth_m.shape, -1, np.int32)
@@ -85,7 +85,7 @@ def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
 
 
 def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return the empty space under a gable roof: a floor, two slopes of 30 to 55 degrees."""
+    """Return the empty space under a gable roof: a floor and two slopes of 30 to 55 degrees."""
     half_width, length = rng.uniform(2.0, 3.5), rng.uniform(4.0, 8.0)
     ridge = half_width * np.tan(np.radians(rng.uniform(30.0, 55.0)))
     along, up = np.array([0.0, length, 0.0]), np.array([0.0, 0.0, ridge])
@@ -100,7 +100,7 @@ def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene
 
 
 def hexagon_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return an empty room on a regular hexagon: its walls meet at 120 degrees."""
+    """Return an empty hexagonal room: its walls meet at 120 degrees."""
     radius, height = rng.uniform(2.5, 4.5), np.array([0.0, 0.0, rng.uniform(2.3, 3.2)])
     angles = np.radians(60.0 * np.arange(7))
     corners = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(7)], axis=1)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Short sequences of rendered rooms, in which nothing, a box or the camera moves."""
+"""Short sequences of rendered rooms in which nothing, a box or the camera moves."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MARGIN_PX, _MOVED_DEPTH = 9, 1e-4
 
 @dataclass(frozen=True)
 class Motion:
-    """What moves, and how fast: the camera turns (degrees per second), a box (metres per s)."""
+    """A motion and its speed: the camera turns (degrees per second), or a box moves (m/s)."""
 
     name: str
     pan_deg_s: float = 0.0
@@ -50,9 +50,9 @@ class View:
     Attributes
     ----------
     scene : Scene
-        Its ``rgb`` has sensor noise of its own.
+        Its ``rgb`` has independent sensor noise.
     moved : (H, W) bool
-        Where another surface, or another depth, was seen in an earlier image, with a margin.
+        Pixels that showed another surface or depth in an earlier image, with a margin.
 
     """
 
@@ -82,7 +82,7 @@ def rotation_about_up(yaw_deg: float) -> np.ndarray:
 
 
 def _box_at(rotation: np.ndarray, position: np.ndarray, along_m: float) -> list[Rectangle]:
-    """Return a box on the floor before the camera, moved to its right."""
+    """Return a box on the floor in front of the camera, shifted to its right."""
     right, _, ahead = rotation.T
     centre = position + _BOX_DISTANCE_M * ahead + along_m * right
     centre[2] = _BOX_SIZE_M[2] / 2
@@ -90,14 +90,14 @@ def _box_at(rotation: np.ndarray, position: np.ndarray, along_m: float) -> list[
 
 
 def _seen(scene: Scene, palette: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return the image, with one colour for a surface in all images and with sensor noise."""
+    """Return the image, with the same colour of a surface in all images, and with sensor noise."""
     colours = palette[np.append(scene.rectangles, 0)]
     noise = rng.normal(0, _GREY_NOISE, (*scene.labels.shape, 3)).astype(np.float32)
     return np.clip(colours[scene.labels] + noise, 0, 255).astype(np.uint8)
 
 
 def _with_moved(scenes: Sequence[Scene]) -> list[View]:
-    """Return each image with the pixels where something has moved up to then."""
+    """Return each image with the pixels at which something has moved so far."""
     views, moved = [], np.zeros(scenes[0].labels.shape, np.uint8)
     for before, scene in zip([scenes[0], *scenes], scenes, strict=False):
         ratio = scene.depth_m / before.depth_m
@@ -109,5 +109,5 @@ def _with_moved(scenes: Sequence[Scene]) -> list[View]:
 
 
 def _surfaces(scene: Scene) -> np.ndarray:
-    """Return the rectangle that each pixel shows, -1 for none."""
+    """Return the rectangle visible in each pixel, -1 for none."""
     return np.append(scene.rectangles, -1)[scene.labels]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rooms with balls, pipes, columns and cones, and with curved things that are none of these."""
+"""Rooms with balls, pipes, columns and cones, and with distractors of other shapes."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class TrueShape:
 
 @dataclass(frozen=True)
 class ShapeScene:
-    """A rendered scene with its shapes; ``temptation`` names the curved thing that is none."""
+    """A rendered scene with its shapes; ``temptation`` names the distractor, if any."""
 
     scene: Scene
     shapes: tuple[TrueShape, ...]
@@ -68,7 +68,7 @@ class ShapeScene:
 
 
 def shape_scene(rng: np.random.Generator) -> ShapeScene:
-    """Return a room with one to five shapes, some half hidden, and often a temptation."""
+    """Return a room with one to five shapes, some half hidden, and often a distractor."""
     position = np.array([_ROOM_M[0] / 2, 0.3, rng.uniform(1.0, 1.6)])
     rotation = camera_rotation(rng.uniform(-10, 10), rng.uniform(-25, -8), rng.uniform(-5, 5))
     faces = box(_ROOM_M / 2, _ROOM_M)
@@ -85,7 +85,7 @@ def shape_scene(rng: np.random.Generator) -> ShapeScene:
 
 
 def _places(rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    """Return places on the floor, x, y and the most radius, apart from each other."""
+    """Return separate places on the floor: x, y and largest radius."""
     columns = np.linspace(1.0, 4.0, 3)
     places = [(x + rng.uniform(-0.2, 0.2), y + rng.uniform(-0.2, 0.2), 0.12 * y)
               for y in (1.9, 3.2, 4.7) for x in columns]
@@ -111,7 +111,7 @@ def _shape(rng: np.random.Generator, x: float, y: float, most_m: float) -> Thing
 
 
 def _tempting(kind: str, rng: np.random.Generator, x: float, y: float, most_m: float) -> Thing:
-    """Return something curved or boxy that is no sphere, cylinder or cone."""
+    """Return a distractor: a curved object or a box that is no sphere, cylinder or cone."""
     size = 0.7 * most_m
     if kind == 'box':
         low = np.array([x - size, y - size, 0.0])
@@ -127,7 +127,7 @@ def _tempting(kind: str, rng: np.random.Generator, x: float, y: float, most_m: f
 
 
 def _torus(x: float, y: float, ring_m: float, tube_m: float) -> list[Rectangle]:
-    """Return a lying ring of facets, each smaller than a few pixels."""
+    """Return a horizontal ring made of facets, each smaller than a few pixels."""
     u, v = (np.linspace(0, 2 * np.pi, count + 1) for count in (72, 36))
     away = ring_m + tube_m * np.cos(v)
     grid = np.stack([x + away * np.cos(u)[:, None], y + away * np.sin(u)[:, None],
@@ -143,7 +143,7 @@ def _torus(x: float, y: float, ring_m: float, tube_m: float) -> list[Rectangle]:
 
 
 def _hiding(rng: np.random.Generator) -> Thing:
-    """Return a board between the camera and some of the shapes."""
+    """Return a board that hides some of the shapes from the camera."""
     x, width = rng.uniform(1.2, 3.2), rng.uniform(0.15, 0.35)
     return Thing(tuple(box(np.array([x, 1.3, 0.5]), np.array([width, 0.02, 1.0]),
                            rng.uniform(-20, 20))))

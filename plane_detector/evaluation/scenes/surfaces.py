@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Things to furnish rendered rooms with: flat faces, curved surfaces, and how to place them."""
+"""Parts of rendered objects: flat faces, curved surfaces, and functions to place them."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ class Revolution:
     """
     A curved surface of revolution, open at both ends.
 
-    The squared radius is a polynomial of the way t along the axis, which covers cylinders,
+    The squared radius is a polynomial of the coordinate t along the axis, which covers cylinders,
     cones, spheres, ellipsoids and bowls.
 
     Attributes
     ----------
     origin : (3,) float64
-        Where t is 0, metres.
+        Point with t = 0, metres.
     axis : (3,) float64
         Unit vector.
     squared_radius : tuple of float
         a, b, c of r**2 = a + b t + c t**2; metres.
     low_m, high_m : float
-        The ends.
+        Ends of the range of t.
 
     """
 
@@ -43,7 +43,7 @@ class Revolution:
     high_m: float
 
     def hull(self) -> np.ndarray:
-        """Return the corners of a box around it."""
+        """Return the corners of an enclosing box."""
         a, b, c = self.squared_radius
         turning = [-b / (2 * c)] if c else []
         ways = np.clip([self.low_m, self.high_m, *turning], self.low_m, self.high_m)
@@ -55,11 +55,11 @@ class Revolution:
 
     def depth(self, ray_x: np.ndarray, ray_y: np.ndarray, world_from_camera: np.ndarray,
               position: np.ndarray) -> np.ndarray:
-        """Return the depth at which each ray meets it first, inf where it does not."""
+        """Return the depth at which each ray first meets it; inf if it does not."""
         origin = world_from_camera.T @ (self.origin - position)
         axis = world_from_camera.T @ self.axis
         a, b, c = self.squared_radius
-        # At depth z the way along the axis is t = z slope + start.
+        # At depth z the coordinate along the axis is t = z slope + start.
         slope, start = axis[0] * ray_x + axis[1] * ray_y + axis[2], -axis @ origin
         towards = origin[0] * ray_x + origin[1] * ray_y + origin[2]
         square = ray_x**2 + ray_y**2 + 1 - (1 + c) * slope**2
@@ -77,7 +77,7 @@ class Revolution:
 
 @dataclass(frozen=True)
 class Sheet:
-    """The curved sheet that a polyline (K, 3) sweeps along a vector (3,) square to it, metres."""
+    """A curved sheet swept by a polyline (K, 3) along a perpendicular vector (3,), metres."""
 
     profile: np.ndarray
     extrusion: np.ndarray
@@ -87,14 +87,14 @@ class Sheet:
         return np.vstack([self.profile, self.profile + self.extrusion])
 
     def strips(self) -> list[Rectangle]:
-        """Return the flat pieces that it is rendered as."""
+        """Return the flat pieces that represent it in rendering."""
         return [Rectangle(start, end - start, self.extrusion)
                 for start, end in zip(self.profile[:-1], self.profile[1:], strict=True)]
 
 
 @dataclass(frozen=True)
 class Thing:
-    """Flat faces, each a plane of its own, and curved surfaces."""
+    """Flat faces, each a separate plane, and curved surfaces."""
 
     flat: tuple[Rectangle, ...] = ()
     curved: tuple[Revolution | Sheet, ...] = ()
@@ -103,16 +103,16 @@ class Thing:
         return Thing(self.flat + other.flat, self.curved + other.curved)
 
     def turned(self, about: Sequence[float], angle_deg: float) -> Thing:
-        """Turn about an axis (3,) through the origin."""
+        """Rotate about an axis (3,) through the origin."""
         rotation = cv2.Rodrigues(np.radians(angle_deg) * np.asarray(about, float))[0]
         return self._moved(rotation, np.zeros(3))
 
     def at(self, x: float, y: float, z: float = 0.0, yaw_deg: float = 0.0) -> Thing:
-        """Turn about the z axis, then shift."""
+        """Rotate about the z axis, then translate."""
         return self.turned((0, 0, 1), yaw_deg)._moved(np.eye(3), np.array([x, y, z]))
 
     def curved_pieces(self) -> list[Revolution | Rectangle]:
-        """Return the curved surfaces as they are rendered."""
+        """Return the curved surfaces in the form that is rendered."""
         return [piece for surface in self.curved for piece in (
             surface.strips() if isinstance(surface, Sheet) else [surface])]
 
@@ -136,7 +136,7 @@ def _moved(surface: Rectangle | Revolution | Sheet, rotation: np.ndarray, shift:
 
 
 def joined(*things: Thing) -> Thing:
-    """Return several things as one."""
+    """Return several things combined into one."""
     return sum(things, Thing())
 
 
@@ -147,7 +147,7 @@ def block(low: Sequence[float], high: Sequence[float]) -> Thing:
 
 
 def panel(low: Sequence[float], high: Sequence[float], front: Mask) -> Thing:
-    """Return a box of whose front and back, its faces of constant y, only a part is there."""
+    """Return a box whose front and back, the faces of constant y, are limited by a mask."""
     faces = list(block(low, high).flat)
     for k in (2, 3):
         faces[k] = replace(faces[k], mask=lambda along_z, along_x: front(along_x, along_z))
@@ -155,19 +155,19 @@ def panel(low: Sequence[float], high: Sequence[float], front: Mask) -> Thing:
 
 
 def outside(low: Sequence[float], high: Sequence[float]) -> Mask:
-    """Return the mask that leaves a hole between these shares of the edges."""
+    """Return a mask that leaves a hole between these shares of the edges."""
     return lambda u, v: ~((u > low[0]) & (u < high[0]) & (v > low[1]) & (v < high[1]))
 
 
 def disc(radius: float, z: float) -> Thing:
-    """Return a level disc about the z axis."""
+    """Return a horizontal disc about the z axis."""
     corner = np.array([-radius, -radius, z])
     edges = 2 * radius * np.eye(3)[:2]
     return Thing((Rectangle(corner, *edges, mask=lambda u, v: np.hypot(u - 0.5, v - 0.5) <= 0.5),))
 
 
 def cone(low_radius: float, high_radius: float, low: float, high: float) -> Thing:
-    """Return an upright round wall that widens or narrows from one z to another."""
+    """Return a vertical conical wall between two values of z."""
     growth = (high_radius - low_radius) / (high - low)
     return Thing(curved=(Revolution(
         np.array([0, 0, low]), np.eye(3)[2],
@@ -175,12 +175,12 @@ def cone(low_radius: float, high_radius: float, low: float, high: float) -> Thin
 
 
 def drum(radius: float, low: float, high: float) -> Thing:
-    """Return an upright cylinder with a lid and a bottom."""
+    """Return a vertical cylinder with top and bottom."""
     return cone(radius, radius, low, high) + disc(radius, low) + disc(radius, high)
 
 
 def ellipsoid(radius: float, half_height: float, share: float = 1.0) -> Thing:
-    """Return a ball pressed along z, or its lower share, about the origin."""
+    """Return an ellipsoid about the origin, flattened along z, or its lower share."""
     return Thing(curved=(Revolution(
         np.zeros(3), np.eye(3)[2], (radius**2, 0.0, -(radius / half_height) ** 2),
         -half_height, (2 * share - 1) * half_height),))
@@ -194,12 +194,12 @@ def bar(start: Sequence[float], end: Sequence[float], radius: float) -> Thing:
 
 
 def sheet(profile: np.ndarray, extrusion: np.ndarray) -> Thing:
-    """Return a sheet; its strips should be no wider than a pixel, else they are planes."""
+    """Return a sheet; its strips should be at most a pixel wide, otherwise they are planes."""
     return Thing(curved=(Sheet(profile, extrusion),))
 
 
 def bezier(controls: Sequence[Sequence[float]], pieces: int) -> np.ndarray:
-    """Return points (pieces + 1, 3) of the cubic curve through the first and last of 4 points."""
+    """Return points (pieces + 1, 3) of the cubic Bezier curve with these 4 control points."""
     t = np.linspace(0, 1, pieces + 1)[:, None]
     weights = np.hstack([(1 - t)**3, 3 * t * (1 - t)**2, 3 * t**2 * (1 - t), t**3])
     return weights @ np.asarray(controls, float)

@@ -3,8 +3,8 @@
 """
 Rendered scenes with straight lines in their images: planks, tiles, doors and picture frames.
 
-Lines run level and along the steepest direction of each plane. Images are rendered at twice the
-size and reduced, so that edges are as smooth as a camera's.
+Lines are horizontal or along the steepest direction of each plane. Images are rendered at twice
+the size and reduced, so that edges are as smooth as those of a camera.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _GRAIN, _BLUR_PX = 3.0, 0.6
 
 def textured(make: MakeScene, seed: int, intrinsics: CameraIntrinsics = VGA) -> Scene:
     """
-    Return a scene whose image shows lines.
+    Return a scene with lines in its image.
 
     Parameters
     ----------
     make : callable
-        Makes the scene of a generator and intrinsics; the geometry is drawn before the colours.
+        Makes the scene from a generator and intrinsics; geometry is drawn before the colours.
     seed : int
     intrinsics : CameraIntrinsics
 
@@ -58,14 +58,14 @@ def textured(make: MakeScene, seed: int, intrinsics: CameraIntrinsics = VGA) -> 
 
 
 def rolled_room(rng: np.random.Generator, intrinsics: CameraIntrinsics) -> Scene:
-    """Return a furnished room seen by a camera that is rolled by 10 degrees."""
+    """Return a furnished room seen by a camera rolled by 10 degrees."""
     rectangles, rotation, position = furnished_room(rng)
     roll = camera_rotation(0, 0, 0).T @ camera_rotation(0, 0, 10)
     return render(rectangles, rotation @ roll, position, intrinsics, rng)
 
 
 def ramp_room(rng: np.random.Generator, intrinsics: CameraIntrinsics) -> Scene:
-    """Return a furnished room whose floor rises by 8 degrees, with upright walls."""
+    """Return a furnished room whose floor is inclined by 8 degrees, with vertical walls."""
     rectangles, rotation, position = furnished_room(rng)
     ramp = rectangles[4]
     rise = np.array([0.0, 0.0, np.tan(np.radians(8.0)) * np.linalg.norm(ramp.edge_v)])
@@ -74,7 +74,7 @@ def ramp_room(rng: np.random.Generator, intrinsics: CameraIntrinsics) -> Scene:
 
 
 def clutter(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> np.ndarray:
-    """Return an image (H, W, 3) uint8 of twigs: strokes of all directions over blurred noise."""
+    """Return an image (H, W, 3) uint8 of strokes in all directions over blurred noise."""
     shape = (intrinsics.height, intrinsics.width)
     image = cv2.GaussianBlur(rng.normal(0, 1, shape).astype(np.float32), (0, 0), 12.0)
     image = 120 + 40 * image / image.std()
@@ -106,7 +106,7 @@ def _paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
 
 
 def _upright_normal(scene: Scene) -> np.ndarray:
-    """Return the normal of the largest upright plane, the one that floors are laid along."""
+    """Return the normal of the largest vertical plane, which floors are aligned with."""
     upright = np.abs(scene.planes[:, :3] @ scene.gravity_camera) < 0.05
     pixels = np.bincount(scene.labels[scene.labels >= 0], minlength=len(scene.planes)) * upright
     return scene.planes[pixels.argmax(), :3]
@@ -130,7 +130,7 @@ def _floor(u: np.ndarray, v: np.ndarray, rng: np.random.Generator) -> np.ndarray
 
 
 def _wall(u: np.ndarray, v: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return doors and frames: upright rectangles of other brightness."""
+    """Return doors and frames: vertical rectangles of different brightness."""
     change = np.zeros(len(u), np.float32)
     for _ in range(rng.integers(2, 6)):
         middle = rng.integers(len(u))

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What is on the walls of rendered rooms: pictures, television, door, window, curtains, skirting.
+Objects on the walls of rendered rooms: pictures, television, door, window, curtains, skirting.
 
-The wall is y = 0 and looks along y, z is up from the floor, x = 0 is the middle of the fitting;
+The wall is y = 0 and faces y, z is up from the floor, and the centre of the object is at x = 0;
 metres.
 """
 
@@ -29,7 +29,7 @@ from plane_detector.evaluation.scenes.surfaces import (
 
 @dataclass(frozen=True)
 class Opening:
-    """The hole of a window in a wall: where it begins and ends, metres, x from its middle."""
+    """The hole of a window in a wall: its limits in metres, with x from its centre."""
 
     half_width: float
     low: float
@@ -37,7 +37,7 @@ class Opening:
 
 
 def wall(length: float, height: float, hole: Opening | None = None, hole_x: float = 0.0) -> Thing:
-    """Return the wall from x = 0 to its length, with the hole of a window or without."""
+    """Return the wall from x = 0 to its length, with or without the hole of a window."""
     face = Rectangle(np.zeros(3), length * np.eye(3)[0], height * np.eye(3)[2])
     if hole is not None:
         face = replace(face, mask=outside(
@@ -47,7 +47,7 @@ def wall(length: float, height: float, hole: Opening | None = None, hole_x: floa
 
 
 def picture(rng: np.random.Generator) -> Thing:
-    """Return a canvas, or a frame with the picture set back in it; its middle is at z = 0."""
+    """Return a canvas, or a frame with a recessed picture; its centre is at z = 0."""
     half = rng.uniform([0.15, 0.15], [0.5, 0.4])
     thick, border = rng.uniform([0.015, 0.03], [0.04, 0.07])
     low, high = np.array([-half[0], 0, -half[1]]), np.array([half[0], thick, half[1]])
@@ -61,7 +61,7 @@ def picture(rng: np.random.Generator) -> Thing:
 
 def _niche(corner: Sequence[float], width: float, height: float, front: float,
            back: float) -> Thing:
-    """Return the four sides of a hole from one y to another and its back."""
+    """Return the four sides of a niche between two values of y, and its back."""
     across, up = width * np.eye(3)[0], height * np.eye(3)[2]
     deep = (front - back) * np.eye(3)[1]
     corner = np.array([corner[0], back, corner[2]])
@@ -75,16 +75,16 @@ def _sides(corner: np.ndarray, across: np.ndarray, up: np.ndarray,
 
 
 def television(rng: np.random.Generator) -> Thing:
-    """Return a flat screen whose front is 2 to 5 cm off the wall; its middle is at z = 0."""
+    """Return a flat screen whose front is 2 to 5 cm from the wall; its centre is at z = 0."""
     half = rng.uniform(0.45, 0.75)
     return block([-half, 0, -0.56 * half], [half, rng.uniform(0.02, 0.05), 0.56 * half])
 
 
 def door(rng: np.random.Generator) -> Thing:
-    """Return a leaf in a frame that is 2 to 4 cm off the wall, with a handle."""
+    """Return a door in a frame 2 to 4 cm in front of the wall, with a handle."""
     half, high, border = rng.uniform([0.4, 1.98, 0.06], [0.48, 2.08, 0.1])
     frame, leaf = rng.uniform([0.02, 0.004], [0.04, 0.012])
-    # A little below the floor, so that no face is in its plane.
+    # Slightly below the floor, so that no face is in the plane of the floor.
     low, top = [-half - border, 0, -0.01], [half + border, frame, high + border]
     share = border / (2 * half + 2 * border)
     bar_y = leaf + 0.05
@@ -97,7 +97,7 @@ def door(rng: np.random.Generator) -> Thing:
 
 
 def window(rng: np.random.Generator, hole: Opening) -> Thing:
-    """Return reveal, frame, sill and pane; through some panes nothing is seen."""
+    """Return reveal, frame, sill and pane; some panes show no depth behind them."""
     half, height = hole.half_width, hole.high - hole.low
     deep, border, frame = rng.uniform([0.1, 0.05, 0.03], [0.22, 0.08, 0.05])
     corner = np.array([-half, -deep, hole.low])
@@ -130,7 +130,7 @@ def curtains(rng: np.random.Generator, hole: Opening) -> Thing:
         parts.append(ellipsoid(0.025, 0.025).at(side * end, y, top))
         x = np.arange(0, rng.uniform(0.3, 0.6), 0.0015)
         phase = 2 * np.pi * x / wave + rng.uniform(0, 6)
-        # Uneven folds: no two of them are parallel.
+        # Uneven folds, so that no two of them are parallel.
         swing = amplitude * np.sin(phase + 0.8 * np.sin(0.37 * phase))
         profile = np.stack([side * (end - 0.02 - x), y + swing, np.full(len(x), bottom)], axis=1)
         parts.append(sheet(profile, np.array([0, 0, top - bottom])))
@@ -144,5 +144,5 @@ def radiator(rng: np.random.Generator, hole: Opening) -> Thing:
 
 
 def skirting(spans: Sequence[tuple[float, float]], height: float, thick: float) -> Thing:
-    """Return boards along the foot of a wall, from one x to another each."""
+    """Return boards along the foot of a wall, each between two values of x."""
     return joined(*(block([low, 0, 0], [high, thick, height]) for low, high in spans))
