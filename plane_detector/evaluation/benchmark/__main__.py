@@ -1,14 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measure the package and print the results as Markdown. One program, one subcommand per subject.
+Benchmarks of the package, with results as Markdown. One program, one subcommand per subject.
 
     python3 -m plane_detector.evaluation.benchmark segmentation --only rooms
     python3 -m plane_detector.evaluation.benchmark accuracy --plots docs/figures
     python3 -m plane_detector.evaluation.benchmark SUBCOMMAND --help
 
-Every run first prints its command, the machine, the versions and the commit. What is measured
-here is not installed with the package.
+Every run first prints its command, the machine, the versions and the commit. The benchmarks are
+not installed with the package.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from plane_detector.evaluation.benchmark.provenance import PROGRAM, provenance
 from plane_detector.evaluation.benchmark.tables import emit
 
 # Subcommand: its module, which has add_arguments(parser) and run(options), and a summary. A module
-# is imported when its subcommand runs: some need ROS, others packages that are extras.
+# is imported only if its subcommand runs, because some need ROS and others optional packages.
 COMMANDS = {
     'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
     'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter, epilog='\n'.join(
             f'{name:{width}}  {summary}' for name, (_, summary) in COMMANDS.items()))
     parser.add_argument('subcommand', choices=COMMANDS, metavar='SUBCOMMAND',
-                        help='one of those below; each has a --help of its own')
+                        help='one of those listed below; each has its own --help')
     name = parser.parse_args(arguments[:1]).subcommand
     module, subparser = subcommand(name)
     options = subparser.parse_args(arguments[1:])

@@ -3,8 +3,8 @@
 """
 Accuracy and time on all kinds of scenes, in one run of a few minutes.
 
-Rendered rooms of boxes, lived-in rooms, curved surfaces and real frames, ours and the other
-methods, on seeds that nothing was tuned on. With --plots the same numbers are drawn too.
+Rendered rooms of boxes, lived-in rooms, curved surfaces and real images, with our method and
+others, on seeds that were not used for tuning. --plots also draws the same numbers.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the tables; write the figures when asked to."""
+    """Print the tables, and write the figures if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
     counts = {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
     jobs = plan(methods, counts, options.first_seed, options.slow, collect_frames(options.data))
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def report(samples: Sequence[Sample]) -> None:
-    """Print the comparison of all methods, then ours, curved scenes and real frames in detail."""
+    """Print the comparison of all methods, then details of ours, curved scenes and real images."""
     for kind in EXACT_TRUTH:
         own = [one for one in samples if one.kind == kind]
         if own:
@@ -86,7 +86,7 @@ def report(samples: Sequence[Sample]) -> None:
 
 
 def comparison(samples: Sequence[Sample]) -> str:
-    """Return a Markdown table with a line for each method and a column for each noise."""
+    """Return a Markdown table with a row for each method and a column for each noise."""
     groups = grouped(samples)
     sigmas = sorted({one.sigma for one in samples})
     lines = []
@@ -112,7 +112,7 @@ def grouped(samples: Sequence[Sample]) -> dict[tuple[str, float, str], list[Samp
 
 
 def column(group: Sequence[Sample], name: str) -> np.ndarray:
-    """Return a number of each sample, (n,)."""
+    """Return one number of every sample, (n,)."""
     return np.array([one.numbers[name] for one in group])
 
 

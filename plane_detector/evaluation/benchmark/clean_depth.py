@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables and a contact sheet of the benchmark: clean depth, with labels grown from that depth."""
+"""Tables and a contact sheet on clean depth, with labels grown from that depth."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from plane_detector.evaluation.reference_labels import (
 from plane_detector.segmentation.cells.labels import remove_regions
 
 SLOW_FRAMES = 2
-"""A slow method is tried on the first frames only."""
+"""Slow methods are run on the first frames only."""
 HELD_OUT_FRAME = 5
-"""Frames from this one on, as many apart as the others, were not used for tuning."""
+"""Frames from this one on, with the same spacing, were not used for tuning."""
 _PANEL_WIDTH_PX = 400
 _VARIANTS = ('unclear pixels count as no plane', 'unclear pixels are left out of the count')
 
@@ -43,7 +43,7 @@ class LabelledFrame:
 
 
 def held_out_frames(data: Path) -> list[Frame]:
-    """Return frames that nothing was tuned on; without the data there are none."""
+    """Return the held-out frames; empty without the data."""
     try:
         return list(frames(data, RENDERED, HELD_OUT_FRAME))
     except FileNotFoundError:
@@ -62,7 +62,7 @@ def report_exact(methods: Sequence[Method], found: Sequence[Frame], held_out: Se
 
 
 def label_frames(found: Sequence[Frame]) -> list[LabelledFrame]:
-    """Label the frames whose depth is rendered."""
+    """Label the frames with rendered depth."""
     clean = [frame for frame in found if frame.set_name in RENDERED]
     return [LabelledFrame(frame, label_exact_planes(frame.depth_m, frame.intrinsics))
             for frame in tqdm(clean, 'labels from exact depth', leave=False)]
@@ -84,7 +84,7 @@ def _report(title: str, methods: Sequence[Method], labelled: Sequence[LabelledFr
 
 def _tables(methods: Sequence[Method], labelled: Sequence[LabelledFrame]
             ) -> tuple[list[list[str]], list[list[str]]]:
-    """Return the lines of both tables."""
+    """Return the rows of both tables."""
     lines: tuple[list[list[str]], list[list[str]]] = ([], [])
     for method in tqdm(methods, 'methods on exact depth', leave=False):
         tried = labelled[:SLOW_FRAMES] if method.slow else labelled
@@ -106,7 +106,7 @@ def frame_scores(method: Method, one: LabelledFrame, sigma: float) -> tuple[Scor
 
 
 def segmented(method: Method, frame: Frame, sigma: float) -> Segments:
-    """Segment a frame with noise that depends on its number only."""
+    """Segment a frame with noise that depends only on its number."""
     return method(noisy_depth(frame, sigma, int(frame.name)), frame.intrinsics)
 
 
@@ -118,14 +118,14 @@ def leave_out(labels: np.ndarray, planes: np.ndarray, unclear: np.ndarray) -> Se
 
 
 def draw_frames(labelled: Sequence[LabelledFrame], output: Path) -> Path:
-    """Write a row for each frame: image, labels, and ours at each noise; return where."""
+    """Write a row for each frame: image, labels, our planes at each noise; return the path."""
     panels = [panel for one in labelled for panel in _panels(one)]
     return write_sheet(output / 'living_room_labels.png', panels, 2 + len(SIGMAS),
                        _PANEL_WIDTH_PX)
 
 
 def _panels(one: LabelledFrame) -> list[tuple[str, np.ndarray]]:
-    """Return titled images of a frame; planes are drawn on grey, to tell them apart."""
+    """Return titled images of a frame; planes are drawn on grey for contrast."""
     rgb, truth = one.frame.rgb, one.truth
     grey = grey_of(rgb)
     drawn = overlay(grey, truth.labels + 1)

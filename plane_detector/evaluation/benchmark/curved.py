@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the benchmark: columns, pipes and balls in a room, none of them planar."""
+"""Benchmark on curved surfaces: columns, pipes and balls in a room."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FRONT_M, _WALL_M, _CAMERA_HEIGHT_M = 2.0, 4.0, 1.2
 
 KINDS = ('column', 'pipe', 'ball')
 CURVED = tuple(product(RADII_M, ANGLES_DEG, KINDS))
-"""What each scene shows."""
+"""Content of each scene."""
 
 
 def curved_scenes() -> Iterator[Scene]:
@@ -34,7 +34,7 @@ def curved_scenes() -> Iterator[Scene]:
 
 
 def curved_scene(index: int) -> Scene:
-    """Return a wall and a floor with one of CURVED in front."""
+    """Return a wall and a floor with one of CURVED in front of them."""
     radius_m, angles_deg, kind = CURVED[index]
     vectors = [([-50, _WALL_M, -50], [100, 0, 0], [0, 0, 100]),
                ([-9, -1, -_CAMERA_HEIGHT_M], [18, 0, 0], [0, 9, 0])]
@@ -69,12 +69,12 @@ def report_curved(methods: Sequence[Method]) -> None:
 
 
 def judge(method: Method, scene: Scene, sigma: float, seed: int) -> tuple[float, float]:
-    """Run a method on a scene; return what :func:`judge_labels` does."""
+    """Run a method on a scene; return the result of :func:`judge_labels`."""
     return judge_labels(method(noisy_depth(scene, sigma, seed), scene.intrinsics)[0], scene)
 
 
 def judge_labels(labels: np.ndarray, scene: Scene) -> tuple[float, float]:
-    """Return the labelled share of what is curved, and the least IoU of a large true plane."""
+    """Return the labelled share of the curved pixels, and the lowest IoU of a large true plane."""
     seen = np.isfinite(scene.depth_m)
     curved = seen & (scene.labels < 0)
     shared = overlap(scene.labels, labels, seen)

@@ -20,7 +20,7 @@ _HEADER = ('| provider | input | depth stage, median (ms) | fastest (ms) '
 
 
 def seconds(call: Callable[[], object], at_least_s: float) -> np.ndarray:
-    """Return the time of each of five calls or more, for as long as ``at_least_s``."""
+    """Return the times of at least five calls, taking at least ``at_least_s`` in total."""
     taken: list[float] = []
     while len(taken) < 5 or sum(taken) < at_least_s:
         start = time.perf_counter()
@@ -30,7 +30,7 @@ def seconds(call: Callable[[], object], at_least_s: float) -> np.ndarray:
 
 
 def row(config: DepthConfig, rgb: np.ndarray, at_least_s: float) -> str:
-    """Return the table's row of one provider and input size."""
+    """Return the row of the table for one provider and input size."""
     estimate = DepthEstimator(config)
     height, width = rgb.shape[:2]
     size = estimate.input_size(width, height)
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the table, a row as soon as it is measured."""
+    """Print the table, each row as soon as it is measured."""
     width, height = options.size
     rgb = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
     print(f'{RUNTIME}; image {width} x {height}; threads '

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the temporal filter of the depth improves, and where it does harm.
+Benefits and harm of the temporal filter of depth.
 
-Rendered rooms are seen by a simulated network: true disparity with noise that is new in every
-image, once metric and once with a scale and shift of its own in every image. Real images are seen
-by a real network, each time with new sensor noise; measured is how much of the planes stays.
+Rendered rooms are seen by a simulated network: true disparity with independent noise in every
+image, once metric and once with a random scale and shift in every image. Real images are seen
+repeatedly by a real network with independent sensor noise; the agreement of the planes is
+measured.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ _JUDGED = 4
 
 def predictions(views: Sequence[View], sigma: float, seed: int,
                 relative: bool) -> Iterator[tuple[np.ndarray, float, float]]:
-    """Yield what the simulated network gives for each image: disparity, scale and shift."""
+    """Yield the output of the simulated network for each image: disparity, scale and shift."""
     rng = np.random.default_rng([seed, 2])
     for view in views:
         disparity = 1.0 / with_disparity_noise(view.scene.depth_m, sigma, rng)
@@ -77,12 +78,12 @@ def judged(views: Sequence[View], sigma: float, seed: int, relative: bool,
 
 
 def _labels(disparity: np.ndarray, disparity_noise: float = 0.0) -> np.ndarray:
-    """Return the plane of each pixel (H, W) of a disparity of unknown scale and shift."""
+    """Return the label of each pixel (H, W) of a disparity of unknown scale and shift."""
     return segment(disparity, unitless_noise_floor(disparity, disparity_noise), Config()).labels
 
 
 def _unknown_planes(labels: np.ndarray) -> np.ndarray:
-    """Return coefficients for scores that only look at the pixels, (N, 4)."""
+    """Return dummy coefficients (N, 4) for scores that depend only on the pixels."""
     return np.zeros((labels.max() + 1, 4))
 
 
@@ -117,7 +118,7 @@ def _cells(numbers: np.ndarray) -> list[str]:
 
 
 def report_real(frames: Sequence[Frame], estimate: DepthEstimator, keeps: Sequence[float]) -> None:
-    """Print the agreement between planes of consecutive images, set by set."""
+    """Print the agreement of the planes of consecutive images, for each set."""
     sets = list(dict.fromkeys(frame.set_name for frame in frames))
     rows = []
     for name in sets:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Does a floor break into pieces because of the plane stage, or because of the network's depth?
+Cause of fragmentation of large planes: the plane stage, or the depth of the network.
 
-For each large plane that the sensor measured: the share of its pixels in one predicted plane, and
-the share that the best possible single plane would hold. The best plane is fitted to the network's
-depth within the sensor's label.
+For each large plane in the sensor's depth: the share of its pixels in one predicted plane, and the
+share that the best single plane could contain. The best plane is fitted to the depth of the
+network in the pixels of the sensor's plane.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from plane_detector.types import CameraIntrinsics
 
 # The floor and the large walls.
 LARGE_PLANE_SHARE = 0.06
-# A pixel is near a plane within so many deviations of the network's noise.
+# A pixel is near a plane within this many standard deviations of the network's noise.
 NEAR_DEVIATIONS = 3.0
 _SAMPLES = 4000
 _HYPOTHESES = 500
@@ -33,19 +33,19 @@ def held_and_holdable(sensor_labels: np.ndarray, labels: np.ndarray, depth_m: np
     Parameters
     ----------
     sensor_labels, labels : (H, W) int
-        Planes of the sensor's depth and predicted planes, -1 none.
+        Planes of the sensor's depth, and predicted planes; -1 for none.
     depth_m : (H, W) floating
         The depth in which the predicted planes were found.
     intrinsics : CameraIntrinsics
     noise : float
-        Of 1/depth, per metre.
+        Standard deviation of 1/depth, 1/m.
     rng : numpy.random.Generator
-        Draws the hypotheses.
+        For the hypotheses.
 
     Yields
     ------
     held, holdable : float
-        Shares of the plane's pixels that have a depth.
+        Shares of the plane's pixels that have depth.
 
     """
     usable = (sensor_labels >= 0) & np.isfinite(depth_m) & (depth_m > 0)
@@ -62,11 +62,11 @@ def held_and_holdable(sensor_labels: np.ndarray, labels: np.ndarray, depth_m: np
 
 def _best_share(rays: np.ndarray, disparity: np.ndarray, near: float,
                 rng: np.random.Generator) -> float:
-    """Return the share of some pixels (n,) within ``near`` of the plane that most are near."""
+    """Return the largest share of pixels (n,) within ``near`` of one plane."""
     sample = rng.choice(len(rays), min(len(rays), _SAMPLES), replace=False)
     rays, disparity = rays[sample], disparity[sample]
     triples = rng.integers(len(rays), size=(_HYPOTHESES, 3))
-    # Triples in one line have no plane: the pseudo-inverse gives a harmless one.
+    # Three collinear points define no plane; the pseudo-inverse gives a harmless one.
     planes = (np.linalg.pinv(rays[triples]) @ disparity[triples][..., None])[..., 0]
     support = (np.abs(rays @ planes.T - disparity[:, None]) <= near).mean(axis=0)
     inliers = np.abs(rays @ planes[support.argmax()] - disparity) <= near

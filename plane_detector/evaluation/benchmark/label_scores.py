@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""All metrics of one frame for one method, and tables of them over frames."""
+"""All metrics of one method on one frame, and tables of them over frames."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ BY_ANGLE = [f'{angle_deg:g} deg' for angle_deg in RECALL_ANGLES_DEG]
 @dataclass(frozen=True)
 class Truth:
     """
-    The true planes of a frame and the depth of its sensor.
+    True planes of a frame, and the depth of its sensor.
 
     Attributes
     ----------
     labels : (H, W) int
-        Index into ``planes``, -1 none.
+        Index into ``planes``, or -1.
     planes : (K, 4) float64
     depth_m : (H, W) floating
-        NaN where it is not known; such pixels do not count.
+        NaN where unknown; such pixels do not count.
     intrinsics : CameraIntrinsics
 
     """
@@ -73,7 +73,7 @@ def numbers_of(truth: Truth, labels: np.ndarray, planes: np.ndarray) -> Numbers:
 
 
 def segmentation_table(rows: Mapping[str, Mapping[int, Numbers]]) -> str:
-    """Return the Markdown table of what needs no coefficients; rows by name, then by frame."""
+    """Return the Markdown table of the metrics without coefficients; rows by name and frame."""
     header = ('method', 'frames', 'SC', 'worst SC (frame)', 'VOI', 'RI', 'recall', 'precision',
               'normal error (deg)', 'offset error (cm)')
     lines = []
@@ -88,7 +88,7 @@ def segmentation_table(rows: Mapping[str, Mapping[int, Numbers]]) -> str:
 
 
 def recall_table(rows: Mapping[str, Mapping[int, Numbers]]) -> str:
-    """Return the Markdown table of recalls over depth and normals: planes / pixels."""
+    """Return the Markdown table of recalls by depth and angle: planes / pixels."""
     lines = [[name, *(f'{100 * pooled(frames, f"planes {limit}", "true planes"):.1f} / '
                       f'{100 * pooled(frames, f"pixels {limit}", "true pixels"):.1f}'
                       for limit in (*BY_DEPTH, *BY_ANGLE))] for name, frames in rows.items()]
@@ -109,14 +109,14 @@ def mean(frames: Mapping[int, Numbers], name: str) -> float:
 
 
 def pooled(frames: Mapping[int, Numbers], name: str, weight: str) -> float:
-    """Return a recall over all planes or pixels of all frames together."""
+    """Return a recall over the planes or pixels of all frames together."""
     pairs = np.array([(numbers[name], numbers[weight]) for numbers in frames.values()
                       if numbers[weight] > 0]).reshape(-1, 2)
     return float(np.average(pairs[:, 0], weights=pairs[:, 1])) if len(pairs) else float('nan')
 
 
 def summary(rows: Mapping[str, Mapping[int, Numbers]], worst: int) -> Sequence[str]:
-    """Return all tables with what they mean, as blocks of Markdown."""
+    """Return all tables with explanations, as blocks of Markdown."""
     return (segmentation_table(rows),
             'Means over the frames. Recall: true planes over 1500 pixels matched by IoU > 0.5; '
             'precision: predicted planes that match; errors: medians over the matches of a frame.',

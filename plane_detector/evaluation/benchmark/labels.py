@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Score label images of any method on NYU Depth V2 as ours are scored.
+Evaluation of label images of any method on NYU Depth V2, like ours.
 
-The format of the folder is described in evaluation/label_folder.py.
+evaluation/label_folder.py describes the format of the folder.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _folder(text: str) -> tuple[str, Path]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Score the frames that the folders have and print the tables."""
+    """Score the frames available in the folders and print the tables."""
     folders = tuple(options.folder)
     task = Task(options.nyu.resolve(), options.depth, resolved(options.truth), methods=(),
                 outside=folders)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables and a contact sheet of the benchmark: rendered living rooms, where the truth is exact."""
+"""Tables and a contact sheet on rendered lived-in rooms with exact ground truth."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ def report_living(methods: Sequence[Method], count: int, slow_count: int, output
 
 
 def draw_rooms(seeds: Sequence[int], output: Path) -> Path:
-    """Write a row for each room: image, depth, truth, and ours at each noise; return where."""
+    """Write a row for each room: image, depth, truth, our planes by noise; return the path."""
     panels = [panel for seed in seeds for panel in _panels(seed)]
     return write_sheet(output / 'living_rooms.png', panels, 3 + len(SIGMAS), _PANEL_WIDTH_PX)
 
 
 def _panels(seed: int) -> list[tuple[str, np.ndarray]]:
-    """Return titled images of a room; planes are drawn on grey, to tell them apart."""
+    """Return titled images of a room; planes are drawn on grey for contrast."""
     scene = furnished(seed)
     grey = grey_of(scene.rgb)
     panels = [(f'seed {seed}', scene.rgb), ('depth', colour_depth(scene.depth_m)),

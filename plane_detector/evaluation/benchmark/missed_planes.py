@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the benchmark: missed planes, by their distance from the plane found in the noise."""
+"""Missed planes by their distance from the plane found instead, relative to the noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EDGES = (0.0, 0.5, 1.0, 2.0, np.inf)
 
 
 def report_misses(title: str, scene_of: SceneOfSeed, seeds: Sequence[int]) -> None:
-    """Print the distance of missed planes from the planes that hold their pixels."""
+    """Print the distance of missed planes from the planes that contain their pixels."""
     rows = []
     for sigma in SIGMAS[1:]:
         found = np.array([deviation for seed in tqdm(seeds, 'misses', leave=False)
@@ -39,20 +39,20 @@ def report_misses(title: str, scene_of: SceneOfSeed, seeds: Sequence[int]) -> No
 
 def missed(scene: Scene, sigma: float, seed: int) -> Iterator[float]:
     """
-    Yield the distance of each missed plane from the plane that holds its pixels.
+    Yield the distance of each missed plane from the plane that contains its pixels.
 
     Parameters
     ----------
     scene : Scene
     sigma : float
-        Noise, per metre.
+        Standard deviation of 1/depth, 1/m.
     seed : int
-        Of the noise.
+        For the noise.
 
     Yields
     ------
     float
-        In multiples of the noise; infinite where no plane has more than half of its pixels.
+        In multiples of the noise; infinite if no plane contains more than half of its pixels.
 
     """
     labels, planes = Ours()(noisy_depth(scene, sigma, seed), scene.intrinsics)

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The node as a process of its own over DDS: rate, time per stage, time on the cores.
+The node as a separate process over DDS: rate, time per stage, time on the cores.
 
-Views are published at a constant rate: image, camera_info and, where the depth comes from a topic,
-depth. They are real frames of a sensor, or a rendered room. Three processes share the cores: the
-camera (this program), the node, and a receiver that takes the outputs as bytes.
-Then the same views are processed without DDS, and each part is timed alone.
+Views are published at a constant rate: image, camera_info and, for depth from a topic, depth. They
+are real images with sensor depth, or a rendered room. Three processes share the cores: the camera
+(this program), the node, and a receiver that takes the outputs as bytes. Then the same views are
+processed without DDS, and each part is timed separately.
 """
 
 from __future__ import annotations
@@ -67,12 +67,12 @@ def _seconds(text: str) -> float:
 
 def views_of(data: Path, name: str) -> tuple[str, list[Frame]]:
     """
-    Return a description of what the camera shows, and the views.
+    Return a description of the views, and the views.
 
     Raises
     ------
     FileNotFoundError
-        The set is not there.
+        The set does not exist.
 
     """
     if name == _ROOM:
@@ -84,7 +84,7 @@ def views_of(data: Path, name: str) -> tuple[str, list[Frame]]:
 
 
 def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
-    """Yield name and settings of each source of depth; says why when one is not there."""
+    """Yield name and settings of each source of depth; prints why one is not available."""
     yield 'depth topic', DepthConfig(source='topic')
     if model != 'none':
         try:
@@ -97,7 +97,7 @@ def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
 
 def report_load(found: Sequence[tuple[str, DepthConfig]], views: tuple[str, Sequence[Frame]],
                 rate_hz: float, seconds: float) -> None:
-    """Print what the running node does, by source of depth and by what is subscribed to."""
+    """Print measurements of the running node, by source of depth and by subscribed outputs."""
     rows, (title, shown) = [], views
     for name, depth in found:
         for subscribed, outputs in tqdm(SUBSCRIPTIONS.items(), name, leave=False):
@@ -119,7 +119,7 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], views: tuple[str, Sequ
 
 def _load(depth: DepthConfig, outputs: Sequence[str], shown: Sequence[Frame], rate_hz: float,
           seconds: float) -> Load:
-    """Start a node and a receiver, feed them, end them."""
+    """Start a node and a receiver, feed them, and end them."""
     parameters = {'depth.source': depth.source, 'depth.model': depth.model}
     with (tempfile.TemporaryDirectory() as folder, Receiver(outputs) as receiver,
           NodeProcess(parameters, Path(folder) / 'node.log') as process):

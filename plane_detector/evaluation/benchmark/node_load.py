@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A camera of constant rate, and what the node does with its images."""
+"""A camera with a constant rate, and measurements of the node that receives its images."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from plane_detector.ros.outputs import messages
 from plane_detector.tools.demo.node_client import FRAME_ID, NODE, camera_info_to_msg
 
 HELD_S = 0.5
-"""Each view stays so long, as for a camera that moves slowly: labels are tracked."""
+"""Each view is shown for this long, as by a slowly moving camera, so that labels are tracked."""
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
 _SETTLING_S = 3.0
 _START_TIMEOUT_S = 120.0
@@ -40,10 +40,10 @@ class Load:
     rate_hz : float
         Of ``~/planes``, as received.
     stage_ms : dict of str to float
-        Median over the seconds of each stage's mean time, as the diagnostics tell it.
+        Median over the seconds of each stage's mean time, from the diagnostics.
     busy_ms, waiting_ms : float
-        Per frame, all threads of the node together: time on a core; time without one though
-        there was work, because other programs had them.
+        Per frame, for all threads of the node: time on a core; time waiting for a core that other
+        programs were using.
     camera_ms, receiver_ms : float
         Time on a core of the two other processes: per image sent, per frame received.
 
@@ -59,19 +59,19 @@ class Load:
 
 class CameraLoad:
     """
-    Feeds the node with views at a constant rate, and listens to its diagnostics.
+    Feeds the node with views at a constant rate, and receives its diagnostics.
 
     Parameters
     ----------
     check_running : callable
-        Raises when the node has ended; called while waiting.
+        Raises if the node has ended; called while waiting.
     views : sequence of Frame
-        Shown in turns, each for HELD_S.
+        Shown in turn, each for HELD_S.
     rate_hz : float
     with_depth : bool
-        Publish the depth too.
+        Whether to publish depth too.
     receiver : Receiver
-        Of the outputs, ``planes`` among them.
+        Of the outputs, including ``planes``.
 
     """
 
@@ -90,18 +90,18 @@ class CameraLoad:
         self._rate_hz, self._sent = rate_hz, 0
 
     def close(self) -> None:
-        """End the ROS node."""
+        """Destroy the ROS node."""
         self._executor.shutdown()
         self._node.destroy_node()
 
     def measure(self, process_id: int, seconds: float) -> Load:
         """
-        Wait for the node, feed it until it runs evenly, then measure.
+        Wait for the node, feed it until its rate is steady, then measure.
 
         Raises
         ------
         RuntimeError
-            The node has ended, or gave nothing.
+            The node has ended, or published nothing.
 
         """
         self._wait_for_node()
@@ -131,14 +131,14 @@ class CameraLoad:
             self._spin(_SPIN_S)
 
     def _is_connected(self) -> bool:
-        """Whether the node listens, and the receiver to the node."""
+        """Whether the node has subscribed, and the receiver to the node."""
         planes = f'{NODE}/planes'
         return (all(p.get_subscription_count() for p in self._publishers.values())
                 and bool(self._node.count_publishers(planes))
                 and bool(self._node.count_subscribers(planes)))
 
     def _spin(self, seconds: float) -> float:
-        """Spin for some time; return how long it was in fact."""
+        """Spin for some time; return the actual duration in seconds."""
         start_s = time.monotonic()
         while (elapsed_s := time.monotonic() - start_s) < seconds:
             self._check_running()
@@ -159,7 +159,7 @@ class CameraLoad:
 
 
 def input_messages(header: Header, view: Frame) -> dict[str, Any]:
-    """Return what a camera publishes of a view, by topic; the image comes last."""
+    """Return the messages that a camera publishes for a view, by topic; the image comes last."""
     return {'camera_info': camera_info_to_msg(header, view.intrinsics),
             'depth': messages.depth_to_msg(header, view.depth_m),
             'image': messages.rgb_to_msg(header, view.rgb)}
@@ -176,7 +176,7 @@ def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:
 
 
 def scheduled_ms(process_id: int) -> np.ndarray:
-    """Return how long the threads of a process ran and how long they waited for a core; Linux."""
+    """Return the time that the threads of a process ran, and waited for a core; Linux only."""
     files = Path(f'/proc/{process_id}/task').glob('*/schedstat')
     nanoseconds = np.zeros(2)
     for file in files:

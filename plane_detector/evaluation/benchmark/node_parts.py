@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Time on a core of each part of the node's work on a frame: taking, planes, each output."""
+"""CPU time of each part of the node's work on a frame: receiving, planes, each output."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 HELD = 8
-"""Each view is processed so many times in a row: labels are tracked."""
+"""Each view is processed this many times in a row, so that labels are tracked."""
 _TOPICS = 'plane_detector_parts'
 _CONNECTION_S = 30.0
 
@@ -64,7 +64,7 @@ def _wait_for(publishers: Mapping[str, Publisher]) -> None:
 
 
 class _Parts:
-    """Processes views and keeps how long each part took, in milliseconds on a core."""
+    """Processes views and records the CPU time of each part, in milliseconds."""
 
     def __init__(self, depth: DepthConfig, publishers: Mapping[str, Publisher]) -> None:
         self._processor = FrameProcessor(PlaneDetector(Config(depth=depth)), NodeConfig(), 'image')
@@ -76,7 +76,7 @@ class _Parts:
         self.ms: defaultdict[str, list[float]] = defaultdict(list)
 
     def take(self, view: View, counts: bool) -> None:
-        """Process a view; the first of its kind, for which caches are filled, does not count."""
+        """Process a view; the first time, which fills caches, is not counted."""
         ms: dict[str, float] = {}
         sent = input_messages(Header(), view)
         names = ('image', 'depth') if self._with_depth else ('image',)
@@ -103,7 +103,7 @@ class _Parts:
 
 
 def _timed(ms: dict[str, float], part: str, work: Callable[[], Any]) -> Any:
-    """Return what the work returns; keep the time of all threads of this process."""
+    """Return the result of the work; record the CPU time of all threads of this process."""
     start_s = time.process_time()
     done = work()
     ms[part] = 1e3 * (time.process_time() - start_s)

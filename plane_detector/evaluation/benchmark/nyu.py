@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes of NYU Depth V2: ours, the paper's method, RANSAC alone and findPlanes.
+Planes of NYU Depth V2: our method, the paper's method, RANSAC alone and findPlanes.
 
-Each is given the depth of the sensor and of the network. OUTPUT/frames.jsonl keeps a line for each
-finished frame, so that an interrupted run continues where it stopped.
+Each is run on the depth of the sensor and of the network. OUTPUT/frames.jsonl has a line for each
+finished frame, so that an interrupted run can be continued.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add_nyu(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say which frames count and what is true there."""
+    """Add the options that select the frames and the ground truth."""
     parser.add_argument('--split', type=Path, help='splits.mat, or a text file of frame numbers')
     parser.add_argument('--part', choices=('test', 'train'), default='test',
                         help='of splits.mat')
@@ -92,7 +92,7 @@ def named_folder(text: str) -> tuple[str, Path]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Evaluate the frames that are not finished, print the tables, draw the figure."""
+    """Evaluate the remaining frames, print the tables, draw the figure."""
     output = options.output
     write_to = (output / 'labels').resolve() if options.write_labels else None
     task = Task(options.file.resolve(), options.depth, resolved(options.truth), options.methods,
@@ -119,7 +119,7 @@ def resolved(truth: str) -> str:
 
 
 def chosen_frames(path: Path, split: Path | None, part: str) -> Sequence[int]:
-    """Return the numbers of a split, all frames without one."""
+    """Return the frame numbers of a split; all frames without one."""
     count = len(opened(path))
     numbers = read_split(split, part) if split else range(1, count + 1)
     if not 1 <= min(numbers) <= max(numbers) <= count:
@@ -130,19 +130,19 @@ def chosen_frames(path: Path, split: Path | None, part: str) -> Sequence[int]:
 def evaluate_all(task: Task, numbers: Iterable[int], journal: Path, processes: int,
                  restart: bool) -> list[FrameResult]:
     """
-    Evaluate frames; those that the journal holds are taken from it.
+    Evaluate frames; results in the journal are reused.
 
     Raises
     ------
     ValueError
-        The journal is of a run with other settings.
+        The journal is from a run with other settings.
 
     """
     numbers = list(numbers)
     finished = {} if restart else read_journal(journal, task)
     journal.parent.mkdir(parents=True, exist_ok=True)
     waiting = [number for number in numbers if number not in finished]
-    # Written anew, so that half a line of an interrupted run goes.
+    # Rewritten, to remove an incomplete line of an interrupted run.
     with journal.open('w', encoding='utf-8') as file, mapping(processes) as apply:
         _write(file, settings_of(task))
         for result in finished.values():
@@ -156,7 +156,7 @@ def evaluate_all(task: Task, numbers: Iterable[int], journal: Path, processes: i
 
 
 def settings_of(task: Task) -> dict[str, object]:
-    """Return what two runs must have in common for one to go on with the other's frames."""
+    """Return the settings that must be equal to continue a run."""
     return {'file': task.path.name, 'bytes': task.path.stat().st_size, 'depth': task.depth,
             'truth': task.truth, 'methods': list(task.methods), 'model': task.model,
             'outside': [[name, str(folder)] for name, folder in task.outside],
@@ -175,7 +175,7 @@ def read_journal(path: Path, task: Task) -> dict[int, FrameResult]:
     if changed:
         raise ValueError(f'{path} is of a run with another {", ".join(changed)}: choose another '
                          '--output, or --restart')
-    # The last line ends where the run was interrupted.
+    # The last line may be incomplete.
     results = [FrameResult(**parsed) for parsed in map(_parsed, lines) if parsed]
     return {result.number: result for result in results}
 

@@ -36,9 +36,9 @@ def write_figures(task: Task, numbers: Sequence[int], folder: Path) -> Iterator[
     Parameters
     ----------
     task : Task
-        Its methods do not matter: the columns are always those of the paper.
+        Its methods are ignored: the columns are always those of the paper.
     numbers : sequence of int
-        Frames; none: no figure.
+        Frames; if empty, no figure is written.
     folder : Path
 
     Yields

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""One frame of NYU Depth V2: its truth, and what each method finds in each kind of depth."""
+"""One frame of NYU Depth V2: ground truth, and the results of each method and depth."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ METHODS = {OURS: Ours, 'paper': Paper, 'ransac': PlainRansac, 'opencv': lambda: 
 @dataclass(frozen=True)
 class Task:
     """
-    What is done with every frame; the same for all processes.
+    Settings for all frames and processes.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class Task:
     outside : tuple of (str, Path)
         Name and folder of label images of each outside method.
     write_to : Path, optional
-        Where the labels of every method are written, a folder each.
+        Folder for the labels of every method, each in a subfolder.
 
     """
 
@@ -80,7 +80,7 @@ class Task:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """The metrics of every method on a frame, by name of the row, and CPU milliseconds."""
+    """Metrics of every method on a frame, by name of the row, and CPU milliseconds."""
 
     number: int
     rows: dict[str, Numbers]
@@ -116,7 +116,7 @@ def segmentations(task: Task, frame: NyuFrame) -> list[tuple[str, Segments, floa
         detection = _detector(task.model).detect(frame.rgb, frame.intrinsics,
                                                  *_sensor_for_scale(task.model, frame))
         for name, method in present.items():
-            # Ours is the whole pipeline, of which the time of the network is not asked here.
+            # Ours is the whole pipeline; its time would include that of the network.
             result = (((detection.labels, plane_array(detection)), float('nan'))
                       if name == OURS else timed(method, detection.depth_m, frame.intrinsics))
             found.append((f'{method.name}, {NETWORK}', *result))
@@ -130,7 +130,7 @@ def true_planes(task: Task, frame: NyuFrame) -> Truth:
     Raises
     ------
     ValueError
-        The task wants annotations, but there are none.
+        Annotations are requested, but the file has none.
 
     """
     if task.truth == ANNOTATIONS:
@@ -152,10 +152,10 @@ def true_planes(task: Task, frame: NyuFrame) -> Truth:
 
 def outside_segments(folder: Path, frame: NyuFrame) -> Segments | None:
     """
-    Return the planes that an outside method found in a frame, None when it did not see it.
+    Return the planes found by an outside method in a frame; None if it has no result.
 
     The label image may show the frame with or without its border, at any resolution. Without a
-    table of planes they are fitted to the sensor's depth.
+    table, the planes are fitted to the sensor's depth.
     """
     files, table = _folder(folder)
     if frame.number not in files:
@@ -183,7 +183,7 @@ def with_border(labels: np.ndarray) -> np.ndarray:
     return whole
 
 
-# What a process opens once.
+# Opened once per process.
 @lru_cache(maxsize=1)
 def opened(path: Path) -> NyuDepth:
     """Return the opened file."""
@@ -204,7 +204,7 @@ def _detector(model: str) -> PlaneDetector:
 
 
 def _sensor_for_scale(model: str, frame: NyuFrame) -> Sequence[np.ndarray]:
-    """Start anew; give a relative network the sensor's depth, which fixes scale and shift."""
+    """Reset the pipeline; give a relative network the sensor's depth, which fixes the scale."""
     detector = _detector(model)
     detector.reset()
     return [frame.depth_m] if detector.config.scale.method == 'depth_topic' else []

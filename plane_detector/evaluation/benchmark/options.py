@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options that several subcommands of the benchmark share."""
+"""Options shared by several subcommands of the benchmark."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def at_least_one(text: str) -> int:
-    """Return a number of the command line that must be 1 or more."""
+    """Parse an integer argument that must be 1 or more."""
     number = int(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f'{number} must be at least 1')
@@ -31,6 +31,6 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 
 
 def add_output(parser: argparse.ArgumentParser) -> None:
-    """Add the folder of what is written."""
+    """Add the output folder."""
     parser.add_argument('--output', type=Path, default=Path('benchmark_output'),
                         help='folder of the images that are written')

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Directions from lines, and the orientation of planes from a network, with and without them.
+Directions from lines, and the orientation of planes in a network's depth with and without them.
 
-Gravity of real images is judged by the floor in the sensor's depth, the network's planes by the
-best planes through the sensor's points under them.
+The reference for gravity in real images is the floor in the sensor's depth, for planes the best
+plane through the sensor's points in their pixels.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from plane_detector.tools.demo.sensor_comparison import JudgedPlane, judge_plane
 from plane_detector.types import PlaneSegmentation
 
 INDOOR = ('kinect', 'nyu', 'living_room')
-# Frames of the long sequence that nothing was tuned on.
+# Held-out frames of the long sequence.
 HELD_OUT_FRAME = 5
 PARTS = ('gravity', 'rendered', 'planes', 'cost')
 PURE = 0.8
@@ -54,7 +54,7 @@ WAYS = {'without': DirectionsConfig(gravity=False, orient_planes=False),
 @dataclass(frozen=True)
 class Errors:
     """
-    Of the planes of one frame.
+    Errors of the planes of one frame.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def angle_deg(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def true_down(sensor: PlaneSegmentation) -> np.ndarray | None:
-    """Return gravity by the floor of the sensor's depth; None where there is none."""
+    """Return gravity from the floor in the sensor's depth; None without a floor."""
     down = refine_gravity(sensor.planes, np.array([0.0, 1.0, 0.0]), 40.0)
     classes = classify_planes(sensor.planes, down)
     floors = [plane for plane, kind in zip(sensor.planes, classes, strict=True)
@@ -83,7 +83,7 @@ def true_down(sensor: PlaneSegmentation) -> np.ndarray | None:
 
 
 def report_gravity(name: str, found: Sequence[Frame]) -> None:
-    """Print the error of gravity frame by frame."""
+    """Print the error of gravity for each frame."""
     rows, errors = [], []
     for frame in found:
         truth = true_down(segment_planes(frame.depth_m, frame.intrinsics))
@@ -111,7 +111,7 @@ def _summary(errors: Sequence[float], asked: int) -> str:
 
 
 def report_rendered(count: int, first_seed: int) -> None:
-    """Print the error of gravity and of the level axes of rooms whose images show lines."""
+    """Print the error of gravity and of the horizontal axes in rendered rooms with lines."""
     rows = []
     for name, make in SCENES.items():
         scenes = [textures.textured(make, seed) for seed in range(first_seed, first_seed + count)]
@@ -131,7 +131,7 @@ def report_rendered(count: int, first_seed: int) -> None:
 
 
 def _axis_errors(axes: np.ndarray, scene) -> list[float]:
-    """Return the angle to the level axes of the nearest plane, a wall or a floor that rises."""
+    """Return the angle between a horizontal axis and the closest wall or inclined floor."""
     normals, down = scene.planes[:, :3], scene.gravity_camera
     level = normals - np.outer(normals @ down, down)
     length = np.linalg.norm(level, axis=1)
@@ -144,7 +144,7 @@ def _axis_errors(axes: np.ndarray, scene) -> list[float]:
 
 
 def report_planes(name: str, found: Sequence[Frame], model: str) -> None:
-    """Print the errors of the network's planes with and without directions, frame by frame."""
+    """Print the errors of the network's planes with and without directions, for each frame."""
     estimate, title = load_network(model)
     if estimate is None:
         emit(f'Planes of a network: {title}')
@@ -180,7 +180,7 @@ def report_cost(found: Sequence[Frame], model: str) -> None:
 
 
 def _cpu_ms(frame: Frame, detector: PlaneDetector) -> float:
-    """Return the least time of finding the planes; rounds after the first one also track."""
+    """Return the shortest time of finding the planes; rounds after the first one also track."""
     seen = detector.observe(frame.rgb, frame.intrinsics)
     cv2.setNumThreads(1)
     times = []

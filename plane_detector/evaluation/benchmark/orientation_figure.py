@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A figure of rendered images whose lines tell gravity, or do not: the worst and the refused."""
+"""Figure of rendered images with their lines: worst answers and refusals."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from plane_detector.evaluation.scenes import textures
 from plane_detector.evaluation.scenes.rendering import Scene
 
 _PANEL_WIDTH_PX, _COLUMNS, _LINE_WIDTH_PX = 320, 3, 3
-# Grey levels of the image beneath, few and bright: noise makes large files.
+# Grey levels of the background, few and bright: noise would make large files.
 _GREY_STEP, _DARKEST = 90, 120
-# Lines along the vertical, along the two level axes, and along none.
+# Lines along the vertical, along the two horizontal axes, and along none.
 _COLOURS = ((230, 40, 40), (40, 180, 60), (50, 90, 240))
 _OTHER = (240, 200, 60)
 _ALONG_DEG = 2.5
@@ -37,7 +37,7 @@ def write_figure(path: Path, kinds: Mapping[str, Callable], count: int, first_se
     kinds : mapping of name to function
         As :func:`plane_detector.evaluation.scenes.textures.textured` takes them.
     count, first_seed : int
-        The scenes that are looked at.
+        Range of scenes to search.
 
     """
     panels = [panel for name, make in kinds.items()
@@ -49,7 +49,7 @@ def write_figure(path: Path, kinds: Mapping[str, Callable], count: int, first_se
 
 
 def _extremes(name: str, make: Callable, seeds: range) -> list[Panel]:
-    """Return the panel of the worst answer and that of the first refusal, where there is one."""
+    """Return the panels of the worst answer and of the first refusal, if any."""
     short = name.split(', ')[-1].split(' by ')[0]
     worst: tuple[float, Scene, ImageDirections] | None = None
     refused: Panel | None = None
@@ -68,7 +68,7 @@ def _extremes(name: str, make: Callable, seeds: range) -> list[Panel]:
 
 
 def _panel(name: str, rgb: np.ndarray, found: ImageDirections, error_deg: float | None) -> Panel:
-    """Return the image in grey with its lines, coloured by the direction that they are along."""
+    """Return the image in grey with its lines, coloured by their direction."""
     image = np.maximum(cv2.medianBlur(grey_of(rgb), 15) // _GREY_STEP * _GREY_STEP, _DARKEST)
     along = np.full(len(found.segments), -1)
     if len(found.axes):

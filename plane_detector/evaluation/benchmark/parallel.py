@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Work in several processes of one thread each."""
+"""Work in several processes with one thread each."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from plane_detector.segmentation.threads import one_thread
 @contextmanager
 def mapping(processes: int) -> Iterator[Callable]:
     """
-    Yield a ``map`` over processes; one process means this one.
+    Yield a ``map`` over processes; with one process, over the current one.
 
-    What is mapped, its arguments and its results must pickle. The results come in order.
+    Function, arguments and results must be picklable. The results come in order.
     """
     if processes == 1:
         with one_thread():
@@ -39,7 +39,7 @@ def mapping(processes: int) -> Iterator[Callable]:
 
 
 def _use_one_thread() -> None:
-    # Ctrl-C is for the first process; it ends the others.
+    # Ctrl-C is handled by the main process, which ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_first_process, daemon=True).start()
     cv2.setNumThreads(1)
@@ -47,6 +47,6 @@ def _use_one_thread() -> None:
 
 
 def _end_with_the_first_process() -> None:
-    # If the first process is killed nobody tells the others, and they would wait forever.
+    # If the main process is killed, the others would wait forever.
     multiprocessing.parent_process().join()
     os._exit(1)

@@ -27,12 +27,12 @@ def write_plots(samples: Sequence[Sample], folder: Path) -> list[Path]:
     ----------
     samples : sequence of Sample
     folder : Path
-        Made where it is missing.
+        Created if it does not exist.
 
     Returns
     -------
     list of Path
-        ``noise.svg``, ``time.svg``, ``size.svg`` and ``accuracy.svg``, which holds all three for
+        ``noise.svg``, ``time.svg``, ``size.svg`` and ``accuracy.svg``, which shows all three for
         the rooms of boxes.
 
     Raises
@@ -46,7 +46,7 @@ def write_plots(samples: Sequence[Sample], folder: Path) -> list[Path]:
     except ImportError as error:
         raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
     matplotlib.use('Agg')
-    # No date and no random ids: the same samples give the same file.
+    # Without date and random ids, so that equal samples give equal files.
     matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
     folder.mkdir(parents=True, exist_ok=True)
     paths = [_figure(samples, folder / f'{name}.svg', [(draw, kind) for kind in KINDS])
@@ -69,7 +69,7 @@ def _figure(samples: Sequence[Sample], path: Path, panels: Sequence[tuple[Any, s
 
 
 def draw_noise(axes: Any, samples: Sequence[Sample]) -> None:
-    """Draw SC over noise, a line for each method."""
+    """Draw SC over noise, one line per method."""
     sigmas = sorted({one.sigma for one in samples})
     for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
         covering = [np.mean([one.numbers['SC'] for one in own if one.sigma == sigma])
@@ -80,7 +80,7 @@ def draw_noise(axes: Any, samples: Sequence[Sample]) -> None:
 
 
 def draw_time(axes: Any, samples: Sequence[Sample]) -> None:
-    """Draw time over accuracy, a point for each method: the means over all noises."""
+    """Draw time over accuracy, one point per method: means over all noises."""
     for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
         axes.plot(np.mean([one.numbers['SC'] for one in own]),
                   np.median([one.cpu_ms for one in own]), marker, label=method)
@@ -89,7 +89,7 @@ def draw_time(axes: Any, samples: Sequence[Sample]) -> None:
 
 
 def draw_size(axes: Any, samples: Sequence[Sample]) -> None:
-    """Draw recall over the size of the true plane, a line for each method."""
+    """Draw recall over the size of the true plane, one line per method."""
     for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
         recall = recall_by_size([one for one in own if one.sigma == RECALL_SIGMA])
         axes.plot(range(len(recall)), recall, marker=marker, label=method)
@@ -108,7 +108,7 @@ def by_method(samples: Sequence[Sample]) -> dict[str, list[Sample]]:
 
 
 def recall_by_size(samples: Sequence[Sample]) -> np.ndarray:
-    """Return the share of true planes found between SIZE_EDGES; NaN where there is none."""
+    """Return the share of true planes found between SIZE_EDGES; NaN if there are none."""
     shares = np.concatenate([np.zeros(0), *(one.plane_shares for one in samples)])
     found = np.concatenate([np.zeros(0, bool), *(one.found for one in samples)])
     counts, hits = (np.histogram(values, SIZE_EDGES)[0] for values in (shares, shares[found]))

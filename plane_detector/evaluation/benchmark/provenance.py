@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where a result comes from: command, machine, versions of the packages, commit."""
+"""Provenance of a result: command, machine, versions of the packages, commit."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def machine() -> str:
 
 
 def commit() -> str:
-    """Return the commit of the working tree, and whether files differ from it."""
+    """Return the commit of the working tree, and whether there are uncommitted changes."""
     folder = Path(__file__).resolve().parent
     try:
         name, changes = (

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables and contact sheets of the benchmark: real images, judged by the sensor's depth."""
+"""Tables and contact sheets on real images, evaluated with the sensor's depth."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from plane_detector.tools.demo.sensor_comparison import JudgedPlane, judge_plane
 from plane_detector.types import Detection, PlaneSegmentation
 
 RENDERED = ('living_room',)
-"""Sets of clean rendered depth."""
+"""Sets with clean rendered depth."""
 _PANEL_WIDTH_PX = 480
-# The columns of the table of frames and how their numbers are written.
+# Columns of the table of frames, with the format of their numbers.
 _COLUMNS = {'planes by sensor': '.0f', 'pixels on them': '.2f', 'planes by network': '.0f',
             'purity': '.2f', 'worst purity': '.2f', 'normal error (deg)': '.1f',
             'offset error (cm)': '.0f', 'large planes': '.0f', 'coverage': '.2f',
@@ -43,7 +43,7 @@ _COLUMNS = {'planes by sensor': '.0f', 'pixels on them': '.2f', 'planes by netwo
 
 @dataclass(frozen=True)
 class Comparison:
-    """A frame with its planes by the sensor and by the network; None without a network."""
+    """A frame with its planes from the sensor and from the network; None without a network."""
 
     frame: Frame
     sensor: PlaneSegmentation
@@ -53,7 +53,7 @@ class Comparison:
 
 
 def collect_frames(data: Path) -> list[Frame]:
-    """Return the frames of the data folder and of the libraries; say which are missing."""
+    """Return the frames of the data folder and of the libraries; prints which are missing."""
     found: list[Frame] = []
     for source in (lambda: frames(data), library_frames):
         try:
@@ -80,7 +80,7 @@ def report_real(found: Sequence[Frame], model: str, output: Path) -> None:
 
 
 def _report_pieces(compared: Sequence[Comparison]) -> None:
-    """Print which share of the large planes one plane holds, and which share one could hold."""
+    """Print the share of large planes in one predicted plane, and the largest possible share."""
     rows = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         shares = np.array([pair for one in group if one.network for pair in held_and_holdable(
@@ -100,7 +100,7 @@ def _report_pieces(compared: Sequence[Comparison]) -> None:
 
 def load_network(model: str) -> tuple[DepthEstimator | None, str]:
     """
-    Return a network and its name; None and the reason when it cannot be fetched.
+    Return a network and its name; None and the reason if it is not available.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def load_network(model: str) -> tuple[DepthEstimator | None, str]:
 
 
 def compare(frame: Frame, estimate: Callable[[np.ndarray], np.ndarray] | None) -> Comparison:
-    """Segment a frame both ways and judge the network's planes."""
+    """Segment a frame in both kinds of depth and evaluate the network's planes."""
     sensor = segment_planes(frame.depth_m, frame.intrinsics)
     if estimate is None:
         return Comparison(frame, sensor, None, (), None)
@@ -144,7 +144,7 @@ def _numbers(one: Comparison) -> np.ndarray:
 
 
 def _rows(compared: Sequence[Comparison]) -> list[list[str]]:
-    """Return a line for each frame, and after each set of several frames their mean."""
+    """Return a row for each frame, and after each set with several frames their mean."""
     rows = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         members = list(group)
@@ -162,14 +162,14 @@ def _cells(numbers: np.ndarray) -> list[str]:
 
 
 def _known_mean(numbers: np.ndarray) -> np.ndarray:
-    """Return the mean of each column over what is known, NaN where nothing is."""
+    """Return the mean of the known values of each column; NaN if there are none."""
     known = np.isfinite(numbers)
     return np.where(known.any(0), np.where(known, numbers, 0).sum(0) / np.maximum(known.sum(0), 1),
                     np.nan)
 
 
 def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
-    """Write one contact sheet for each set: a row for each frame; return the paths."""
+    """Write a contact sheet for each set, with a row for each frame; return the paths."""
     paths = []
     for name, group in groupby(compared, lambda one: one.frame.set_name):
         panels = [panel for one in group for panel in _panels(one)]
@@ -178,7 +178,7 @@ def write_sheets(compared: Sequence[Comparison], output: Path) -> list[Path]:
 
 
 def _panels(one: Comparison) -> list[tuple[str, np.ndarray]]:
-    """Return image, planes by the sensor and planes by the network, with titles."""
+    """Return image, planes from the sensor and planes from the network, with titles."""
     name, rgb = f'{one.frame.set_name}/{one.frame.name}', one.frame.rgb
     panels = [(name, rgb), (f'sensor: {len(one.sensor.planes)} planes',
                             overlay(rgb, one.sensor.labels + 1))]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the benchmark: random rendered rooms, where the truth is exact."""
+"""Benchmark on random rendered rooms with exact ground truth."""
 
 from __future__ import annotations
 
@@ -32,23 +32,23 @@ from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.pipeline import segment_planes
 
 SIGMAS = (0.0, 0.0001, 0.0003, 0.001, 0.004, 0.01)
-"""Standard deviations of the disparity noise, per metre."""
+"""Standard deviations of the disparity noise, 1/m."""
 HELD_OUT = 9000
-"""Scenes from this seed on are for reporting only; nothing is tuned on them."""
+"""Scenes from this seed on are for reporting only; they must not be used for tuning."""
 SceneOfSeed = Callable[[int], Scene]
 CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 
 
 @dataclass(frozen=True)
 class RoomSet:
-    """Rooms by their seeds; a slow method is given the first ``slow_count`` of them."""
+    """Rooms by their seeds; slow methods get the first ``slow_count`` of them."""
 
     name: str
     seeds: range
     slow_count: int
 
     def for_method(self, method: Method) -> range:
-        """Return the seeds that a method is tried on."""
+        """Return the seeds for a method."""
         return self.seeds[:self.slow_count] if method.slow else self.seeds
 
 
@@ -65,7 +65,7 @@ def room(seed: int) -> Scene:
 
 
 def noisy_depth(scene: Scene | Frame, sigma: float, seed: int) -> np.ndarray:
-    """Return a scene's depth with disparity noise that depends on the seed only."""
+    """Return a scene's depth with disparity noise that depends only on the seed."""
     if sigma == 0:
         return scene.depth_m
     return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng([seed, 1]))
@@ -94,20 +94,20 @@ def report_sets(title: str, scene_of: SceneOfSeed, methods: Sequence[Method], co
 
 
 def columns(counted: str, named: str) -> tuple[str, ...]:
-    """Return the header of a table of methods: what is counted, what names the worst one."""
+    """Return the header of a table of methods, with the names of its counts and of the worst."""
     return ('method', 'noise (1/m)', counted, 'SC', f'worst SC ({named})', 'VOI', 'RI', 'recall',
             'worst recall', 'precision', 'worst precision', 'normal error (deg)',
             'offset error (cm)')
 
 
 def row(method: Method, seeds: Sequence[int], sigma: float, scene_of: SceneOfSeed) -> list[str]:
-    """Return a line of the table: the means over some rooms."""
+    """Return a row of the table: means over some rooms."""
     scores = [room_score(method, seed, sigma, scene_of) for seed in seeds]
     return [method.name, f'{sigma:g}', *score_cells(scores, seeds)]
 
 
 def score_cells(scores: Sequence[Score], names: Sequence[object]) -> list[str]:
-    """Return the cells after the second column: statistics of some images' scores."""
+    """Return the cells after the second column: statistics of the scores of some images."""
     def column(name: str) -> np.ndarray:
         return np.array([getattr(one, name) for one in scores], float)
 
@@ -131,7 +131,7 @@ def room_score(method: Method, seed: int, sigma: float, scene_of: SceneOfSeed) -
 
 
 def report_ours(count: int) -> None:
-    """Print what is measured for our method only, over the held-out rooms."""
+    """Print the measurements made only for our method, over the held-out rooms."""
     seeds = room_sets(count, 0)[1].seeds
     emit('### Ours on the held-out rooms: recall by depth error and by angle')
     rows = []
@@ -158,7 +158,7 @@ def _recalls(seed: int, sigma: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def report_confidence(seeds: Sequence[int]) -> None:
-    """Print how many planes of each confidence are true, over all noises."""
+    """Print the share of true planes for each range of confidence, over all noises."""
     pairs = np.array([pair for sigma in SIGMAS for seed in tqdm(seeds, 'confidence', leave=False)
                       for pair in _confidences(seed, sigma)]).reshape(-1, 2)
     emit('### Ours on the held-out rooms: what the confidence says', reliability(*pairs.T))

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Tables of the benchmark: time on one thread, ours and the peers side by side.
+Run time on one thread, of our method and the others side by side.
 
 The methods take turns, so that other load on the machine affects all of them equally. Points and
-calibration are prepared for the peers before the clock starts; ours is timed from the depth image
-to the labels of all pixels and the measured planes.
+calibration are prepared for the other methods before the clock starts; ours is timed from the
+depth image to the labels of all pixels and the measured planes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Case = tuple[np.ndarray, CameraIntrinsics]
 
 
 def report_times(methods: Sequence[Method], repeats: int, frames: Sequence[Frame]) -> None:
-    """Print the tables of times; the real frames have one if there are any."""
+    """Print the tables of times; with real frames one more."""
     present = [method for method in methods if not method.absent]
     with one_thread():
         _report_peers(present, repeats)
@@ -94,7 +94,7 @@ def _report_peers(methods: Sequence[Method], repeats: int) -> None:
 
 
 def _quick(methods: Sequence[Method]) -> list[Method]:
-    """Return ours and findPlanes at its first threshold."""
+    """Return ours and findPlanes with its first threshold."""
     peers = [method for method in methods if isinstance(method, OpenCv)]
     return [Ours(), *peers[:1]]
 
@@ -156,7 +156,7 @@ def _header(first: str, methods: Sequence[Method]) -> list[str]:
 
 
 def _cells(ms: np.ndarray) -> list[str]:
-    """Return mean times over the cases, and the times of the peers divided by ours."""
+    """Return mean times over the cases, and the times of the others divided by ours."""
     mean = ms.mean(axis=1)
     return [*(f'{one:.1f}' for one in mean), *(f'{one / mean[0]:.2f}' for one in mean[1:])]
 
@@ -170,7 +170,7 @@ def _sized_room(seed: int, width: int, height: int) -> Scene:
 
 
 def mosaic(side: int, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return side x side tiles before the camera, each tilted its own way."""
+    """Return side x side tiles in front of the camera, each with its own tilt."""
     rng = np.random.default_rng(side)
     extent_m = _MOSAIC_DISTANCE_M * np.array([intrinsics.width / intrinsics.fx,
                                               intrinsics.height / intrinsics.fy]) / side

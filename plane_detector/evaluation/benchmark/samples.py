@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What one method does on one scene at one noise: accuracy and time. Scenes run in parallel."""
+"""Accuracy and time of one method on one scene with one noise. Scenes run in parallel."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from plane_detector.tools.demo.sensor_comparison import judge_planes
 from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)
-"""Standard deviations of the disparity noise, per metre."""
+"""Standard deviations of the disparity noise, 1/m."""
 CURVED_SIGMAS = (0.0, 0.004, 0.01)
 _SCENES: dict[str, Callable[[int], Scene]] = {
     'rooms': room, 'lived-in rooms': furnished, 'curved': curved_scene}
@@ -32,7 +32,7 @@ _SCENES: dict[str, Callable[[int], Scene]] = {
 @dataclass(frozen=True)
 class Sample:
     """
-    One method on one scene at one noise.
+    One method on one scene with one noise.
 
     Attributes
     ----------
@@ -41,13 +41,13 @@ class Sample:
     scene : str
         Seed or name of the frame.
     sigma : float
-        Disparity noise, per metre.
+        Standard deviation of the disparity noise, 1/m.
     cpu_ms : float
-        Time on one core; of a quick method the faster of two runs.
+        Time on one core; for a quick method the faster of two runs.
     numbers : dict of str to float
-        By metric. NaN where it is undefined.
+        By metric; NaN if undefined.
     plane_shares : (n,) float64
-        Of each true plane over MIN_PIXELS, its share of the image.
+        Share of the image of each true plane over MIN_PIXELS.
     found : (n,) bool
         Whether it was found.
 
@@ -65,7 +65,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Job:
-    """One scene, by its seed or as a frame, and what to run on it."""
+    """One scene, given by its seed or as a frame, and the methods to run on it."""
 
     kind: str
     scene: int | Frame
@@ -81,14 +81,14 @@ def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slo
     Parameters
     ----------
     methods : sequence of Method
-        Those that are absent are left out.
+        Absent ones are skipped.
     counts : dict of str to int
         Number of scenes for ``rooms``, ``lived-in rooms`` and ``curved``.
     first_seed : int
     slow : int
-        A slow method gets the first so many scenes of rooms and lived-in rooms.
+        Number of rooms and lived-in rooms for slow methods.
     frames : iterable of Frame
-        Real frames; quick methods only.
+        Real images, for quick methods only.
 
     """
     present = [method for method in methods if not method.absent]
@@ -104,7 +104,7 @@ def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slo
 
 
 def run_jobs(jobs: Sequence[Job], processes: int) -> list[Sample]:
-    """Run all jobs on some processes of one thread each; the order is that of the jobs."""
+    """Run all jobs on several processes with one thread each; results are in order."""
     found: list[Sample] = []
     with mapping(processes) as apply:
         for samples in tqdm(apply(run_job, jobs), 'scenes', total=len(jobs), leave=False):
@@ -113,7 +113,7 @@ def run_jobs(jobs: Sequence[Job], processes: int) -> list[Sample]:
 
 
 def run_job(job: Job) -> list[Sample]:
-    """Run all methods of a job at all its noises."""
+    """Run all methods of a job with all its noises."""
     if isinstance(job.scene, Frame):
         return [_on_frame(method, job.scene) for method in job.methods]
     scene = _SCENES[job.kind](job.scene)
@@ -123,7 +123,7 @@ def run_job(job: Job) -> list[Sample]:
 
 def timed(method: Method, depth_m: np.ndarray,
           intrinsics: CameraIntrinsics) -> tuple[Segments, float]:
-    """Return what a method finds, and its milliseconds on one core."""
+    """Return the result of a method, and its milliseconds on one core."""
     taken_s = []
     for _ in range(1 if method.slow else 2):
         prepared = method.prepare(depth_m, intrinsics)

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Accuracy of angles and distances after each way to find the scale.
+Accuracy of angles and distances with each scale method.
 
-A relative-depth network is simulated: true depth becomes disparity with noise, of random scale
-and shift. Its planes are found, scale and shift are estimated from them, and the planes' angles
-and distances are compared with those of the true depth on the same pixels. Gravity is that of the
-scene, with an error, or is found from the lines of the image; rendered rooms have textures.
+A relative-depth network is simulated: true depth becomes disparity with noise and a random scale
+and shift. Its planes are found, scale and shift are estimated from them, and the angles and
+distances are compared with those of the true depth in the same pixels. Gravity is that of the
+scene with an error, or estimated from the lines of the image; rendered rooms have textures.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from plane_detector.scale.estimate import ScaleEstimate
 
 MIN_PLANE_SHARE = 0.02
 CLASS_TOLERANCE_DEG = 8.0
-# Errors of what a user knows.
+# Errors of the values given by a user.
 GRAVITY_ERROR_DEG, HEIGHT_ERROR_SHARE = 1.0, 0.02
 COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG = 10.0, 20.0
 SPARSE_POINTS, WRONG_POINT_SHARE = 200, 0.1
@@ -46,16 +46,16 @@ UP_TO_A_FACTOR = ' (up to one factor)'
 @dataclass(frozen=True)
 class Errors:
     """
-    Of one estimate.
+    Errors of one estimate.
 
     Attributes
     ----------
     angle_deg : (n,) float64
-        Of each wall to the floor.
+        Of the angle between each wall and the floor.
     distance_share : (m,) float64
-        Of each plane's distance along the ray of its middle.
+        Of each plane's distance along the ray through its centre.
     bend_deg : float
-        Largest change of an angle between two planes by scale and shift alone, without noise.
+        Largest change of an angle between two planes due to scale and shift, without noise.
 
     """
 
@@ -87,7 +87,7 @@ def measure(view: View, estimate: ScaleEstimate) -> Errors:
 
 
 def _rescaled(planes: np.ndarray, truth: ScaleConfig, estimate: ScaleEstimate) -> np.ndarray:
-    """Return what the estimate makes of true planes (N, 3) seen without noise."""
+    """Return true planes (N, 3) without noise as they appear with the estimated scale."""
     gain = estimate.scale / truth.disparity_scale
     return gain * planes + [0.0, 0.0, estimate.shift - gain * truth.disparity_shift]
 
@@ -108,7 +108,7 @@ def _angles_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 def _tilted(direction: np.ndarray, angle_deg: float, rng: np.random.Generator) -> np.ndarray:
-    """Return the unit vector turned by the angle, to a random side."""
+    """Return the unit vector rotated by the angle about a random axis."""
     aside = np.cross(direction, rng.standard_normal(3))
     return (np.cos(np.radians(angle_deg)) * direction
             + np.sin(np.radians(angle_deg)) * aside / np.linalg.norm(aside))
@@ -123,7 +123,7 @@ def _truth(view: View) -> ScaleEstimate:
 
 
 def _sparse_depth(view: View) -> ScaleEstimate:
-    """Give some points of measured depth, a share of them wrong."""
+    """Use some points of measured depth, a share of them wrong."""
     index = view.rng.choice(np.flatnonzero(np.isfinite(view.true_depth_m)), SPARSE_POINTS)
     points_m = np.full(view.true_depth_m.shape, np.nan)
     points_m.flat[index] = view.true_depth_m.flat[index]
@@ -137,7 +137,7 @@ def _manhattan(view: View) -> ScaleEstimate:
 
 
 def _of_the_image(view: View, config: ScaleConfig) -> ScaleEstimate:
-    """Give gravity and horizontal axes as the lines of the image tell them."""
+    """Use gravity and horizontal axes from the lines of the image."""
     gravity = view.around.gravity
     return view.estimate(config, gravity_camera=gravity.gravity_camera,
                          down_tolerance_deg=gravity.tolerance_deg,
@@ -173,7 +173,7 @@ WAYS: dict[str, Callable[[View], ScaleEstimate]] = {
 
 
 def accuracy_table(views: list[View]) -> str:
-    """Return the Markdown table of all ways on some views."""
+    """Return the Markdown table of all methods for some views."""
     rows = []
     for name, way in WAYS.items():
         estimates = [(view, way(view)) for view in views]
@@ -185,7 +185,7 @@ def accuracy_table(views: list[View]) -> str:
 
 
 def _accuracy(answered: list[tuple[View, ScaleEstimate]]) -> list[str]:
-    """Return the last four cells of a row; distances in metres where any estimate has them."""
+    """Return the last four cells of a row; distances in metres if any estimate has them."""
     metric = any(estimate.is_metric for _, estimate in answered)
     errors = [(measure(view, estimate), estimate) for view, estimate in answered]
     angles = _summary([error.angle_deg for error, _ in errors], 1.0, 2)
@@ -204,7 +204,7 @@ def _summary(values: list[np.ndarray], factor: float, digits: int) -> tuple[str,
 
 def refusal_row(name: str, views: Iterable[View],
                 way: Callable[[View], ScaleEstimate]) -> list[str]:
-    """Return the row of one kind of room: how often a way to find the shift refuses."""
+    """Return the row of one kind of room: how often a method refuses to estimate the shift."""
     estimates = [(view, way(view)) for view in views]
     accepted = [(view, estimate) for view, estimate in estimates if estimate.has_true_angles]
     bent = sum(measure(view, estimate).bend_deg > BENT_DEG for view, estimate in accepted)

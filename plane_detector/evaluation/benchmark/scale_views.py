@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What simulated relative networks see, for the benchmark of the scale."""
+"""Views of simulated relative networks, for the benchmark of the scale."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from plane_detector.types import CameraIntrinsics
 
 SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
 NOISE_PER_M = 0.004
-# Real images are few: each is seen by this many simulated networks.
+# Real images are few, so each is used with this many simulated networks.
 DRAWS_PER_IMAGE = 10
 
 
 @dataclass(frozen=True)
 class View:
-    """What the simulated network makes of an image, its planes, and the truth."""
+    """Output of the simulated network for an image, its planes, and the truth."""
 
     disparity: np.ndarray
     regions: PixelRegions
@@ -49,19 +49,19 @@ class View:
 
     @cached_property
     def around(self) -> Surroundings:
-        """What the lines of the image tell: gravity and horizontal axes, or nothing."""
+        """Gravity and horizontal axes from the lines of the image, if any."""
         return DirectionFinder().look(self.rgb, self.intrinsics, None, None, Config(),
                                       needs_lines=True)
 
     def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
-        """Return the scale by the planes and what else is known, see :class:`ScaleEvidence`."""
+        """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""
         return estimate_scale(ScaleEvidence(
             self.disparity, ray_planes(self.regions, self.intrinsics), **known), config)
 
 
 def look(scene: Scene | Frame, gravity_camera: np.ndarray, height_m: float,
          rng: np.random.Generator) -> View:
-    """Return what a network of random scale and shift makes of an image, and its planes."""
+    """Return the output of a network with random scale and shift for an image, and its planes."""
     depth_m = scene.depth_m
     scale = np.exp(rng.uniform(*np.log(SCALE_RANGE)))
     shift = rng.uniform(*SHIFT_RANGE_PER_M)
@@ -81,7 +81,7 @@ def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
 
 
 def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
-    """Read a set of real images; gravity and height are those of the sensor's floor."""
+    """Read a set of real images; gravity and height are from the floor in the sensor's depth."""
     for frame in frames(folder.parent, (folder.name,)):
         planes = segment_planes(frame.depth_m, frame.intrinsics).planes
         gravity_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)

@@ -1,13 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Planes in depth images, by our method and by others.
+Segmentation of depth images into planes, by our method and by others.
 
 The sections: `rooms` of boxes, `living` rooms and `curved` surfaces are rendered, with exact
-truth; `living_room` is the clean depth of a room that others rendered, with labels grown from it
-(see evaluation/reference_labels.py), and the change under slight noise; `real` images have a
-sensor's depth; `time` is run time on one thread. Contact sheets of living rooms and real images
-are written to the output folder. Methods that are not installed are named as absent.
+truth. `living_room` is clean depth of a room from another source, with labels grown from it (see
+evaluation/reference_labels.py), and the change under slight noise. `real` images have sensor
+depth. `time` is run time on one thread. Contact sheets of living rooms and real images are written
+to the output folder. Methods that are not installed are listed as absent.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _sections(text: str) -> tuple[str, ...]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the sections that were asked for."""
+    """Print the requested sections."""
     methods = all_methods()
     seeds = room_sets(options.seeds, 0)[1].seeds
     if 'rooms' in options.only:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the constants of the segmentation do: each at 0.7 and at 1.4 times its value.
+Influence of the constants of the segmentation: each at 0.7 and at 1.4 times its value.
 
-Constants that the compiled loops use are left out: their values are part of the machine code.
-Comments beside the constants call flat what moves SC by at most .003 and recall and precision by
-at most .015, as the seed of the random generator does.
+Constants used in compiled loops are skipped, because their values are part of the machine code.
+Comments on the constants call a range flat if SC changes by at most .003 and recall and precision
+by at most .015, as with the random seed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _PACKAGE = 'plane_detector.segmentation'
 
 @dataclass(frozen=True)
 class Constant:
-    """A number of a module of the segmentation."""
+    """A numeric constant of a module of the segmentation."""
 
     module: str
     name: str
@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def constants() -> Iterator[Constant]:
-    """Yield the numbers of the segmentation's modules that no compiled loop uses."""
+    """Yield the constants of the segmentation's modules that no compiled loop uses."""
     for path in sorted(_FOLDER.rglob('*.py')):
         tree = ast.parse(path.read_text(encoding='utf-8'))
         module = '.'.join(path.relative_to(_FOLDER).with_suffix('').parts)
@@ -93,7 +93,7 @@ def constants() -> Iterator[Constant]:
 
 @contextmanager
 def changed(constant: Constant, factor: float) -> Iterator[None]:
-    """Put a factor on a constant wherever it was imported; whole numbers stay whole."""
+    """Multiply a constant by a factor wherever it was imported; integers stay integers."""
     value = constant.value * factor
     if isinstance(constant.value, int):
         value = max(1, round(value))
@@ -108,7 +108,7 @@ def changed(constant: Constant, factor: float) -> Iterator[None]:
 
 
 def _importers(constant: Constant) -> list[ModuleType]:
-    """Return the constant's own module and those that import it by name."""
+    """Return the module of a constant and those that import it by name."""
     own = f'{_PACKAGE}.{constant.module}'
     return [module for name, module in list(sys.modules.items())
             if name == own or (name.startswith('plane_detector.')
@@ -123,7 +123,7 @@ def _imported_names(module: ModuleType) -> set[tuple[str, str]]:
 
 
 def _samples() -> list[tuple[str, Scene, np.ndarray]]:
-    """Return the kind, the scene and the depth of everything that is segmented."""
+    """Return kind, scene and depth of all test cases."""
     rooms = [('planes', room(seed), noisy_depth(room(seed), sigma, seed))
              for seed in range(1200, 1206) for sigma in (0.001, 0.004, 0.01)]
     lived_in = [('planes', furnished(seed), noisy_depth(furnished(seed), sigma, seed))
@@ -135,7 +135,7 @@ def _samples() -> list[tuple[str, Scene, np.ndarray]]:
 
 
 def _measure(samples: Sequence[tuple[str, Scene, np.ndarray]]) -> np.ndarray:
-    """Return SC, recall, precision and the share of curved pixels that are labelled, (4,)."""
+    """Return SC, recall, precision and the labelled share of curved pixels, (4,)."""
     planes, curved = [], []
     for kind, scene, depth_m in samples:
         found = segment_planes(depth_m, scene.intrinsics)

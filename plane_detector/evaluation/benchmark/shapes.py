@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Table of the benchmark: spheres, cylinders and cones among planes, and what is none of them."""
+"""Benchmark on spheres, cylinders and cones among planes, with distractors of other shapes."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from plane_detector.types import CameraIntrinsics, ShapeType
 
 SIGMAS = (0.0, 0.001, 0.004)
 MIN_PIXELS = 900
-"""True shapes of fewer pixels cannot be missed."""
+"""Smaller true shapes are not counted as missed."""
 Method = Callable[[np.ndarray, CameraIntrinsics], list[ShapeGuess]]
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What became of the shapes of one scene; errors are of matched shapes."""
+    """Result for the shapes of one scene; errors are of matched shapes."""
 
     matched: tuple[ShapeType, ...]
     missed: tuple[ShapeType, ...]
@@ -71,7 +71,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def match(scene: ShapeScene, guesses: Sequence[ShapeGuess]) -> Judged:
-    """Match guesses with the true shapes: IoU above 0.5 and the same type, each once."""
+    """Match guesses with the true shapes, one to one: IoU above 0.5 and the same type."""
     free, pairs, wrong = list(scene.shapes), [], 0
     for guess in guesses:
         best = max(free, key=lambda true: _iou(guess.mask, true.mask), default=None)
@@ -117,7 +117,7 @@ def _row(name: str, method: Method, seeds: Sequence[int], sigma: float) -> list[
 
 
 def _report_planes(seeds: Sequence[int]) -> None:
-    """Print what looking for shapes does to the planes, and what it costs."""
+    """Print the effect of the search for shapes on the planes, and its time."""
     rows = []
     for sigma in SIGMAS:
         results = np.array([_planes(seed, sigma) for seed in tqdm(seeds, 'planes', leave=False)])

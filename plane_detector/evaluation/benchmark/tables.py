@@ -20,7 +20,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 def emit(*blocks: str) -> None:
-    """Print blocks of Markdown, each followed by an empty line, at once."""
+    """Print blocks of Markdown, each followed by an empty line, without delay."""
     for block in blocks:
         print(f'{block}\n', flush=True)
 
@@ -28,12 +28,12 @@ def emit(*blocks: str) -> None:
 def write_sheet(path: Path, panels: Sequence[tuple[str, np.ndarray]], columns: int,
                 width_px: int) -> Path:
     """
-    Write a contact sheet of titled images (H, W, 3) uint8 RGB, each shrunk to one width.
+    Write a contact sheet of titled images (H, W, 3) uint8 RGB, each reduced to one width.
 
     Returns
     -------
     Path
-        Where it is; its folder is made.
+        Its path; the folder is created.
 
     Raises
     ------
@@ -51,5 +51,5 @@ def write_sheet(path: Path, panels: Sequence[tuple[str, np.ndarray]], columns: i
 
 
 def grey_of(rgb: np.ndarray) -> np.ndarray:
-    """Return an image without its colours, (H, W, 3) uint8, to draw planes on."""
+    """Return an image without colours, (H, W, 3) uint8, to draw planes on."""
     return cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)

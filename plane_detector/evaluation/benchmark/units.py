@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One scene in the units that networks have: metres, disparity, relative disparity, other sizes.
+One scene in the units that networks use: metres, disparity, relative disparity, other sizes.
 
 The noise of a network is stated as a share of the disparities of the image, so that the planes of
-a scene do not depend on its unit. The scenes are raw depth of strong networks, the lidar of KITTI
-made dense, with the noise of a network, and rendered rooms at their size and ten times as large.
+a scene do not depend on its unit. The scenes are saved depth of strong networks, dense depth from
+the lidar of KITTI with the noise of a network, and rendered rooms at their size and ten times as
+large.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ from plane_detector.types import CameraIntrinsics
 STRONG = 'strong_networks'
 # Scale and shift of the relative disparity, the shift as a share of the median disparity.
 RELATIVE_SCALE, RELATIVE_SHIFT = 3.7, 0.1
-# For the one camera of them that is not known.
+# Assumed for the one camera that is not known.
 STATED_FIELD_OF_VIEW_DEG = 40.0
 ROOM_SIZES = (1, 10)
-# The errors of networks are smooth: correlation length as a share of the image width.
+# Networks have smooth errors: correlation length as a share of the image width.
 CORRELATION_SHARE = 0.02
 NO_DIRECTIONS = Config(depth=DepthConfig(max_depth=1e4),
                        directions=DirectionsConfig(gravity=False, orient_planes=False))
@@ -54,7 +55,7 @@ class Found:
 
 
 def strong_networks(folder: Path) -> Iterator[Frame]:
-    """Yield the raw depth of strong networks, in a folder as evaluation/datasets.py has."""
+    """Yield saved depth of strong networks, in a folder as in evaluation/datasets.py."""
     for name, camera in json.loads((folder / 'cameras.json').read_text()).items():
         depth_m = np.load(folder / f'{name}_pred.npy').astype(np.float32)
         size = depth_m.shape[::-1]
@@ -68,7 +69,7 @@ def strong_networks(folder: Path) -> Iterator[Frame]:
 
 
 def streets(data: Path, share: float) -> Iterator[Frame]:
-    """Yield the frames of KITTI, their lidar made dense and given the noise of a network."""
+    """Yield the frames of KITTI, with dense depth from lidar and the noise of a network."""
     for k, frame in enumerate(frames(data, ('kitti',))):
         seen = np.isfinite(frame.depth_m)
         row, column = np.nonzero(seen)
@@ -94,7 +95,7 @@ def rooms_of_sizes(seeds: range, share: float) -> Iterator[Frame]:
 
 
 def in_all_units(frame: Frame, share: float, config: Config) -> dict[str, Found]:
-    """Return the planes of a scene as a network of each kind would give it."""
+    """Return the planes of a scene from the output of each kind of network."""
     disparity = to_disparity(frame.depth_m)
     shifted = RELATIVE_SCALE * (disparity + RELATIVE_SHIFT * np.nanmedian(disparity))
     kinds = {'metric_depth': frame.depth_m, 'disparity': disparity, 'relative_disparity': shifted}
@@ -107,7 +108,7 @@ def in_all_units(frame: Frame, share: float, config: Config) -> dict[str, Found]
 
 
 def agreement(labels: np.ndarray, others: np.ndarray) -> float:
-    """Return the share of labelled pixels on the plane of ``others`` that most of theirs are."""
+    """Return the share of labelled pixels on the corresponding plane of ``others``."""
     same = [np.bincount(others[(labels == k) & (others >= 0)], minlength=1).max()
             for k in range(labels.max(initial=-1) + 1)]
     return sum(same) / max(np.count_nonzero(labels >= 0), 1)
