@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from plane_detector.depth.download import sha256_of, write_verified
@@ -138,21 +139,29 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
         No network in the order has this output.
 
     """
-    unreachable: set[str] = set()
-    passed_over: list[str] = []
-    errors: list[NetworkUnavailableError] = []
     names = [name for name in AUTO_ORDER if output in ('auto', NETWORKS[name].output)]
     if not names:
         raise ValueError(f'no network of the zoo gives {output}: name one by depth.model')
+    unreachable: set[str] = set()
+    errors: dict[str, NetworkUnavailableError] = {}
     for name in names:
         try:
             path, how = _obtain(name, cache_dir, unreachable)
         except NetworkUnavailableError as error:
-            passed_over.append(f'{name} ({error.why})')
-            errors.append(error)
+            errors[name] = error
             continue
-        best = f'; better but not available: {", ".join(passed_over)}' if passed_over else ''
-        return NETWORKS[name], path, f'auto took {name} ({how}){best}'
+        return NETWORKS[name], path, f'auto took {name} ({how}){_preferred(errors)}'
+    raise _none_available(list(errors.values()))
+
+
+def _preferred(errors: Mapping[str, NetworkUnavailableError]) -> str:
+    """Return why the preferred networks were not chosen; empty if there are none."""
+    reasons = ', '.join(f'{name} ({error.why})' for name, error in errors.items())
+    return f'; better but not available: {reasons}' if reasons else ''
+
+
+def _none_available(errors: Sequence[NetworkUnavailableError]) -> FileNotFoundError:
+    """Return the error for several networks, all of which are unavailable."""
     if any(isinstance(error.__cause__, CacheFolderError) for error in errors):
-        raise FileNotFoundError(f'no depth network is available: {errors[0].why}')
-    raise FileNotFoundError('no depth network is available. ' + '. '.join(map(str, errors)))
+        return FileNotFoundError(f'no depth network is available: {errors[0].why}')
+    return FileNotFoundError('no depth network is available. ' + '. '.join(map(str, errors)))
