@@ -22,8 +22,10 @@ import rclpy
 from rclpy.signals import SignalHandlerOptions
 from tqdm import tqdm
 
+from plane_detector.config import Config
 from plane_detector.depth.model_zoo import choose, fetch
 from plane_detector.depth.networks import NETWORKS
+from plane_detector.ros.kernels import load_kernels
 from plane_detector.segmentation.baselines import ransac_alone
 from plane_detector.tools.demo.node_client import NodeClient
 from plane_detector.tools.demo.node_process import NodeProcess, use_private_domain
@@ -70,6 +72,7 @@ def _run(options: argparse.Namespace) -> None:
                    else library_images())
     options.output.mkdir(parents=True, exist_ok=True)
     network = {} if options.without_network else _network(options)
+    load_kernels(Config(), print)  # here, as it takes a slow machine longer than a node may take
     use_private_domain()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -191,6 +191,24 @@ def test_demo_runs_the_node_over_dds(tmp_path, images):
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
 
 
+def test_the_loops_are_compiled_before_the_time_of_the_node_runs(tmp_path, monkeypatch, capsys):
+    demo = pytest.importorskip('plane_detector.tools.demo.__main__')
+    done = []
+
+    def start_node(*_):
+        done.append('node')
+        raise RuntimeError('this is enough')
+
+    monkeypatch.setattr(demo, 'load_kernels', lambda *_: done.append('compiled'))
+    monkeypatch.setattr(demo, 'NodeProcess', start_node)
+    for name in ('ROS_DOMAIN_ID', 'ROS_AUTOMATIC_DISCOVERY_RANGE',
+                 'FASTRTPS_DEFAULT_PROFILES_FILE'):
+        monkeypatch.setenv(name, os.environ.get(name, ''))
+    assert demo.main(['--without-network', '--output', str(tmp_path)]) == 1
+    assert 'this is enough' in capsys.readouterr().err
+    assert done == ['compiled', 'node']
+
+
 def start_demo(folder, *arguments):
     return subprocess.Popen(
         [sys.executable, '-m', 'plane_detector.tools.demo', *arguments], cwd=folder,
