@@ -26,7 +26,7 @@ READERS = {'test_architecture.py', 'test_defaults.py', 'test_dependencies.py', '
 
 @pytest.fixture(scope='session', autouse=True)
 def compiled(request):
-    """Compile all kernels once, into the cache that the processes of the tests share."""
+    """Compile all kernels once, into a cache shared by the processes of the tests."""
     if {item.path.name for item in request.session.items} <= READERS:
         return
     import plane_detector.pipeline

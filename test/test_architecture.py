@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The cut of the package, read from the sources: who may import whom, and how long things are."""
+"""The structure of the package, read from the sources: allowed imports and lengths."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def is_ros(package: str) -> bool:
 
 
 @pytest.mark.parametrize('path', CORE, ids=lambda path: str(path.relative_to(PACKAGE)))
-def test_core_knows_nothing_of_ros(path):
+def test_core_does_not_import_ros(path):
     assert not {name for name in packages_imported(path) if is_ros(name)}
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is declared, pinned and locked is the same, and every locked file has its hash."""
+"""Declared, pinned and locked packages agree, and every locked file has its hash."""
 
 import ast
 import re
@@ -27,8 +27,8 @@ def locked():
 
 
 @pytest.mark.parametrize('name', ['requirements.txt', 'constraints.txt'])
-def test_the_lock_holds_all_that_is_pinned(locked, name):
-    """Else it is written anew by `make lock`."""
+def test_the_lock_contains_all_pinned_packages(locked, name):
+    """Otherwise `make lock` must be run."""
     wanted = pinned(ROOT / '.ci' / name)
     assert len(wanted) > 10
     assert {key: locked.get(key) for key in wanted} == wanted
@@ -41,7 +41,7 @@ def test_every_locked_version_has_hashes():
     assert [entry.split()[0] for entry in entries if '--hash=sha256:' not in entry] == []
 
 
-def test_what_is_installed_is_pinned(locked):
+def test_installed_packages_are_pinned(locked):
     """Of the package's own requirements; their bounds allow the pinned version."""
     calls = [node for node in ast.walk(ast.parse((ROOT / 'setup.py').read_text()))
              if isinstance(node, ast.keyword) and node.arg == 'install_requires']
@@ -53,7 +53,7 @@ def test_what_is_installed_is_pinned(locked):
         assert numbers[0] >= numbers[1], requirement
 
 
-def test_bounds_that_close_a_hole_stand():
+def test_security_bounds_are_kept():
     setup = (ROOT / 'setup.py').read_text()
     assert 'opencv-python-headless>=4.8.1.78' in setup
     assert "'threadpoolctl>=" in setup

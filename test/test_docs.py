@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What README.md and docs/ promise holds: links, commands, snippets, tables."""
+"""README.md and docs/ are correct: links, commands, snippets, tables."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_every_page_is_linked_from_the_readme():
     assert {page.name for page in PAGES[1:]} <= linked
 
 
-def test_snippet_finds_the_wall_it_speaks_of(capsys):
+def test_snippet_finds_the_described_wall(capsys):
     snippet, = blocks(README, 'python')
     names: dict = {}
     exec(compile(snippet, 'README.md', 'exec'), names)

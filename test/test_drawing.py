@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Images of planes and depth."""
+"""Tests of drawings of planes and depth."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ def test_colours_of_a_palette_are_far_apart():
     assert distance.min() > 50
 
 
-def test_label_colours_start_anew_after_the_last():
+def test_label_colours_repeat_after_the_last():
     colours = label_colours(np.array([1, 2, len(PALETTE), len(PALETTE) + 1], np.uint32))
     assert colours.dtype == np.uint8
     np.testing.assert_array_equal(colours, PALETTE[[0, 1, -1, 0]])
 
 
 @pytest.mark.parametrize('dtype', [np.uint8, np.uint16, np.uint32, np.int32])
-def test_tint_colours_planes_and_leaves_the_rest(dtype):
+def test_tint_colours_only_planes(dtype):
     labels = two_planes(dtype)
     tinted = tint(GREY, labels)
     np.testing.assert_array_equal(tinted[labels == 0], GREY[labels == 0])
@@ -73,7 +73,7 @@ def test_overlay_writes_a_number_inside_each_plane():
     assert not (drawn[labels == 0] == 0).all(axis=-1).any()
 
 
-def test_overlay_leaves_the_number_out_where_a_plane_is_too_thin():
+def test_overlay_omits_the_number_of_a_thin_plane():
     labels = np.zeros((480, 640), np.uint32)
     labels[100:103] = 1
     assert (overlay(np.full((480, 640, 3), 128, np.uint8), labels) > 0).all()
@@ -106,7 +106,7 @@ def test_depth_is_red_near_blue_far_and_black_where_invalid():
 
 
 @pytest.mark.parametrize('value', [np.nan, 0.0, np.inf])
-def test_no_depth_at_all_is_black(value):
+def test_missing_depth_is_black(value):
     depth_m = np.full((4, 5), value, np.float32)
     assert not colour_depth(depth_m).any()
     assert np.isnan(depth_range(depth_m)).all()
@@ -116,7 +116,7 @@ def test_constant_depth_is_one_colour():
     assert len(np.unique(colour_depth(np.full((4, 5), 2, np.float32)).reshape(-1, 3), axis=0)) == 1
 
 
-def test_depth_range_is_not_moved_by_a_few_wild_pixels():
+def test_depth_range_ignores_outliers():
     depth_m = np.full(1000, 2.0, np.float32)
     depth_m[:5], depth_m[5:10] = 0.01, 79.0
     assert depth_range(depth_m) == (2.0, 2.0)
@@ -170,5 +170,5 @@ def test_unknown_gravity_draws_nothing():
 
 
 @pytest.mark.parametrize('down', [(0, 0, 1.0), (0, 1e-9, 1.0), (1.0, 0, 0)])
-def test_a_horizon_out_of_sight_is_no_error(down):
+def test_a_horizon_outside_the_image_is_not_an_error(down):
     assert draw_directions(GREY, CAMERA, np.array(down), LEVEL).shape == GREY.shape

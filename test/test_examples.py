@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The examples in docstrings run and show what they say."""
+"""The examples in docstrings give the stated results."""
 
 import doctest
 from importlib import import_module
@@ -37,14 +37,14 @@ PUBLIC = {
 
 
 @pytest.mark.parametrize('name', WITH_EXAMPLES)
-def test_examples_show_what_they_say(name):
+def test_examples_give_the_stated_results(name):
     result = doctest.testmod(import_module(name), optionflags=FLAGS)
     assert result.attempted > 0
     assert result.failed == 0
 
 
 @pytest.mark.parametrize('name', PUBLIC)
-def test_what_others_call_has_an_example(name):
+def test_public_functions_have_an_example(name):
     module = import_module(name)
     for thing in [getattr(module, member) for member in PUBLIC[name]] or [module]:
         assert '>>> ' in thing.__doc__, f'{name}: {thing}'

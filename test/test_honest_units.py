@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""When nothing fixes the scale, nothing that leaves the package claims metres."""
+"""If the scale is not known, no output claims metres."""
 
 import re
 
@@ -32,7 +32,7 @@ ATTIC = attic(np.random.default_rng(1), CAMERA)  # without right angles but thos
 
 
 def claims(text):
-    """Return what in a text says that a length is known in metres."""
+    """Return the parts of a text that claim lengths in metres."""
     for denial in DENIALS:
         text = text.replace(denial, '')
     return [match.group() for pattern in (LENGTH, WORD) for match in pattern.finditer(text)]
@@ -163,7 +163,7 @@ def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, scale):
     assert ('[m]' in printed) == (scale == 'fixed')
 
 
-def test_classes_without_a_unit_are_told_all_the_same(robot):
+def test_classes_are_reported_without_a_unit(robot):
     run(robot, ROOM, scale__gravity=ROOM.gravity_camera.tolist())
     kinds = {kind.name.lower() for kind in (PlaneClass.FLOOR, PlaneClass.WALL)}
     assert any(kind in text for text in captions(robot) for kind in kinds)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recipe from image to planes, with depth handed in instead of a network."""
+"""The pipeline from image to planes, with given depth instead of a network."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ TOPIC = Config(depth=DepthConfig(source='topic'))
 
 
 def network(output, noise_share=0.0):
-    """Return a model that gives the truth in the unit that it is told to."""
+    """Return a model that gives the true depth in the requested unit."""
     disparity = 1 / SCENE.depth_m
     values = {'metric_depth': SCENE.depth_m, 'disparity': disparity,
               'relative_disparity': (disparity - SHIFT) / SCALE}[output]
@@ -31,7 +31,7 @@ def detect(model, config=None):
     return PlaneDetector(config or Config(), model).detect(SCENE.rgb, SMALL)
 
 
-def test_metric_depth_is_segmented_as_it_comes():
+def test_metric_depth_is_segmented_unchanged():
     as_it_is = Config(directions=DirectionsConfig(orient_planes=False))
     found = detect(network('metric_depth'), as_it_is)
     expected = segment_planes(SCENE.depth_m, SMALL)
@@ -65,7 +65,7 @@ def test_relative_disparity_with_known_scale_and_shift_is_metric():
     np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
 
 
-def test_relative_disparity_without_scale_says_so_and_has_labels_all_the_same():
+def test_relative_disparity_without_scale_is_reported_and_labelled():
     found = detect(network('relative_disparity'), Config(scale=ScaleConfig(method='none')))
     assert found.scale_method == 'relative'
     assert found.planes
@@ -74,14 +74,14 @@ def test_relative_disparity_without_scale_says_so_and_has_labels_all_the_same():
     assert np.bincount(found.labels[large] + 1).max() > 0.9 * large.sum()
 
 
-def test_the_noise_that_a_network_is_known_for_is_taken():
+def test_the_stated_noise_of_a_network_is_used():
     least = 0.05 * noise_reference(1 / SCENE.depth_m)
     assert detect(network('metric_depth', 0.05)).disparity_noise >= least * (1 - 1e-6)
     assert detect(network('metric_depth')).disparity_noise < 0.5 * least
 
 
 def labels_of(depth_m, output, noise_share, shift=0.0):
-    """Return the labels by a network that gives this depth in the unit that it is told to."""
+    """Return the labels from a network that gives this depth in the requested unit."""
     disparity = (1 / depth_m + shift) / SCALE
     values = depth_m if output == 'metric_depth' else disparity
     config = Config(DepthConfig(max_depth=1e4), ScaleConfig(method='none'))
@@ -118,7 +118,7 @@ def street_m(width=320, height=240):
     return depth_m, parts
 
 
-def test_street_and_roofs_from_above_are_apart():
+def test_street_and_roofs_from_above_are_separate():
     depth_m, parts = street_m()
     depth_m = with_disparity_noise(depth_m, 0.0001, np.random.default_rng(0)).astype(float)
     camera = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
@@ -138,7 +138,7 @@ def test_measured_depth_needs_no_network():
     assert found.scale_note == 'metric: measured depth'
 
 
-def test_measured_depth_that_is_missing_is_an_error():
+def test_missing_measured_depth_is_an_error():
     with pytest.raises(ValueError, match='depth.source is topic'):
         PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL)
 
@@ -168,7 +168,7 @@ def test_the_image_is_not_modified():
     np.testing.assert_array_equal(SCENE.rgb, before)
 
 
-def test_what_the_image_does_not_cover_has_no_depth_and_no_plane():
+def test_pixels_outside_the_image_have_no_depth_and_no_plane():
     scene = single_wall()
     covered = np.ones(scene.depth_m.shape, bool)
     covered[:, :100] = False
@@ -188,7 +188,7 @@ def test_depth_beyond_the_largest_is_invalid_whatever_its_source(source):
     np.testing.assert_array_equal(np.isnan(found.depth_m), scene.depth_m > limit_m)
 
 
-def test_the_pipeline_tracks_unless_told_not_to(room):
+def test_tracking_can_be_switched_off(room):
     scene = room(3)
     source = DepthConfig(source='topic')
     for enabled in (True, False):

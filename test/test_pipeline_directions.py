@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the lines of the image do in the whole pipeline."""
+"""Effect of the lines of the image in the whole pipeline."""
 
 import numpy as np
 import pytest
@@ -54,14 +54,14 @@ def test_the_image_comes_last(scale, measured, source):
     assert detect(Config(scale=scale), **measured).gravity_source == source
 
 
-def test_an_image_without_lines_leaves_everything_as_it_was():
+def test_an_image_without_lines_changes_nothing():
     found = detect(rgb=plain())
     assert (found.gravity_source, set(found.classes)) == ('none', {PlaneClass.UNKNOWN})
     assert 'straight lines' in found.gravity_note
     assert same_planes(found, detect(Config(directions=OFF), rgb=plain()))
 
 
-def test_switched_off_nothing_is_looked_for():
+def test_without_directions_no_lines_are_searched():
     found = detect(Config(directions=OFF))
     assert (found.gravity_source, found.gravity_note) == ('none', '')
     assert found.horizontal_axes.shape == (0, 3)
@@ -118,7 +118,7 @@ def test_lines_along_the_black_corners_of_rectification_do_not_count():
     assert 'only 0' in detect(rgb=rgb, covered=covered).gravity_note
 
 
-def test_directions_are_forgotten_at_a_reset():
+def test_a_reset_discards_the_directions():
     detector = PlaneDetector(Config(), network())
     detector.detect(SCENE.rgb, CAMERA)
     detector.reset()

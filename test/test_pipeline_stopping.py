@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The pipeline ends between its stages and within its search."""
+"""The pipeline can be stopped between its stages and within its search."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 RGB = np.zeros((120, 160, 3), np.uint8)
 
 
-def test_no_stage_is_begun_after_the_stop():
+def test_no_stage_starts_after_a_stop():
     stop = Stop()
 
     def estimate(rgb):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The recipes and the messages that the docs explain are those of the code."""
+"""The recipes and the messages in the docs agree with the code."""
 
 import re
 import runpy
@@ -92,10 +92,10 @@ def strings_of_the_code():
     return re.sub(r"'\s*\n\s*(?:\+ )?f?'", '', text)
 
 
-def test_there_are_messages():
+def test_the_page_lists_messages():
     assert len(messages()) > 15
 
 
 @pytest.mark.parametrize('message', messages())
-def test_a_message_that_is_explained_is_one_of_the_code(message, strings_of_the_code):
+def test_explained_messages_exist_in_the_code(message, strings_of_the_code):
     assert message in strings_of_the_code

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The times of stages."""
+"""Timing of stages."""
 
 from plane_detector.stage_timer import StageTimer
 

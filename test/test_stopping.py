@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Work that is told to stop, and a process that leaves behind what does not listen."""
+"""Stopping of work, and a process that exits despite work that does not stop."""
 
 import subprocess
 import sys
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 STUCK_S = 20.0
 
 
-def test_nothing_stops_what_runs_under_no_stop():
+def test_work_without_a_stop_is_not_stopped():
     raise_if_stopped()
     assert not current_stop().is_set
 
@@ -28,7 +28,7 @@ def test_a_stop_applies_within_only():
     raise_if_stopped()
 
 
-def test_no_handler_of_errors_swallows_it():
+def test_error_handlers_do_not_catch_it():
     stop = Stop()
     stop.set()
     with pytest.raises(Stopped), stop.applies():
@@ -38,7 +38,7 @@ def test_no_handler_of_errors_swallows_it():
             pytest.fail('taken for a fault')
 
 
-def test_what_breaks_work_off_is_called_once_and_only_while_it_runs():
+def test_the_callback_is_called_once_and_only_while_the_work_runs():
     stop, called = Stop(), []
     with stop.calling(lambda: called.append('before')):
         pass
@@ -51,7 +51,7 @@ def test_what_breaks_work_off_is_called_once_and_only_while_it_runs():
     assert called == ['during']
 
 
-def test_what_is_begun_uncut_is_done_before_the_stop_is_set():
+def test_an_uncut_block_is_completed_before_the_stop():
     stop, begun, free, done = Stop(), threading.Event(), threading.Event(), []
 
     def whole():
@@ -82,7 +82,7 @@ def test_a_background_call_gives_its_result_or_its_error():
         Background(lambda: int('no'), 'failing').result()
 
 
-def test_a_background_call_stops_where_it_looks():
+def test_a_background_call_stops_at_its_next_check():
     begun = threading.Event()
 
     def work():
@@ -99,7 +99,7 @@ def test_a_background_call_stops_where_it_looks():
 
 
 @pytest.mark.parametrize('work', ['time.sleep(1000)', 'None'], ids=['deaf', 'done'])
-def test_a_process_leaves_without_what_does_not_listen(work):
+def test_a_process_exits_despite_work_that_ignores_the_stop(work):
     program = f"""
 import sys, time
 from plane_detector.stopping import Background, leave

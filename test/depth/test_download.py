@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Downloads that are bounded, and safe beside each other."""
+"""Downloads are limited, and safe in parallel."""
 
 import os
 import subprocess
@@ -38,7 +38,7 @@ def test_two_writers_of_the_same_process_id_do_not_meet(tmp_path, monkeypatch):
     assert files_in(tmp_path) == ['n.onnx']
 
 
-def test_what_is_verified_is_the_file_and_not_what_was_meant_to_be_in_it(tmp_path):
+def test_the_written_file_is_verified(tmp_path):
     path = tmp_path / 'n.onnx'
 
     def chunks():
@@ -53,7 +53,7 @@ def test_what_is_verified_is_the_file_and_not_what_was_meant_to_be_in_it(tmp_pat
     assert files_in(tmp_path) == []
 
 
-def test_what_killed_downloads_left_goes_and_what_others_are_writing_stays(tmp_path):
+def test_files_of_killed_downloads_are_removed_and_active_ones_kept(tmp_path):
     now_s = time.time()
     for name, age_s in (('.n.onnx.7.part', 2 * download.STALE_AFTER_S), ('.n.onnx.abc.part', 5),
                         ('.other.onnx.7.part', 2 * download.STALE_AFTER_S)):
@@ -63,7 +63,7 @@ def test_what_killed_downloads_left_goes_and_what_others_are_writing_stays(tmp_p
     assert files_in(tmp_path) == ['.n.onnx.abc.part', '.other.onnx.7.part', 'n.onnx']
 
 
-def test_a_server_that_drips_is_given_up(server, tmp_path, monkeypatch):
+def test_a_slow_server_is_abandoned(server, tmp_path, monkeypatch):
     monkeypatch.setattr(download, 'GRACE_S', 0.5)
     put(monkeypatch, 'fastdepth', UrlSource(server.url + '/dripping.onnx'))
     # 1280000 bytes at 50 a second would take seven hours.

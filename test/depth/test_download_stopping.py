@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A download ends when it is told to, whatever the other side does, and leaves nothing behind."""
+"""A download can be stopped, whatever the server does, and leaves no files."""
 
 import socket
 import threading
@@ -38,7 +38,7 @@ def server():
 
 @pytest.mark.parametrize('sent', [
     [], [b'HTTP/1.1 200 OK\r\nContent-Length: 1000000\r\n\r\nx']], ids=['silent', 'dripping'])
-def test_a_download_ends_when_it_is_told_to(server, sent, tmp_path, monkeypatch):
+def test_a_download_can_be_stopped(server, sent, tmp_path, monkeypatch):
     monkeypatch.setenv('no_proxy', '*')
     monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 60.0)
     address, to_send = server

@@ -32,7 +32,7 @@ def wavy_depth(height=48, width=64):
 @pytest.mark.parametrize('channels_last', [False, True])
 @pytest.mark.parametrize('dtype', [np.float32, np.float16])
 @pytest.mark.parametrize('fixed', [False, True])
-def test_the_depth_of_every_layout_and_type_comes_back(tmp_path, channels_last, dtype, fixed):
+def test_every_layout_and_type_gives_the_depth(tmp_path, channels_last, dtype, fixed):
     depth_m = wavy_depth()
     sides = {'height': 48, 'width': 64} if fixed else {}
     path = write_depth_network(tmp_path / 'n.onnx', channels_last=channels_last, dtype=dtype,
@@ -103,7 +103,7 @@ def test_the_memory_of_an_accelerator_is_bound_and_follows_the_size(tmp_path, mo
             np.testing.assert_allclose(found, depth_m, rtol=1e-5)
 
 
-def test_providers_are_tried_in_order_and_the_one_that_runs_is_told(tmp_path):
+def test_providers_are_tried_in_order_and_the_one_in_use_is_reported(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
     estimate = DepthEstimator(config_for(
         path, providers=('NoSuchExecutionProvider', 'CPUExecutionProvider'), threads=1))
@@ -124,7 +124,7 @@ def test_a_path_needs_the_meaning_of_its_output(tmp_path):
         str(path), 0.0, 0.0)
 
 
-def test_a_missing_file_names_what_there_is():
+def test_a_missing_file_is_reported_with_the_available_networks():
     with pytest.raises(FileNotFoundError, match='nowhere.onnx.*auto.*fastdepth'):
         DepthEstimator(config_for('/nowhere.onnx'))
 
@@ -135,7 +135,7 @@ def test_the_home_folder_is_expanded(tmp_path, monkeypatch):
     assert DepthEstimator(config_for('~/network.onnx')).name == str(tmp_path / 'network.onnx')
 
 
-def test_a_network_that_fails_on_its_input_is_told(tmp_path):
+def test_a_network_that_fails_on_its_input_is_reported(tmp_path):
     nodes = [helper.make_node('Reshape', ['image', 'to'], ['depth'])]
     path = write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 'h', 'w'])],
                          [('depth', FLOAT, [3, 4])],
@@ -144,7 +144,7 @@ def test_a_network_that_fails_on_its_input_is_told(tmp_path):
         DepthEstimator(config_for(path, input_width=14, input_height=14))
 
 
-def test_a_file_that_is_no_network_is_refused(tmp_path):
+def test_a_file_that_is_not_a_network_is_refused(tmp_path):
     for content, said in ((b'not a network', r'n\.onnx is not a complete ONNX file'),
                           (b'\x08\x08', r'no execution provider runs .*n\.onnx')):
         (tmp_path / 'n.onnx').write_bytes(content)
@@ -176,7 +176,7 @@ def identity(path, shape, out_shape=None, element=FLOAT, extra_input=False):
     ([2, 3, 8, 8], {}, 'must be one RGB image'),
     ([3, 8, 8], {}, 'must be one RGB image'),
     ([1, 3, 8, 8], {}, r'\(1, 3, 8, 8\), which is not one image')])
-def test_what_does_not_fit_names_its_inputs_and_outputs(tmp_path, shape, changes, said):
+def test_a_misfit_is_reported_with_inputs_and_outputs(tmp_path, shape, changes, said):
     path = identity(tmp_path / 'n.onnx', shape, **changes)
     with pytest.raises(ValueError, match=f'does not fit: .*{said}.*inputs: a .*outputs: b '):
         DepthEstimator(config_for(path))
@@ -197,7 +197,7 @@ def test_of_several_outputs_the_one_named_depth_is_taken(tmp_path):
 
 @pytest.mark.parametrize('rgb', [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 4), np.uint8),
                                  np.zeros((4, 4, 3), np.float32), np.zeros((0, 4, 3), np.uint8)])
-def test_what_is_no_image_is_refused(tmp_path, rgb):
+def test_invalid_images_are_refused(tmp_path, rgb):
     path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4)
     with pytest.raises(ValueError, match=r'must be \(H, W, 3\) uint8'):
         DepthEstimator(config_for(path))(rgb)

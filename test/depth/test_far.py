@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is too far to be known, and clear sky, are no surface."""
+"""Depth beyond the range of a network, and clear sky, are not surfaces."""
 
 import numpy as np
 import pytest
@@ -50,11 +50,11 @@ def test_the_white_above_the_horizon_is_sky_too():
     {'top': (225, 215, 200), 'horizon': (235, 230, 220)},  # a yellowish one
     {'top': (200, 200, 200), 'horizon': (240, 240, 240)},  # white, as overcast sky
     {'top': (20, 40, 90), 'horizon': (70, 80, 100)}])      # dark
-def test_a_wall_is_no_sky(colours):
+def test_a_wall_is_not_sky(colours):
     assert find_sky(*landscape(**colours)) is None
 
 
-def test_what_is_near_or_not_at_the_top_or_small_or_textured_is_no_sky():
+def test_near_low_small_or_textured_regions_are_not_sky():
     rgb, disparity = landscape()
     assert find_sky(rgb, 1 / disparity) is None
     assert find_sky(rgb[::-1], disparity) is None
@@ -63,7 +63,7 @@ def test_what_is_near_or_not_at_the_top_or_small_or_textured_is_no_sky():
     assert find_sky(rough.astype(np.uint8), disparity) is None
 
 
-def test_a_disparity_within_its_noise_of_nothing_says_no_distance():
+def test_a_disparity_within_its_noise_of_zero_determines_no_distance():
     rgb = np.zeros((1, 4, 3), np.uint8)
     disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
     np.testing.assert_array_equal(knowable(disparity, 0.01, rgb), [[False, True, True, True]])

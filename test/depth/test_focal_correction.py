@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Metres of a network that was trained with another lens."""
+"""Correction of the metres of a network that was trained with another lens."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from plane_detector.pipeline import PlaneDetector
 
 
 def wide_network(depth_m, output):
-    """Return a model that takes every image for one of a camera of half the focal length."""
+    """Return a model that assumes a camera with half the focal length."""
     values = depth_m / 2 if output == 'metric_depth' else 2 / depth_m
     return DepthFunction(lambda rgb: values, output, focal_per_height=0.5 * VGA.fy / VGA.height)
 

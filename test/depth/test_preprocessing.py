@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What goes into a network, by its published recipe, and what is made of its output."""
+"""Network inputs according to the published recipe, and conversion of outputs."""
 
 import numpy as np
 import pytest
@@ -107,7 +107,7 @@ def test_depth_of_a_plane_stays_a_plane_when_it_is_enlarged():
 @pytest.mark.parametrize(('output', 'raw', 'valid'), [
     (output, [1.0, 1e-3, 500.0, 0.0, -1.0, np.nan, np.inf], [1, 1, 1, 0, 0, 0, 0])
     for output in ('metric_depth', 'disparity', 'relative_disparity')])
-def test_what_is_not_finite_and_positive_is_nan(output, raw, valid):
+def test_values_not_finite_or_positive_become_nan(output, raw, valid):
     raw = np.array([raw], np.float32)
     finished = finish_output(raw, (7, 1), output)
     assert finished.dtype == np.float32

@@ -64,7 +64,7 @@ def test_a_point_map_gives_metres_and_normals_that_look_at_the_camera(
     assert found.values.dtype == found.normals_camera.dtype == np.float32
 
 
-def test_what_the_mask_rules_out_is_nan(tmp_path, monkeypatch):
+def test_masked_pixels_are_nan(tmp_path, monkeypatch):
     depth_m = np.round(wall_m(), 3)
     depth_m[:10] = 0  # the sky
     found = moge(monkeypatch, tmp_path).predict(encoded(depth_m, 100), LENS)
@@ -91,7 +91,7 @@ def test_without_the_lens_such_a_network_is_refused(tmp_path, monkeypatch):
         estimate(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
 
 
-def test_a_file_of_other_outputs_than_the_zoo_says_is_refused(tmp_path, monkeypatch):
+def test_a_file_with_other_outputs_than_in_the_zoo_is_refused(tmp_path, monkeypatch):
     put_in_cache(monkeypatch, MOGE, write_canonical_network(tmp_path / 'n.onnx'))
     with pytest.raises(ValueError, match='must have an input num_tokens of int64.*pixel_values'):
         DepthEstimator(DepthConfig(model=MOGE, cache_dir=str(tmp_path)))
@@ -115,7 +115,7 @@ def test_noise_moves_the_shift_of_a_point_map_by_less_than_itself():
 
 
 @pytest.mark.parametrize('valid', [False, True])
-def test_a_point_map_that_says_nothing_of_its_shift_keeps_its_z(valid):
+def test_a_point_map_without_a_determined_shift_keeps_its_z(valid):
     points = np.ones((4, 4, 3), np.float32)
     found = depth_from_point_map(points, np.full((4, 4), valid), np.zeros((4, 4, 2), np.float32))
     np.testing.assert_array_equal(np.isnan(found), not valid)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Damping of flicker: averages while nothing moves, stands aside as soon as anything does."""
+"""Temporal filter: averages while nothing moves, and has no effect as soon as anything does."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ def flickering(rng, truth=TRUTH):
 
 
 def moved(image, pixels):
-    """Return an image that a camera sees that has turned by so many pixels."""
+    """Return the image of a camera that has turned by this many pixels."""
     matrix = np.float32([[1, 0, pixels], [0, 1, 0]])
     return cv2.warpAffine(image, matrix, image.shape[1::-1], borderMode=cv2.BORDER_REFLECT)
 
@@ -68,12 +68,12 @@ def test_the_first_images_count_alike():
     np.testing.assert_allclose(state.disparity, np.mean(disparities, axis=0), atol=1e-6)
 
 
-def test_noise_falls_to_what_the_share_leaves():
+def test_noise_falls_according_to_the_share():
     state = damped(*still(25), keep=0.8)
     assert rms(state) == pytest.approx(NOISE / 3, rel=0.05)  # sqrt((1 - k) / (1 + k))
 
 
-def test_nothing_is_kept_of_a_share_of_zero():
+def test_a_share_of_zero_keeps_nothing():
     images, disparities = still(3)
     np.testing.assert_array_equal(damped(images, disparities, keep=0.0).disparity,
                                   disparities[-1])
@@ -99,7 +99,7 @@ def test_slow_motion_adds_up_and_never_lags_by_a_pixel():
     assert not any(np.convolve(~np.array(starts), np.ones(10), 'valid') == 10)
 
 
-def test_something_that_moves_ends_the_average_of_the_whole_image():
+def test_motion_ends_the_average_of_the_whole_image():
     images, disparities = still(6)
     images[-1][100:120, 100:120] = 255
     state = damped(images, disparities)
@@ -107,7 +107,7 @@ def test_something_that_moves_ends_the_average_of_the_whole_image():
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
-def test_a_speck_is_no_motion_and_is_not_averaged_itself():
+def test_a_speck_is_not_motion_and_is_not_averaged():
     images, disparities = still(6)
     images[-1][110, 110] = 255
     state = damped(images, disparities)
@@ -124,20 +124,20 @@ def test_depth_that_changes_behind_the_same_image_is_new():
     np.testing.assert_array_equal(state.disparity, disparities[-1])
 
 
-def test_another_light_is_another_image():
+def test_a_change_of_light_resets_the_average():
     images, disparities = still(6)
     images[-1] = cv2.add(images[-1], np.full_like(images[-1], 12))
     assert damped(images, disparities).image_count == 1
 
 
-def test_without_edges_nothing_tells_that_the_camera_stands_still():
+def test_without_edges_a_static_camera_is_not_recognised():
     _, disparities = still(3)
     rng = np.random.default_rng(3)
     blank = [seen(np.full((*SHAPE, 3), 128, np.uint8), rng) for _ in disparities]
     assert damped(blank, disparities).image_count == 1
 
 
-def test_another_size_starts_anew():
+def test_another_size_resets_the_average():
     images, disparities = still(2)
     rng = np.random.default_rng(3)
     state = filter_disparity(damped(images, disparities), flickering(rng, TRUTH[:120]),
@@ -157,7 +157,7 @@ def test_relative_disparity_of_any_scale_and_shift():
     assert rms(state, scale * TRUTH + shift) < 0.45 * scale * NOISE
 
 
-def test_a_disparity_turned_round_is_no_scale():
+def test_reversed_disparity_is_not_a_change_of_scale():
     images, disparities = still(2)
     turned = damped(images, [disparities[0], 1 - disparities[1]], same_scale=False)
     assert turned.image_count == 1
@@ -204,7 +204,7 @@ def test_inputs_are_not_changed():
 
 
 class FlickeringWall:
-    """A wall whose disparity is another one in every image."""
+    """A wall with a different disparity in every image."""
 
     def __init__(self, unit):
         self.unit = unit
@@ -218,7 +218,7 @@ class FlickeringWall:
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
-def test_the_pipeline_damps_what_a_network_says(output):
+def test_the_pipeline_filters_the_depth_of_a_network(output):
     network = DepthFunction(FlickeringWall(output), output)
     detector = PlaneDetector(Config(tracking=TrackingConfig(enabled=False)), network)
     images, _ = still(8)
@@ -233,7 +233,7 @@ def test_the_pipeline_damps_what_a_network_says(output):
     np.testing.assert_array_equal(prediction.values, network.function.last)
 
 
-def test_the_pipeline_leaves_depth_as_it_is_where_it_is_told_to():
+def test_the_filter_can_be_switched_off():
     images, disparities = still(4)
     network = FlickeringWall('metric_depth')
     detector = PlaneDetector(Config(depth=DepthConfig(damping=0.0)), network)
@@ -272,7 +272,7 @@ def test_rooms_are_better_where_nothing_moves_and_the_same_where_something_does(
             assert damping == pytest.approx(without, nan_ok=True)
 
 
-def test_sequences_of_rooms_show_what_they_say():
+def test_sequences_of_rooms_show_the_stated_motion():
     still_views, box_views = (sequence(2, motion) for motion in (
         Motion('nothing'), Motion('box', box_m_s=1.0)))
     assert len(still_views) == len(box_views) == FRAMES

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of the directions of one image after another."""
+"""Tests of the directions of consecutive images."""
 
 import numpy as np
 import pytest

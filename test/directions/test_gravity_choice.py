@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of which direction of gravity counts."""
+"""Tests of the choice of the direction of gravity."""
 
 import numpy as np
 import pytest
@@ -32,11 +32,11 @@ def test_the_tolerance_of_the_image_is_by_its_covariance():
 
 
 @pytest.mark.parametrize(('angle_deg', 'source'), [(12, 'image'), (25, 'parameter')])
-def test_a_coarse_direction_gives_way_to_an_image_that_agrees(angle_deg, source):
+def test_a_coarse_direction_is_replaced_by_that_of_an_agreeing_image(angle_deg, source):
     assert choose_gravity(None, GIVEN, 15.0, of_image(angle_deg)).source == source
 
 
-def test_why_there_is_none_is_told():
+def test_the_reason_for_unknown_gravity_is_given():
     found = choose_gravity(None, NONE, 2.0, of_image(refusal='only 3 straight lines'))
     assert (found.gravity_camera, found.source, found.note) == (None, 'none',
                                                              'only 3 straight lines')

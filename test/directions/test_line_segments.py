@@ -48,7 +48,7 @@ def test_the_border_of_the_image_is_no_line_of_the_scene():
     assert len(detect_line_segments(image, CAMERA)) == 0
 
 
-def test_the_longest_come_first_and_short_ones_are_left_out():
+def test_segments_are_sorted_by_length_without_short_ones():
     image = np.full((480, 640, 3), 60, np.uint8)
     for length, row in ((20, 60), (200, 200), (400, 340)):
         cv2.rectangle(image, (100, row), (100 + length, row + 40), (200, 200, 200), -1)
@@ -58,7 +58,7 @@ def test_the_longest_come_first_and_short_ones_are_left_out():
     assert lengths_px[-1] >= 0.05 * 640
 
 
-def test_lines_along_the_border_of_what_is_covered_are_left_out():
+def test_lines_along_the_border_of_the_covered_area_are_dropped():
     image = np.zeros((480, 640, 3), np.uint8)
     covered = np.zeros((480, 640), bool)
     covered[100:400, 120:520] = True

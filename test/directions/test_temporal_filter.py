@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of directions over time."""
+"""Tests of the temporal filter of directions."""
 
 import cv2
 import numpy as np
@@ -36,7 +36,7 @@ def turn(x_deg=0.0, y_deg=0.0, z_deg=0.0):
 
 
 def lines(rotation=None) -> LineSegments:
-    """Return segments at infinity, seen by a camera that turned."""
+    """Return segments at infinity, seen by a rotated camera."""
     rng = np.random.default_rng(0)
     middle = rng.uniform([-0.5, -0.4], [0.5, 0.4], (30, 2))
     along = rng.normal(0, 1, (30, 2))
@@ -57,7 +57,7 @@ def test_the_turn_of_the_lines_is_that_of_the_camera(angles):
     assert found == pytest.approx(cv2.Rodrigues(rotation)[0].ravel(), abs=1e-4)
 
 
-def test_lines_that_move_otherwise_do_not_count():
+def test_lines_with_other_motion_do_not_count():
     after = lines(turn(0, 1.0, 0))
     ends_px = after.ends_px.copy()
     ends_px[:6] += [12.0, 9.0]
@@ -65,7 +65,7 @@ def test_lines_that_move_otherwise_do_not_count():
     assert np.degrees(found) == pytest.approx([0, 1.0, 0], abs=0.1)
 
 
-def test_no_turn_from_few_lines():
+def test_few_lines_give_no_rotation():
     few = segments_from_pixels(lines().ends_px[:5], CAMERA)
     assert turn_between(few, few) is None
 
@@ -91,7 +91,7 @@ def test_a_turning_camera_does_not_lag():
     assert angle_deg(tracked.directions.gravity_camera, rotation @ AXES[0]) < 0.3
 
 
-def test_what_an_image_refuses_is_held_for_a_while_and_turned():
+def test_refused_directions_are_held_and_rotated():
     tracked = track_directions(None, rotated(np.eye(3)), lines())
     rotation = turn(0.3, 0, 0)
     tracked = track_directions(tracked, refused(), lines(rotation))
@@ -110,7 +110,7 @@ def test_level_axes_are_not_held_while_the_camera_turns():
     assert not turning.directions.pairs
 
 
-def test_another_answer_must_be_given_again():
+def test_a_different_answer_must_be_repeated():
     tracked = track_directions(None, rotated(np.eye(3)), lines())
     other = rotated(turn(0, 0, 20))
     for _ in range(JUMPS_BELIEVED - 1):
@@ -120,7 +120,7 @@ def test_another_answer_must_be_given_again():
     assert angle_deg(tracked.directions.gravity_camera, other.gravity_camera) < 0.1
 
 
-def test_a_new_scene_stands_alone():
+def test_a_new_scene_is_not_averaged():
     tracked = track_directions(None, rotated(np.eye(3)), lines())
     nothing = segments_from_pixels(np.zeros((0, 2, 2)), CAMERA)
     assert track_directions(tracked, refused(), nothing).directions.gravity_camera is None

@@ -81,7 +81,7 @@ def test_same_seed_same_answer():
     assert np.array_equal(directions_of(rgb).gravity_camera, directions_of(rgb).gravity_camera)
 
 
-def test_a_coarse_direction_tells_the_vertical_of_a_camera_on_its_side(rng):
+def test_a_coarse_direction_determines_the_vertical_of_a_rolled_camera(rng):
     down, x, y = tilted_frame()
     segments = lines_along(np.stack([down, x, y]), 12, rng)
     found = find_directions(segments, rng, coarse_down=x)

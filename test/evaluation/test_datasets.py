@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real frames are read in metres and RGB, and what is wrong with them is named."""
+"""Real images are read in metres and RGB, and their errors are reported."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def test_frames_are_read_in_metres_and_rgb(tmp_path):
     np.testing.assert_array_equal(frame.rgb[0, 0], [30, 20, 10])
 
 
-def test_frames_that_are_missing_or_of_another_size_are_named(tmp_path):
+def test_missing_or_mismatched_frames_are_named(tmp_path):
     with pytest.raises(FileNotFoundError, match='nowhere'):
         list(frames(tmp_path / 'nowhere'))
     write_frame(tmp_path / 'set', np.ones((60, 80), np.uint16))

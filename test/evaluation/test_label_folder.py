@@ -19,7 +19,7 @@ LABELS = np.array([[-1, 0, 0, 1], [-1, 0, 1, 1]])
 PLANES = np.array([[0, 0, -1, 1 / 3], [0.6, 0.0, -0.8, np.pi]])
 
 
-def test_what_is_written_is_read_again(tmp_path):
+def test_written_labels_can_be_read(tmp_path):
     write_labels(tmp_path / 'out', 7, LABELS, PLANES)
     (number, path), = label_files(tmp_path / 'out').items()
     assert (number, path.name) == (7, '00007.png')
@@ -84,7 +84,7 @@ def test_planes_are_normalised_and_look_at_the_camera(tmp_path):
 @pytest.mark.parametrize(('line', 'message'), [
     ('1,1,0,0,one,1', 'must have numbers'), ('1,1,0,0', 'must have numbers'),
     ('1,1,0,0,0,1', 'frame 1, label 1'), ('1,1,0,0,nan,1', 'frame 1, label 1')])
-def test_tables_that_are_wrong_are_refused(tmp_path, line, message):
+def test_invalid_tables_are_refused(tmp_path, line, message):
     (tmp_path / 'planes.csv').write_text(
         f'frame,label,normal_x,normal_y,normal_z,d\n{line}\n')
     with pytest.raises(ValueError, match=message):

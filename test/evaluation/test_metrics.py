@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The metrics on cases that are solved by hand."""
+"""The metrics on cases solved by hand."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_equal_segmentations_are_perfect_whatever_their_numbers():
     assert variation_of_information(counts) == pytest.approx(0, abs=1e-12)
 
 
-def test_the_mask_takes_pixels_out():
+def test_masked_pixels_do_not_count():
     mask = ALL.copy()
     mask[0, 3] = False
     counts = overlap(TRUTH, FOUND, mask).counts

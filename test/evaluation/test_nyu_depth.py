@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames out of a file built like nyu_depth_v2_labeled.mat, and its split."""
+"""Frames from a file like nyu_depth_v2_labeled.mat, and its split."""
 
 import builtins
 
@@ -79,7 +79,7 @@ def test_instances_of_all_categories_are_told_apart(path):
     assert segments.min() == (0 if true.min() < 0 else 1)
 
 
-def test_what_is_wrong_with_a_file_is_said(path, tmp_path):
+def test_errors_of_a_file_are_explained(path, tmp_path):
     with pytest.raises(FileNotFoundError, match='nyu_depth_v2_labeled'):
         NyuDepth(tmp_path / 'nothing.mat')
     (tmp_path / 'text.mat').write_text('no HDF5')
@@ -122,7 +122,7 @@ def test_splits_of_matlab_of_both_formats_and_of_text(tmp_path):
     assert read_split(old, 'train') == (3, 4)
 
 
-def test_a_split_that_is_none_is_refused(tmp_path):
+def test_an_invalid_split_is_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_split(tmp_path / 'nothing.txt')
     for content in ('', 'one two'):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every method behind the common interface works, or names what is missing."""
+"""Every method with the common interface works, or names the missing package."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_every_method_finds_a_wall_or_says_why_it_cannot(method):
     assert (planes[:, 3] >= 0).all()
 
 
-def test_what_cannot_be_imported_is_said_to_be_missing():
+def test_modules_that_cannot_be_imported_are_reported_as_missing():
     assert 'no_such_module_here' in peers._missing('no_such_module_here')
     assert peers._missing('numpy') == ''
 

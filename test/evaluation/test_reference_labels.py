@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The labels grown from exact depth are those of the flat surfaces, and of no others."""
+"""The labels grown from exact depth are those of the flat surfaces only."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_labels_are_of_the_largest_first_and_planes_look_at_the_camera():
     assert not (found.unclear & (found.labels >= 0)).any()
 
 
-def test_any_camera_will_do():
+def test_any_camera_model_works():
     camera = CameraIntrinsics(180.0, 240.0, 60.0, 130.0, 200, 160)
     wall = single_wall(camera, yaw_deg=30, distance_m=2.0)
     found = label_exact_planes(rounded(wall.depth_m), camera)
@@ -63,7 +63,7 @@ def test_any_camera_will_do():
     ((0.04, 0, -1), (0, 1, 0)), ((0.25, 0, -1), (0, 1, 0)),
     ((0.01, 0, 0), (0, 1, 0)), ((0.25, 0, 0), (0.6, 0.8, 0)), ((4, 0, 0), (0, 1, 0))],
     ids=['ball', 'large ball', 'pipe', 'tilted column', 'apse'])
-def test_what_is_curved_is_no_plane(squared_radius, axis):
+def test_curved_surfaces_are_not_planes(squared_radius, axis):
     ray_x, ray_y = (ray.astype(float) for ray in pixel_rays(CAMERA))
     far_m = 1.2 + np.sqrt(squared_radius[0])
     surface = Revolution(np.array([0, 0, far_m]), np.array(axis, float), squared_radius, -5, 5)
@@ -97,7 +97,7 @@ def test_coplanar_pieces_on_both_sides_of_something_are_one_plane(step_m, planes
     assert found.labels[120, 175] not in (-1, found.labels[120, 50], found.labels[120, 300])
 
 
-def test_a_narrow_face_is_judged_when_the_one_that_it_would_flow_into_is_taken():
+def test_a_narrow_face_is_judged_after_its_larger_neighbour():
     """The strip at 2 m starts, being flattest; within 6 mm it is a quarter wider, by the slope."""
     depth_m = flat(np.nan)
     depth_m[:, 20:40] = 2.0

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Counts of a package, against one that is written here."""
+"""Counts of a small package written by the test."""
 
 import pytest
 
@@ -39,7 +39,7 @@ def test_rooms_and_floors(package):
     assert floors(rooms(imported))['segmentation'] == 3
 
 
-def test_a_circle_of_imports_ends():
+def test_a_cycle_of_imports_is_counted_once():
     assert set(floors({'a': {'b'}, 'b': {'a'}})) == {'a', 'b'}
 
 

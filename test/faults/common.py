@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the faults share: a row of the table, processes and what they take, a node that is fed."""
+"""Shared code of the fault tests: table rows, resources of processes, a node with inputs."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def table(rows: list[Row]) -> str:
 
 @dataclass(frozen=True)
 class Usage:
-    """What a process takes: resident memory in MB, threads, open file descriptors."""
+    """Resources of a process: resident memory in MB, threads, open file descriptors."""
 
     memory_mb: float
     threads: int
@@ -65,7 +65,7 @@ class Usage:
 
 
 def usage(pid: int) -> Usage:
-    """Return what a process takes now."""
+    """Return the current resources of a process."""
     status = Path(f'/proc/{pid}/status').read_text(encoding='utf-8')
     fields = dict(line.split(':', 1) for line in status.splitlines())
     return Usage(int(fields['VmRSS'].split()[0]) / 1024, int(fields['Threads']),
@@ -92,7 +92,7 @@ def rooms(count: int, camera: CameraIntrinsics = CAMERA) -> list[np.ndarray]:
 
 
 class FedNode:
-    """A node as a process, and a robot that feeds it and hears all outputs."""
+    """A node as a process, and a robot that feeds it and subscribes to all outputs."""
 
     def __init__(self, folder: Path, arguments: list[str], outputs: tuple[str, ...] = ()):
         os.environ['FASTRTPS_DEFAULT_PROFILES_FILE'] = str(

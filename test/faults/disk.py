@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A replay that is killed, told to stop, or runs out of disk."""
+"""A replay that is killed, is stopped, or fills the disk."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Bombs, damaged messages, random parameters and transitions: the node goes on."""
+"""Compressed bombs, damaged messages, random parameters and transitions: the node continues."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def bombs(folder: Path) -> list[Row]:
 
 
 def random_messages(folder: Path) -> list[Row]:
-    """Return what becomes of a node under damaged images, parameters and transitions."""
+    """Return the behaviour of a node under damaged images, parameters and transitions."""
     rng = np.random.default_rng(0)
     with fed_node(folder, room_network(folder), ('planes', 'points', 'overlay')) as node:
         assert node.wait_for_state('active'), node.node.log()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hostile networks and servers: refused with the reason, within a bounded time."""
+"""Malicious networks and servers are refused with a reason, within a limited time."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _with_empty_output(folder: Path) -> Path:
 
 
 def downloads(folder: Path) -> list[Row]:
-    """Return what becomes of downloads from hostile servers; the limits are made short."""
+    """Return the results of downloads from malicious servers, with shortened limits."""
     os.environ['no_proxy'] = '*'
     download.ANSWER_TIMEOUT_S, download.GRACE_S = 1.0, 2.0
     rows = []

@@ -30,7 +30,7 @@ GROUPS = {'bombs': bombs, 'messages': random_messages, 'networks': networks,
 
 
 def main() -> int:
-    """Run the groups that are asked for; print the table."""
+    """Run the requested groups; print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--only', nargs='*', choices=list(GROUPS), default=list(GROUPS))
     parser.add_argument('--soak-minutes', type=int, default=0, metavar='N',

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A long run at 30 Hz with all outputs: memory, threads and descriptors stay as they are."""
+"""A long run at 30 Hz with all outputs: memory, threads and descriptors stay constant."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Depth, its inverse, and what of both is valid."""
+"""Depth, disparity and their validity."""
 
 import warnings
 
@@ -19,7 +19,7 @@ INVALID = [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 0.9e-3, 1e-40]
 
 
 @pytest.mark.parametrize('value', INVALID)
-def test_what_is_no_depth_has_no_disparity(value):
+def test_invalid_depth_has_no_disparity(value):
     depth_m = np.array([[value, 4.0]], np.float32)
     with warnings.catch_warnings():
         warnings.simplefilter('error')
@@ -32,19 +32,19 @@ def test_the_nearest_valid_depth_is_a_millimetre():
     assert valid_depth(np.array([1e-3, 80.0])).all()
 
 
-def test_depth_there_and_back():
+def test_depth_to_disparity_and_back():
     depth_m = np.array([[0.5, 2.0, np.nan, 60.0]], np.float32)
     np.testing.assert_allclose(to_depth(to_disparity(depth_m)), depth_m, rtol=1e-6)
     assert to_depth(to_disparity(depth_m)).dtype == np.float32
 
 
 @pytest.mark.parametrize('disparity', [0.0, -0.1, np.nan, np.inf, 2e3, 0.124])
-def test_what_is_no_inverse_of_a_depth_up_to_the_largest_is_invalid(disparity):
+def test_disparity_of_no_depth_up_to_the_largest_is_invalid(disparity):
     found = to_depth(np.array([[disparity, 0.125]]), max_depth_m=8.0)
     np.testing.assert_array_equal(found, [[np.nan, 8.0]])
 
 
-def test_zeros_stand_for_what_is_invalid_and_the_input_stays():
+def test_invalid_values_become_zeros_and_the_input_is_not_modified():
     disparity = np.array([[0.5, np.nan, np.inf]], np.float32)
     filled, valid = zero_filled(disparity)
     np.testing.assert_array_equal(filled, [[0.5, 0.0, 0.0]])
@@ -53,7 +53,7 @@ def test_zeros_stand_for_what_is_invalid_and_the_input_stays():
     assert filled.dtype == np.float32
 
 
-def test_the_range_does_not_see_a_few_stray_pixels():
+def test_the_range_ignores_outliers():
     disparity = np.tile(np.linspace(1.0, 3.0, 400, dtype=np.float32), (400, 1))
     disparity[:4] = 1000.0
     disparity[4:8] = np.nan

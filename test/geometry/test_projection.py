@@ -31,7 +31,7 @@ def test_points_by_hand():
 
 
 @pytest.mark.parametrize('bad', [np.nan, np.inf, -np.inf, 0.0, -1.0])
-def test_invalid_depth_becomes_nan_and_nothing_else_does(bad):
+def test_only_invalid_depth_becomes_nan(bad):
     depth_m = np.full((2, 4), 3.0, np.float32)
     depth_m[1, 2] = bad
     points_m = depth_to_points(depth_m, CAMERA)
@@ -57,7 +57,7 @@ def test_points_behind_the_camera_have_no_pixel():
 
 @pytest.mark.parametrize('depth_m', [
     np.ones((4, 2), np.float32), np.ones((2, 4, 1), np.float32), np.ones((2, 4), np.uint16)])
-def test_what_is_no_depth_image_of_this_size_is_refused(depth_m):
+def test_depth_of_another_type_or_size_is_refused(depth_m):
     with pytest.raises(ValueError, match='depth'):
         depth_to_points(depth_m, CAMERA)
 

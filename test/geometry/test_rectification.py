@@ -74,7 +74,7 @@ def test_depth_of_a_turned_camera_is_along_the_new_axis():
     assert np.isnan(depth_m[~seen]).mean() > 0.9
 
 
-def test_rotation_of_zeros_is_none():
+def test_rotation_of_zeros_means_no_rotation():
     without = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.eye(3), NEW_MATRIX, SIZE)
     zeros = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.zeros(9), NEW_MATRIX, SIZE)
     np.testing.assert_array_equal(zeros.map_x, without.map_x)
@@ -85,7 +85,7 @@ def test_rotation_of_zeros_is_none():
     ('spherical', np.zeros(5), 'spherical'), ('plumb_bob', np.zeros(8), '4 or 5 coeff'),
     ('rational_polynomial', np.zeros(5), '8 or 12 or 14 coefficients'),
     ('equidistant', np.zeros(5), '4 coefficients')])
-def test_what_is_no_known_model_is_refused(model, d, reason):
+def test_unknown_models_are_refused(model, d, reason):
     with pytest.raises(ValueError, match=reason):
         make_rectification(model, d, MATRIX, np.eye(3), NEW_MATRIX, SIZE)
 
@@ -97,7 +97,7 @@ def test_an_image_of_another_size_is_refused():
 
 
 @pytest.mark.parametrize('size', [(640, 480), (160, 120), (500, 377)])
-def test_resized_depth_has_no_depth_that_was_not_there(size):
+def test_resizing_creates_no_new_depths(size):
     depth_m = np.full((240, 320), 1.0, np.float32)
     depth_m[:, 150:] = 3.0
     depth_m[:20] = np.nan
@@ -107,7 +107,7 @@ def test_resized_depth_has_no_depth_that_was_not_there(size):
     assert abs(np.isnan(resized).mean() - 20 / 240) < 0.01
 
 
-def test_a_slanted_plane_stays_a_plane_when_its_depth_grows():
+def test_a_slanted_plane_stays_a_plane_when_enlarged():
     columns = np.arange(320)
     depth_m = np.broadcast_to(1 / (0.2 + 0.001 * columns), (240, 320)).astype(np.float32)
     resized = resize_depth(depth_m, (640, 480))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a camera sees stays in its direction when the image is made smaller."""
+"""Directions of pixels are preserved when an image is reduced."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered views and the models of their cells, for the tests of what works on cells."""
+"""Rendered views and the models of their cells, for tests of code that works on cells."""
 
 from functools import cache
 
@@ -27,13 +27,13 @@ def rectangle(corner, edge_u, edge_v):
 
 
 def view(rectangles, curved=(), intrinsics=VGA, angles_deg=(0, 0, 0)):
-    """Return what a camera at the origin sees that looks along y, turned by yaw, pitch, roll."""
+    """Return the view of a camera at the origin looking along y, rotated by yaw, pitch, roll."""
     return render(rectangles, camera_rotation(*angles_deg), np.zeros(3), intrinsics,
                   np.random.default_rng(0), curved)
 
 
 def wall(distance_m, left_m=-50.0, right_m=50.0):
-    """Return an endless wall square to y, or an upright strip of one."""
+    """Return an infinite wall perpendicular to y, or a vertical strip of one."""
     return rectangle([left_m, distance_m, -50], [right_m - left_m, 0, 0], [0, 0, 100])
 
 
@@ -45,7 +45,7 @@ def ball(radius):
 
 
 def fold(angle_deg, width_m=3.0):
-    """Return two upright planes that meet 2 m ahead."""
+    """Return two vertical planes that meet 2 m ahead."""
     half = np.radians(angle_deg / 2)
     across, back = width_m * np.cos(half), width_m * np.sin(half)
     return [rectangle([0, 2, -50], [across, back, 0], [0, 0, 100]),
@@ -53,7 +53,7 @@ def fold(angle_deg, width_m=3.0):
 
 
 def millimetres(depth_m):
-    """Return depth as 16-bit millimetres keep it."""
+    """Return depth rounded to 16-bit millimetres."""
     return (np.rint(depth_m * 1000) / 1000).astype(np.float32)
 
 

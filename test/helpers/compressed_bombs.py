@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Small files that declare or cost much more than they hold."""
+"""Small files that declare or cost much more than their content."""
 
 from __future__ import annotations
 

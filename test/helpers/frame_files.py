@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a data folder as files."""
+"""Writing of the frames of a data folder."""
 
 import json
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node as a process of its own."""
+"""The node as a separate process."""
 
 import os
 import subprocess

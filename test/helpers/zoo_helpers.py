@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A network of known content in the zoo and a server that has it, for the tests of fetching."""
+"""A network with known content in the zoo and a server with its file, for download tests."""
 
 import contextlib
 import dataclasses
@@ -26,7 +26,7 @@ def files_in(folder):
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT whole, damaged, broken off, stalled, too long or in drops; counts."""
+    """Serves CONTENT complete, damaged, truncated, stalled, too long or slowly."""
 
     def do_GET(self):
         self.server.asked.append(self.path)

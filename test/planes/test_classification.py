@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Gravity and what it says about planes, hand-made."""
+"""Gravity and the classes of hand-made planes."""
 
 import numpy as np
 import pytest
@@ -95,7 +95,7 @@ def test_mounting_turns_the_imus_frame_into_the_cameras():
 
 @pytest.mark.parametrize('acceleration', [(0.0, -12.0, 0.0), (0.0, 0.0, 0.0),
                                           (np.nan, 0.0, 9.8)])
-def test_a_moving_accelerometer_says_nothing(acceleration):
+def test_a_moving_accelerometer_gives_no_direction(acceleration):
     assert gravity_from_acceleration(acceleration, (0, 0, 0, 1)) is None
 
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What planes say of their pixels, against the pixels."""
+"""Measurements of planes, compared with their pixels."""
 
 from functools import cache
 
@@ -50,7 +50,7 @@ def test_rms_is_that_of_the_points(seed, sigma):
 
 @pytest.mark.parametrize('sigma', [0.0, 0.002])
 @pytest.mark.parametrize('seed', SEEDS)
-def test_centroid_lies_on_the_plane_amid_its_points(seed, sigma):
+def test_centroid_lies_on_the_plane_among_its_points(seed, sigma):
     points_m, _, found = segmented(seed, sigma)
     for k, plane in enumerate(found.planes):
         assert plane.normal @ plane.centroid_m + plane.offset_m == pytest.approx(0, abs=1e-9)

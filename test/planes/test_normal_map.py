@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Normals of a network weigh in the orientation of planes by how noisy they are."""
+"""The weight of a network's normals in the orientation of planes depends on their noise."""
 
 from dataclasses import dataclass, replace
 
@@ -68,7 +68,7 @@ def error_deg(plane, azimuth_deg):
     return np.degrees(np.arccos(np.clip(plane.normal @ towards(azimuth_deg), -1, 1)))
 
 
-def test_sure_normals_turn_a_plane_of_unsure_depth():
+def test_accurate_normals_rotate_a_plane_of_inaccurate_depth():
     depth_m = bowed(wall_m(20), 0.012)
     assert error_deg(found_normal(depth_m, None), 10) == pytest.approx(10, abs=2)
     turned = found_normal(depth_m, normal_map(10))
@@ -77,7 +77,7 @@ def test_sure_normals_turn_a_plane_of_unsure_depth():
     assert abs(turned.centroid_m[2] - z_m) < 0.05 * z_m, 'it stays where it is'
 
 
-def test_unsure_normals_do_not_turn_a_plane_of_sure_depth():
+def test_inaccurate_normals_do_not_rotate_a_plane_of_accurate_depth():
     assert error_deg(found_normal(wall_m(20), normal_map(0, noise_deg=25.0)), 20) < 2
 
 

@@ -70,7 +70,7 @@ def test_the_side_of_the_normal_stays():
     assert found.normals[0] @ AXES[0] > 0.99
 
 
-def test_a_good_network_keeps_a_roof_and_an_open_door():
+def test_an_accurate_network_keeps_a_roof_and_an_open_door():
     roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
     exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)
                   for normal in (-AXES[0], -AXES[2], AXES[1], -AXES[0], -AXES[2]))
@@ -81,7 +81,7 @@ def test_a_good_network_keeps_a_roof_and_an_open_door():
     assert angle_deg(found.normals[6], door) < 1
 
 
-def test_a_bad_network_is_trusted_less():
+def test_an_inaccurate_network_has_less_weight():
     off = tuple(plane(turned(normal, 18, about)) for normal, about in (
         (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
     assert orient(off, directions(), no_lines(4)).sigmas_rad.min() > np.radians(8.0)
@@ -126,7 +126,7 @@ def test_a_wall_across_a_further_axis_shows_lines_along_its_partner(share, is_ac
     assert (angle_deg(found.normals[0], -further[1]) < 1.0) == is_across
 
 
-def test_covariance_of_the_axes_leaves_room_for_a_sure_network():
+def test_uncertain_axes_do_not_override_an_accurate_network():
     near = plane(turned(-AXES[0], 2, AXES[1]), 0.1)
     loose = directions()
     loose = SceneDirections(loose.gravity_camera, 25 * loose.covariance, 0.3, loose.pairs, '', '')
@@ -149,7 +149,7 @@ def test_a_wall_seen_above_the_horizon_does_not_become_a_floor():
     assert angle_deg(seen_high.normals[-1], -AXES[0]) > 20
 
 
-def test_what_is_flat_in_the_depth_is_not_turned():
+def test_flat_regions_in_the_depth_are_not_rotated():
     bad = tuple(plane(turned(normal, 18, about)) for normal, about in (
         (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
     ramp = turned(-AXES[0], 8, AXES[1])

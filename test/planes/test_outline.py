@@ -22,7 +22,7 @@ def outline_px(mask, depth_m=None):
     return {(round(u), round(v)) for u, v in zip(u_px, v_px, strict=True)}
 
 
-def test_an_l_stays_an_l():
+def test_an_l_shaped_outline_is_preserved():
     mask = np.zeros((80, 100), bool)
     mask[10:70, 10:30] = mask[50:70, 10:90] = True
     corners = outline_px(mask)
@@ -40,7 +40,7 @@ def test_the_outline_of_the_largest_patch_comes_first():
     assert outline_px(mask) == {(10, 10), (10, 59), (59, 59), (59, 10)}
 
 
-def test_corners_of_noisy_depth_are_laid_onto_the_plane():
+def test_corners_of_noisy_depth_are_projected_onto_the_plane():
     mask = np.zeros((80, 100), bool)
     mask[10:60, 10:60] = True
     noisy_m = 2 + 0.1 * np.random.default_rng(0).normal(size=mask.shape).astype(np.float32)

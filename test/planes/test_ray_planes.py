@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The planes of the segmentation in the coordinates of rays: nothing is fitted again."""
+"""The planes of the segmentation as functions of ray slopes, without a new fit."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of what a sample of the pixels says about planes of given normals."""
+"""Tests of samples of pixels and planes with given normals."""
 
 import numpy as np
 import pytest

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of regions turned to their most likely orientation, on rendered rooms."""
+"""Tests of regions rotated to their most likely orientation, on rendered rooms."""
 
 from dataclasses import replace
 

@@ -51,17 +51,17 @@ def outcome(*arguments, **variables):
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != 'glibc', reason='only the GNU C library has this')
-def test_a_frame_is_worked_on_without_new_pages():
+def test_a_frame_is_processed_without_new_memory_pages():
     kept, faults = outcome('keep')
     assert kept
     assert faults < 10
 
 
-def test_what_the_user_has_set_stands():
+def test_settings_of_the_user_are_kept():
     assert outcome('keep', MALLOC_ARENA_MAX='2')[0] is False
 
 
-def test_objects_that_were_loaded_are_passed_over_by_the_garbage_collector():
+def test_loaded_objects_are_excluded_from_garbage_collection():
     gc.unfreeze()
     freeze_loaded_objects()
     try:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Without a lifecycle manager: tried again where that can help, or ended with an exit code."""
+"""Without a lifecycle manager: retried if that can help, or ended with an exit code."""
 
 import pytest
 from lifecycle_msgs.msg import Transition
@@ -27,14 +27,14 @@ def tries(monkeypatch):
     return errors
 
 
-def test_what_may_pass_is_tried_again_after_growing_pauses(robot, tries):
+def test_temporary_failures_are_retried_after_growing_pauses(robot, tries):
     node = start(robot, lambda rgb: None, wait=False)
     assert robot.spin(lambda: node.state == 'active')
     assert robot.log().count('unreachable') == 2
     assert not robot.diagnosis()[1]['state'].startswith('unconf')
 
 
-def test_a_wrong_setting_is_not_tried_again(robot, tries):
+def test_a_wrong_setting_is_not_retried(robot, tries):
     tries[:] = [ValueError('no provider runs')] * 5
     node = start(robot, lambda rgb: None, wait=False)
     assert robot.is_logged('no provider runs')
@@ -43,7 +43,7 @@ def test_a_wrong_setting_is_not_tried_again(robot, tries):
     assert len(tries) == 4
 
 
-def test_who_configures_by_hand_is_left_alone(robot, tries):
+def test_configuring_by_hand_ends_the_retries(robot, tries):
     node = start(robot, lambda rgb: None, wait=False)
     assert robot.is_logged('trying again')
     tries.clear()
@@ -73,7 +73,7 @@ def test_the_log_says_that_depth_is_measured():
         'depth from the depth topic, no network')
 
 
-def test_what_is_not_known_is_left_out_of_the_log(robot):
+def test_unknown_facts_are_not_logged(robot):
     start(robot, lambda rgb: None)
     lines = [line.split(']: ')[-1] for line in robot.log().splitlines() if 'INFO' in line]
     assert len(lines) == 2

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Faults in the log: cut, escaped, and told by their kind."""
+"""Faults in the log: cut, escaped, and limited by their kind."""
 
 from types import SimpleNamespace
 
@@ -37,7 +37,7 @@ def wrong_type():
 
 @pytest.mark.parametrize('text', [
     'a\nb', 'a\rb', '\x1b[2J', '\x00', '\u202egnp', '\udce9', '\x7f', '\u2028'])
-def test_nothing_is_left_that_moves_the_cursor(text):
+def test_control_characters_are_escaped(text):
     assert plain(text).isprintable()
     assert plain(plain(text)) == plain(text)
 
@@ -64,7 +64,7 @@ def test_the_kind_is_the_line_that_raised_and_not_the_text():
     assert len(logger.lines) == 3
 
 
-def test_a_fault_that_stays_is_told_again(monkeypatch):
+def test_a_persistent_fault_is_logged_again(monkeypatch):
     now_s = [100.0]
     monkeypatch.setattr(fault_log.time, 'monotonic', lambda: now_s[0])
     logger = Logger()
@@ -75,7 +75,7 @@ def test_a_fault_that_stays_is_told_again(monkeypatch):
     assert len(logger.lines) == 2
 
 
-def test_clicks_that_wait_for_a_frame_do_not_pile_up(monkeypatch):
+def test_the_number_of_waiting_clicks_is_limited(monkeypatch):
     monkeypatch.setattr(point_query, 'qos', SimpleNamespace(output_profile=lambda: None,
                                                             overriding_options=lambda: None))
     subscribed = []

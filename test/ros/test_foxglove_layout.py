@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Foxglove layout shows topics that there are, in panels that are laid out."""
+"""The Foxglove layout shows existing topics in panels."""
 
 import json
 from pathlib import Path

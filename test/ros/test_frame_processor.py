@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The two halves of the work on a frame: what they keep, and what makes them forget."""
+"""The two halves of the processing of a frame: their state and its reset."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which frame answers which call."""
+"""Assignment of frames to calls."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from plane_detector.ros.frame_requests import ANSWERED_WITHIN_S, FrameRequests
 
 
 class Clock:
-    """A clock that is set by hand."""
+    """A clock set by the test."""
 
     now_s = 0.0
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The worker keeps two frames in flight, in order, and drops what nobody waits for."""
+"""The worker keeps two frames in flight, in order, and drops outdated ones."""
 
 import threading
 import time
@@ -18,7 +18,7 @@ STUCK_S = 20.0
 
 
 class Half:
-    """Takes each frame until it is let go, and notes what becomes of it."""
+    """Holds each frame until it is released, and records its result."""
 
     def __init__(self, listens=True, is_free=False):
         self.listens = listens
@@ -60,7 +60,7 @@ def started(listens=True):
     return first, second, worker
 
 
-def test_the_freshest_frame_waits():
+def test_the_newest_frame_waits():
     first, second, worker = started()
     assert [worker.put(frame) for frame in ('second', 'third')] == [False, True]
     first.free.set()
@@ -137,7 +137,7 @@ def test_a_frame_is_dropped_in_the_second_half_too_and_between_the_halves(listen
     assert second.dropped in ([], ['one'])
 
 
-def test_stop_does_not_wait_for_work_that_does_not_listen():
+def test_stop_does_not_wait_for_work_that_ignores_it():
     first, _, worker = started(listens=False)
     worker.stop()
     assert not worker.wait(0.05)
@@ -146,8 +146,8 @@ def test_stop_does_not_wait_for_work_that_does_not_listen():
     assert first.dropped == ['first']
 
 
-def test_the_first_half_begins_so_late_that_the_frame_is_fresh():
-    """Where planes take longer than depth, frames do not grow old between the halves."""
+def test_the_first_half_starts_late_enough_for_a_recent_frame():
+    """If planes take longer than depth, frames do not wait between the halves."""
     begun, ages = {}, []
 
     def first(frame):

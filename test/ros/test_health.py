@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is missing is told, in the diagnostics and once in the log."""
+"""Missing inputs are reported in the diagnostics and once in the log."""
 
 from types import SimpleNamespace
 
@@ -34,7 +34,7 @@ def test_gaps(found, wanted, told):
     assert bool(told) == bool(gap)
 
 
-def test_each_gap_is_logged_once_and_leaves_the_status_when_it_is_gone():
+def test_each_gap_is_logged_once_and_cleared_when_it_ends():
     lines = []
     health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
     for _ in range(3):
@@ -54,14 +54,14 @@ def test_max_side_is_advised_for_large_images(shape, is_large):
     assert ('max_side' in health.facts.get('advice', '')) == is_large
 
 
-def test_images_without_depth_of_their_time_are_told():
+def test_images_without_matching_depth_are_reported():
     health = Health(SimpleNamespace(warning=print, info=print))
     level, message = health.status(Report(0, 5, 0, 0.0, unpaired_lately=True), '')
     assert level == DiagnosticStatus.WARN
     assert 'stamp_slop' in message
 
 
-def test_an_imu_that_is_silent_is_told(robot):
+def test_a_silent_imu_is_reported(robot):
     room = small_room()
     start(robot, lambda rgb: room.depth_m, use_imu=True)
     for stamp_s in np.arange(1.0, 6.0, 0.25):
@@ -73,7 +73,7 @@ def test_an_imu_that_is_silent_is_told(robot):
     assert '/imu' in status.message
 
 
-def test_classes_and_obstacles_without_gravity_are_told(robot):
+def test_missing_classes_and_obstacles_are_reported(robot):
     room = small_room()
     start(robot, lambda rgb: room.depth_m, directions__gravity=False)
     send(robot, room)
@@ -83,7 +83,7 @@ def test_classes_and_obstacles_without_gravity_are_told(robot):
     assert 'scale.gravity' in robot.diagnosis()[0].message
 
 
-def test_the_image_topics_are_listed_where_nothing_comes(robot):
+def test_the_image_topics_are_listed_if_none_arrives(robot):
     from sensor_msgs.msg import Image
     robot.node.create_publisher(Image, '/camera/color/image_raw', 1)
     start(robot, lambda rgb: None)
@@ -91,7 +91,7 @@ def test_the_image_topics_are_listed_where_nothing_comes(robot):
     assert robot.diagnosis()[0].level == DiagnosticStatus.WARN
 
 
-def test_what_tells_gravity_is_in_the_facts():
+def test_the_source_of_gravity_is_in_the_facts():
     health = Health(SimpleNamespace(warning=print, info=print))
     health.note(detection((0, 0), gravity_note='only 3 straight lines'), ())
     assert health.facts['gravity'] == 'none'

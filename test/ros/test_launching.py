@@ -22,7 +22,7 @@ def arguments(**values):
     return node_arguments({**DEFAULTS, **values}, YAML)
 
 
-def test_without_arguments_the_file_stands():
+def test_without_arguments_the_file_is_used():
     assert arguments() == ([YAML, {}], [], False, False)
 
 
@@ -43,7 +43,7 @@ def test_every_parameter_of_an_argument_exists():
 
 
 @pytest.mark.parametrize('name', ['use_imu', 'respawn', 'use_sim_time', 'autostart', 'rviz'])
-def test_what_is_no_boolean_is_an_error(name):
+def test_values_that_are_not_boolean_are_an_error(name):
     with pytest.raises(ValueError, match=f"{name} must be true or false, not 'maybe'"):
         arguments(**{name: 'maybe'})
 
@@ -93,7 +93,7 @@ def test_the_launch_file_starts_the_node(launched):
     assert node['respawn'] is False
 
 
-def test_rviz_is_started_where_it_is_asked_for(launched):
+def test_rviz_is_started_on_request(launched):
     _, rviz = launched(rviz='true', image='/cam/image')
     assert rviz['executable'] == 'rviz'
     assert rviz['remappings'] == [('image', '/cam/image')]

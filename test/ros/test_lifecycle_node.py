@@ -57,7 +57,7 @@ def test_all_outputs_are_true_to_the_scene(robot, room):
     assert image_array(robot.received['overlay'][0], 'u1', 3).shape == room.rgb.shape
 
 
-def test_the_whole_way_through_a_network(robot, room, tmp_path):
+def test_from_the_image_through_a_network_to_the_outputs(robot, room, tmp_path):
     """
     The image holds the depth, and a small ONNX network reads it; cleanup frees it.
 
@@ -144,7 +144,7 @@ def test_depth_of_unknown_unit_is_called_relative(robot, room):
     assert not any(text.endswith(' m') for text in captions)
 
 
-def test_with_gravity_the_floor_is_told_and_left_out(robot, room):
+def test_with_gravity_the_floor_is_classified_and_removed(robot, room):
     start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
     send(robot, room, 2.5)
     (obstacles,) = robot.wait_for('points_without_floor')
@@ -196,7 +196,7 @@ def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
     assert robot.is_logged('depth_topic')
 
 
-def test_the_clouds_can_be_thinned(robot, room):
+def test_the_clouds_can_be_decimated(robot, room):
     start(robot, lambda rgb: room.depth_m, points_decimation=4)
     send(robot, room)
     cloud = cloud_array(robot.wait_for('points')[0])
@@ -205,7 +205,7 @@ def test_the_clouds_can_be_thinned(robot, room):
     assert image_array(robot.wait_for('labels')[0], '<u2').shape[:2] == (240, 320)
 
 
-def test_markers_of_planes_gone_are_deleted(robot, room):
+def test_markers_of_lost_planes_are_deleted(robot, room):
     depths = [room.depth_m, np.full((240, 320), np.nan, np.float32)]
     start(robot, lambda rgb: depths.pop(0))
     send(robot, room, 1.0)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node says when the network is slower than the camera, and what would not be."""
+"""The node reports a network that is slower than the camera, with advice."""
 
 import pytest
 
@@ -27,18 +27,18 @@ def advise(share):
 
 @pytest.mark.parametrize(('depth_s', 'arrival_hz'), [
     (0.1, 9.0), (0.1, 10.5), (0.1, 0.0), (0.0, 30.0)])
-def test_a_network_that_keeps_up_is_no_subject(depth_s, arrival_hz):
+def test_a_fast_network_is_not_reported(depth_s, arrival_hz):
     assert slow_network(report(depth_s, arrival_hz), advise) == ''
 
 
-def test_a_slow_network_is_told_with_what_would_keep_up():
+def test_a_slow_network_is_reported_with_advice():
     assert slow_network(report(0.2, 10.0), advise) == (
         'the network takes 200 ms, the camera sends an image every 100 ms: a share of 0.50')
     assert slow_network(report(0.2, 10.0), lambda share: '') == '', 'no network, no advice'
     assert slow_network(Report(0, 0, 0, 0.0), advise) == ''
 
 
-def test_frames_that_came_are_counted_whatever_became_of_them():
+def test_all_arriving_frames_are_counted():
     statistics = Statistics()
     statistics.report()
     statistics.add_processed({'depth': 0.1})
@@ -58,7 +58,7 @@ def test_the_warning_is_logged_once():
     assert logger == ['takes 200 ms']
 
 
-def test_the_plane_stage_that_runs_beside_finds_planes():
+def test_the_plane_stage_of_the_timing_finds_planes():
     stages = []
     detector = PlaneDetector(Config(depth=DepthConfig(target_rate=5.0)),
                              lambda rgb: small_room().depth_m)
@@ -70,7 +70,7 @@ def test_the_plane_stage_that_runs_beside_finds_planes():
     assert found.disparity_noise > 0.001
 
 
-def test_log_and_diagnostics_say_what_was_chosen(capfd, tmp_path):
+def test_log_and_diagnostics_name_the_choice(capfd, tmp_path):
     robot = Robot(capfd=capfd)
     try:
         path = write_depth_network(tmp_path / 'n.onnx')

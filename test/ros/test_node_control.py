@@ -57,7 +57,7 @@ def test_on_demand_one_frame_per_call_that_is_answered_when_it_is_done(robot, ro
     assert answer.result().message == f'{count} planes in the image of 2.000000000'
 
 
-def test_a_call_is_answered_with_the_reason_where_no_frame_is_done(robot, room):
+def test_a_call_without_a_frame_is_answered_with_the_reason(robot, room):
     start(robot, lambda rgb: room.depth_m, mode='on_demand')
     send(robot, room, 1.0)
     answer = robot.ask(Trigger, 'plane_detector/detect')
@@ -73,7 +73,7 @@ def test_a_call_is_answered_with_the_reason_where_no_frame_is_done(robot, room):
     assert answer.result().message == 'the node is not active'
 
 
-def test_nothing_is_done_while_nobody_listens(room):
+def test_nothing_is_computed_without_subscribers(room):
     """But for calls; the diagnostics say so."""
     calls = []
     robot = Robot(outputs=())
@@ -149,7 +149,7 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
 
 
-def test_what_is_read_at_configure_can_be_set_before_it(robot, room, tmp_path):
+def test_settings_read_at_configure_can_be_set_before(robot, room, tmp_path):
     """A wrong network is mended without a restart; a dump loads quietly into an active node."""
     network = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
     node = start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'),
@@ -238,7 +238,7 @@ def test_reliability_follows_the_publishers(robot, room):
 
 @pytest.mark.parametrize('reliability', [ReliabilityPolicy.BEST_EFFORT,
                                          ReliabilityPolicy.RELIABLE])
-def test_a_publisher_is_never_asked_for_what_it_does_not_offer(robot, reliability):
+def test_the_requested_reliability_is_never_higher_than_offered(robot, reliability):
     incompatible = []
     events = PublisherEventCallbacks(incompatible_qos=incompatible.append)
     start(robot, lambda rgb: None)
@@ -256,7 +256,7 @@ def test_reliable_asked_for_of_a_best_effort_camera_names_the_parameter(robot):
     assert robot.is_logged('the parameter input_reliability asks for reliable')
 
 
-def test_an_override_of_the_reliability_stands(robot):
+def test_an_override_of_the_reliability_is_kept(robot):
     node = start(robot, lambda rgb: None, **{
         'qos_overrides./image.subscription.reliability': 'best_effort',
         'qos_overrides./plane_detector/points.publisher.depth': 7})
@@ -277,7 +277,7 @@ def test_a_wrong_override_fails_with_the_reason(robot):
     assert robot.diagnosis()[0].level == DiagnosticStatus.ERROR
 
 
-def test_a_simulation_that_stands_still_does_not_stop_the_node(robot, room):
+def test_a_paused_simulation_does_not_stop_the_node(robot, room):
     start(robot, lambda rgb: room.depth_m, use_sim_time=True)
     send(robot, room, 3.0)
     assert robot.wait_for('planes')[0].header == header(3.0)

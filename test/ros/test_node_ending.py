@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Nothing that the node works on keeps it from answering, from other states, or from its end."""
+"""Running work does not block services, transitions or the end of the node."""
 
 import signal
 import threading
@@ -62,7 +62,7 @@ def test_the_node_answers_while_it_is_configured(robot, tmp_path):
 
 
 @pytest.mark.parametrize('label', ['', 'configure'])
-def test_configuring_is_asked_for_by_number_or_label(robot, room, label):
+def test_configuring_is_requested_by_number_or_label(robot, room, label):
     node = start(robot, lambda rgb: room.depth_m, wait=False, autostart=False)
     number = 0 if label else Transition.TRANSITION_CONFIGURE
     request = ChangeState.Request(transition=Transition(id=number, label=label))
@@ -70,7 +70,7 @@ def test_configuring_is_asked_for_by_number_or_label(robot, room, label):
     assert node.state == 'inactive'
 
 
-def test_deactivating_does_not_wait_and_the_frame_is_thrown_away(robot, room):
+def test_deactivating_does_not_wait_and_discards_the_frame(robot, room):
     estimate = Estimator(room.depth_m)
     node = start(robot, estimate)
     send(robot, room, 1.0)
@@ -87,7 +87,7 @@ def test_deactivating_does_not_wait_and_the_frame_is_thrown_away(robot, room):
     assert robot.diagnosis()[1]['frames_skipped'] == '0'
 
 
-def test_the_next_network_waits_for_the_one_that_is_still_at_work(robot, room):
+def test_the_next_network_waits_for_the_running_one(robot, room):
     estimate = Estimator(room.depth_m)
     node = start(robot, estimate)
     send(robot, room, 1.0)

@@ -76,7 +76,7 @@ def test_outputs_in_the_target_frame(robot):
             assert np.abs(corners_m[:, 2] + marker.pose.position.z).max() < 0.02
 
 
-def test_a_frame_without_transform_is_skipped_and_said_so(robot):
+def test_a_frame_without_transform_is_skipped_and_logged(robot):
     start(robot, lambda rgb: ROOM.depth_m, transforms=standing_transforms(is_static=False),
           target_frame='map', tf_timeout=0.05)
     send(robot, ROOM)

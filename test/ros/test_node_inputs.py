@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node makes of its inputs: good, bad, late, distorted, too many."""
+"""The node with good, bad, late, distorted and too many inputs."""
 
 import threading
 from dataclasses import replace
@@ -97,7 +97,7 @@ def test_a_kind_of_fault_is_logged_once_whatever_its_text(robot, room, monkeypat
     assert robot.spin(lambda: robot.log().count("'rgb33'") == 1), 'what stays is told again'
 
 
-def test_what_a_message_says_is_cut_and_escaped_in_log_and_diagnostics(robot, room):
+def test_text_from_messages_is_cut_and_escaped(robot, room):
     start(robot, lambda rgb: room.depth_m)
     robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
     encoding = '\x1b[31mred\n[INFO] all is well' + 10**6 * 'x'
@@ -121,7 +121,7 @@ def test_an_image_that_overtakes_the_calibration_of_its_size_is_processed(robot,
     assert robot.diagnosis()[1]['frames_skipped'] == '0'
 
 
-def test_a_network_that_gives_no_depth_is_told_frame_by_frame(robot, room, tmp_path):
+def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(1, 0, 0))
     start(robot, depth__model=str(path), depth__output='metric_depth', depth__mean=[0.0] * 3,
           depth__std=[1.0] * 3)
@@ -166,7 +166,7 @@ def test_a_calibration_that_is_not_finite_is_refused_in_plain_numbers(robot, roo
                            'cy=119.5, width=320, height=240)')
 
 
-def test_the_freshest_frame_wins(robot, room):
+def test_the_newest_frame_is_processed(robot, room):
     busy, free = threading.Event(), threading.Event()
 
     def estimate(rgb):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node as a process of its own over DDS: started, fed, ended by signals."""
+"""The node as a separate process over DDS: started, fed, ended by signals."""
 
 import os
 import re
@@ -141,7 +141,7 @@ def test_the_installed_program_takes_signals_before_the_long_imports():
     assert subprocess.run([sys.executable, '-c', program], cwd=ROOT).returncode == 0
 
 
-def test_misspelt_parameters_of_command_line_and_file_are_told_once(start, robot, tmp_path):
+def test_misspelt_parameters_are_reported_once(start, robot, tmp_path):
     file = tmp_path / 'parameters.yaml'
     file.write_text('/**:\n  ros__parameters:\n    use_sim_time: true\n    ransac: {sede: 3}\n')
     node = start('-p', 'depth.source:=topic', '-p', 'segmentaton.max_planes:=3',
@@ -154,7 +154,7 @@ def test_misspelt_parameters_of_command_line_and_file_are_told_once(start, robot
                          'segmentaton.max_planes (meant: segmentation.max_planes?)')
 
 
-def test_a_missing_network_is_told_and_the_node_waits(start, robot, tmp_path):
+def test_a_missing_network_is_reported_and_the_node_waits(start, robot, tmp_path):
     node = start('-p', f'depth.model:={tmp_path / "missing.onnx"}',
                  '-p', 'depth.output:=metric_depth')
     diagnosis(robot, node)

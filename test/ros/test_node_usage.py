@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the program of the node says of its command line, without starting."""
+"""Command line of the node program."""
 
 import pytest
 
@@ -24,5 +24,5 @@ def test_arguments_that_are_not_of_ros_are_refused(arguments, capsys):
     assert printed.err.endswith(f'not understood: {arguments[-1]}\n')
 
 
-def test_what_stands_between_ros_args_and_the_dashes_is_of_ros():
+def test_arguments_between_ros_args_and_dashes_belong_to_ros():
     assert not_of_ros(['--ros-args', '-r', 'image:=/a', '--', 'x', '--ros-args', '-h']) == ['x']

@@ -64,7 +64,7 @@ def test_overrides_reach_the_fields(make_node):
 
 
 @pytest.mark.parametrize('value, expected', [(True, 'true'), (False, 'false'), ('true', 'true')])
-def test_a_switch_takes_what_yaml_makes_of_true(make_node, value, expected):
+def test_a_switch_accepts_yaml_booleans(make_node, value, expected):
     assert parameters.declare(make_node(switch=value), Outer()).switch == expected
 
 
@@ -82,7 +82,7 @@ def test_impossible_overrides_are_refused(make_node, overrides, error):
         parameters.declare(make_node(**overrides), Outer())
 
 
-def test_whole_numbers_are_taken_for_floats(make_node):
+def test_integers_are_accepted_for_floats(make_node):
     node = make_node(gain=2, weights=[1, 3])
     assert parameters.declare(node, Outer()) == Outer(gain=2.0, weights=(1.0, 3.0))
     assert node.get_parameter('gain').type_ == Parameter.Type.DOUBLE
@@ -97,7 +97,7 @@ def test_whole_numbers_are_taken_for_floats(make_node):
     assert isinstance(settings.gain, float)
 
 
-def test_what_is_read_at_configure_is_told_apart():
+def test_settings_read_at_configure_are_recognised():
     old, new = Outer(), Outer(Inner(4, ('c',)), gain=0.7)
     assert parameters.fixed_changes(old, new) == ['inner.count']
     assert parameters.fixed_changes(new, new) == []
@@ -111,14 +111,14 @@ def warnings_of(node, monkeypatch):
     return told
 
 
-def test_names_that_are_not_known_are_told_with_the_nearest(make_node, monkeypatch):
+def test_unknown_names_are_reported_with_the_most_similar(make_node, monkeypatch):
     node = make_node(inner__cuont=7, gain=2.5, count=1, zzz='?')
     parameters.declare(node, Outer())
     (told,) = warnings_of(node, monkeypatch)
     assert told.endswith('count (meant: inner.count?), inner.cuont (meant: inner.count?), zzz')
 
 
-def test_what_rclpy_declares_itself_is_known(make_node, monkeypatch):
+def test_parameters_of_rclpy_are_known(make_node, monkeypatch):
     node = make_node(gain=2.5, use_sim_time=True, start_type_description_service=False,
                      **{'qos_overrides./image.subscription.depth': 3})
     parameters.declare(node, Outer())
@@ -175,6 +175,6 @@ def test_updating_leaves_others_and_the_old_settings_alone():
     assert old == Outer()
 
 
-def test_updating_to_an_impossible_value_says_so():
+def test_updating_to_an_invalid_value_raises():
     with pytest.raises(ValueError, match='gain must be in'):
         parameters.updated(Outer(), [Parameter('gain', value=float('nan'))])

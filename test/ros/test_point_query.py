@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A click on the floor gives the floor."""
+"""The plane at a clicked point."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_the_pixel_that_shows_the_point_or_the_nearest(labels):
 @pytest.mark.parametrize('point_m, reason', [
     ((0.0, 0.0, -2.0), 'behind the camera'), ((9.0, 0.0, 2.0), 'not in the image'),
     ((0.0, -0.6, 2.0), 'there is no plane')])
-def test_where_there_is_none_is_told(labels, point_m, reason):
+def test_a_click_without_a_plane_is_reported(labels, point_m, reason):
     with pytest.raises(ValueError, match=reason):
         plane_at(result_of(labels), np.array(point_m))
 

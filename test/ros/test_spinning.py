@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How the program of the node ends, whatever a signal meets it at."""
+"""End of the node program by signals at any time."""
 
 import os
 import signal
@@ -80,7 +80,7 @@ def test_a_signal_ends_a_starting_node_quietly(making):
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
-def test_a_signal_ends_a_node_whose_main_thread_does_not_come_to_it(name):
+def test_a_signal_ends_a_node_with_a_blocked_main_thread(name):
     """Within the time for that, which `ended` gives several times."""
     assert ended(STUCK, name=name) == (128 + getattr(signal, name), '')
 
@@ -94,7 +94,7 @@ def test_a_second_signal_ends_the_node_at_once():
     'pass' + FAILING, 'end()' + FAILING, 'raise Told',
     'rclpy.get_default_context().on_shutdown(end)' + FAILING],
     ids=['no signal', 'before', 'while told', 'shutdown'])
-def test_wrong_settings_are_told_whenever_a_signal_comes(making):
+def test_wrong_settings_are_reported_whenever_a_signal_comes(making):
     assert ended(making=making) == (1, 'the node cannot start: too large\n')
 
 
@@ -114,7 +114,7 @@ end()
 """
 
 
-def test_the_shared_memory_of_the_middleware_is_given_back():
+def test_the_shared_memory_of_the_middleware_is_released():
     """A segment may be 64 MB, and stays until the machine is started again."""
     from ros_helpers import random_domain
     program = PROGRAM.format(name='SIGTERM', making='    pass',

@@ -16,7 +16,7 @@ TAU = 0.7
 
 
 def planes(normals, offsets, shares, tau=TAU):
-    """Return planes -n / d of 1/z as they are in a disparity that lacks the shift tau."""
+    """Return planes -n / d of 1/z in a disparity without the shift tau."""
     coefficients = -np.asarray(normals) / np.asarray(offsets)[:, None] - [0, 0, tau]
     count = len(coefficients)
     return DisparityPlanes(coefficients, np.tile(1e6 * np.eye(3), (count, 1, 1)),
@@ -36,7 +36,7 @@ def test_exact_planes_give_the_exact_shift():
     assert not found.refusal
 
 
-def test_furniture_does_not_move_it():
+def test_furniture_does_not_change_the_shift():
     slanted = -(DOWN + AXES[2] + 0.3 * AXES[1])
     found = estimate_shift(
         planes([-DOWN, -AXES[2], AXES[1], slanted / np.linalg.norm(slanted)],
@@ -44,7 +44,7 @@ def test_furniture_does_not_move_it():
     assert found.tau == pytest.approx(TAU, abs=1e-6)
 
 
-def test_gravity_alone_will_do_for_a_floor_and_walls_of_any_azimuth():
+def test_gravity_suffices_for_a_floor_and_walls_of_any_azimuth():
     found = estimate_shift(planes([-DOWN, -azimuth(20), -azimuth(80)], [1.5, 4.0, 2.0],
                                   [0.4, 0.3, 0.3]), -0.5, AXES[:1])
     assert found.tau == pytest.approx(TAU, abs=1e-6)
@@ -56,7 +56,7 @@ def test_one_plane_alone_is_refused():
 
 
 def test_walls_that_are_upright_for_any_shift_are_refused():
-    """A level camera sees upright planes upright whatever the shift; nothing fixes it."""
+    """A horizontal camera sees vertical planes as vertical with any shift."""
     level = np.array([0.0, 1.0, 0.0])
     walls = [np.array([np.sin(a), 0.0, -np.cos(a)]) for a in np.radians([20, 50])]
     found = estimate_shift(planes(walls, [3.0, 3.0], [0.5, 0.5]), -0.5, level[None])

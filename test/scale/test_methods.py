@@ -28,7 +28,7 @@ def relative_disparity(depth_m, noise=0.0, seed=0):
 
 
 def room(seed=3):
-    """Return a furnished room whose floor is in view."""
+    """Return a furnished room with a visible floor."""
     return scenes.random_room(np.random.default_rng(seed), SMALL)
 
 
@@ -48,7 +48,7 @@ def upright(scene, tolerance_deg=1.0):
 
 
 def worst_angle_error_deg(scene, scale):
-    """Return the most that an angle between two true planes is off at an estimated scale."""
+    """Return the largest error of an angle between two true planes at an estimated scale."""
     coefficients = -scene.planes[:, :3] / scene.planes[:, 3:]
     gain = scale.scale / SCALE
     bent = gain * coefficients + [0.0, 0.0, scale.shift - gain * SHIFT]
@@ -79,7 +79,7 @@ def test_depth_beyond_the_largest_is_invalid_only_where_there_are_metres():
     assert np.isfinite(apply_scale(disparity, relative, max_depth_m=1e-3)[0, 0])
 
 
-def test_nothing_known_is_relative_and_says_why():
+def test_without_knowledge_the_scale_is_relative_with_reasons():
     scale = estimate(scenes.single_wall(SMALL))
     assert (scale.method, scale.is_metric, scale.has_true_angles) == ('relative', False, False)
     assert scale.unit_method == 'relative'
@@ -143,7 +143,7 @@ def test_measured_depth_with_noise_is_as_good_as_its_uncertainty():
     assert abs(error[0]) < 0.05 * SCALE
 
 
-def test_measured_depth_refuses_what_cannot_fix_the_scale():
+def test_measured_depth_that_does_not_determine_the_scale_is_refused():
     scene = room()
     disparity = relative_disparity(scene.depth_m)
     assert '4 points' in fit_measured_depth(disparity, sparse(scene.depth_m, 4)).refusal
@@ -278,7 +278,7 @@ def test_images_without_information_give_relative(disparity):
     assert apply_scale(disparity, scale).shape == disparity.shape
 
 
-def test_inputs_stay_as_they_are():
+def test_inputs_are_not_modified():
     scene = room()
     disparity = relative_disparity(scene.depth_m)
     seen = evidence(scene, disparity, **upright(scene))

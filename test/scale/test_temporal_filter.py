@@ -32,7 +32,7 @@ def run(*estimates, state=None):
     return states
 
 
-def test_the_first_frame_is_taken_and_told():
+def test_the_first_frame_is_used_and_reported():
     state, = run(FLOOR)
     assert state.estimate is FLOOR
     assert 'camera_height' in state.event and 'floor 1 m below' in state.event
@@ -51,7 +51,7 @@ def test_small_changes_are_blended_in():
     assert state.event == ''
 
 
-def test_an_outlier_moves_nothing_and_is_told():
+def test_an_outlier_changes_nothing_and_is_reported():
     states = run(FLOOR, farther(FLOOR, 3.0), FLOOR)
     assert [s.estimate.scale for s in states] == [0.5] * 3
     assert 'outlier' in states[1].event and '200%' in states[1].event
@@ -71,14 +71,14 @@ def test_a_new_scene_resets_after_frames_that_agree():
     assert 'reset' in states[3].event
 
 
-def test_held_while_nothing_fixes_the_unit_then_given_up():
+def test_the_scale_is_held_for_a_while_without_estimates():
     states = run(FLOOR, *[RELATIVE] * 5)
     assert [s.estimate.method for s in states] == ['camera_height'] * 5 + ['relative']
     assert 'held' in states[1].event and states[2].event == ''
     assert 'no longer camera_height' in states[5].event
 
 
-def test_an_answer_ends_the_holding():
+def test_an_estimate_ends_the_holding():
     states = run(FLOOR, *[RELATIVE] * 4, FLOOR, *[RELATIVE] * 4)
     assert {s.estimate.method for s in states} == {'camera_height'}
 
@@ -102,7 +102,7 @@ def test_the_unknown_unit_stays_that_of_the_first_frame():
 
 
 @pytest.mark.parametrize('method', ['fixed', 'metric'])
-def test_what_is_not_measured_holds_at_once(method):
+def test_methods_that_do_not_measure_are_not_filtered(method):
     given = replace(farther(FLOOR, 5.0), method=method)
     assert run(FLOOR, given)[-1].estimate is given
     other = replace(given, scale=9.0)

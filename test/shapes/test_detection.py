@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes found in rendered rooms, and what is none of them left alone."""
+"""Detection of shapes in rendered rooms, without false shapes."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_shape_is_found_with_its_type_size_and_pixels(name, sigma):
 
 
 @pytest.mark.parametrize('name', TEMPTATIONS)
-def test_what_is_no_such_shape_is_left_alone(name):
+def test_other_shapes_are_not_found(name):
     assert detect(scene_with(name)).shapes == ()
 
 
@@ -98,7 +98,7 @@ def test_nothing_is_searched_by_default_and_planes_are_the_same():
     assert (found.labels[on_plane] == without.labels[on_plane]).mean() > 0.999
 
 
-def test_only_the_wanted_types_are_found():
+def test_only_the_requested_types_are_found():
     config = replace(CONFIG, shapes=ShapesConfig(types='cone, cylinder'))
     found = detect(scene_with('ball'), config=config)
     assert ShapeType.SPHERE not in {shape.type for shape in found.shapes}

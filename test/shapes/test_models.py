@@ -120,7 +120,7 @@ def noisy_points(model, shape, rng):
 
 
 @pytest.mark.parametrize('name', SHAPES)
-def test_least_squares_are_those_of_scipy(name):
+def test_least_squares_equal_those_of_scipy(name):
     model, shape = SHAPES[name]
     rng = np.random.default_rng(3)
     points, noise = noisy_points(model, shape, rng)
@@ -166,7 +166,7 @@ def test_systems_are_solved_or_refused():
     assert np.isnan(solved(np.ones((2, 2)), np.ones(2))).all()
 
 
-def test_misfit_of_the_best_plane_is_that_of_its_noise_and_of_a_bend():
+def test_misfit_of_the_best_plane_measures_noise_and_bend():
     rng = np.random.default_rng(5)
     slopes = rng.uniform(-0.3, 0.3, (2000, 2))
     rays = np.column_stack([slopes, np.ones(2000)])
@@ -190,7 +190,7 @@ def test_rays_touch_the_surface_where_they_are_nearest(name):
 
 
 def test_the_silhouette_gives_the_size_that_noise_hides():
-    """A pipe of 5 cm at 2 m, and noise of 4 cm: its depth says nothing of its radius."""
+    """A pipe of 5 cm at 2 m with noise of 4 cm: its depth does not determine its radius."""
     rng, pixel = np.random.default_rng(7), 1 / 525
     pipe = np.array([0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.05, 0.0])
     slopes = np.column_stack([rng.uniform(-0.024, 0.024, 400), rng.uniform(-0.3, 0.3, 400)])

@@ -32,7 +32,7 @@ def test_without_a_name_all_networks_are_listed(tmp_path, capsys):
     assert f'auto takes the first that can be had of: {", ".join(AUTO_ORDER)}' in lines[-1]
 
 
-def test_what_is_named_is_fetched_and_its_licence_said(server, tmp_path, monkeypatch, capsys):
+def test_named_networks_are_downloaded_with_their_licence(server, tmp_path, monkeypatch, capsys):
     for name in ('fastdepth', 'metric3d_v2_small'):
         put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
     main(['fastdepth', 'metric3d_v2_small', '--cache-dir', str(tmp_path)])
@@ -43,14 +43,14 @@ def test_what_is_named_is_fetched_and_its_licence_said(server, tmp_path, monkeyp
     assert 'weights: not stated' in said
 
 
-def test_auto_is_what_the_node_would_take(server, tmp_path, monkeypatch, capsys):
+def test_auto_equals_the_choice_of_the_node(server, tmp_path, monkeypatch, capsys):
     for name in AUTO_ORDER:
         put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
     main(['auto', '--cache-dir', str(tmp_path)])
     assert f'auto took {AUTO_ORDER[0]} (fetched)' in capsys.readouterr().out
 
 
-def test_what_cannot_be_had_ends_with_a_message(server, tmp_path, monkeypatch):
+def test_an_unavailable_network_ends_with_a_message(server, tmp_path, monkeypatch):
     put(monkeypatch, 'fastdepth', UrlSource(server.url + '/missing.onnx'))
     with pytest.raises(SystemExit, match='fastdepth is not in .* cannot be fetched: .*404'):
         main(['fastdepth', '--cache-dir', str(tmp_path)])

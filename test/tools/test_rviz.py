@@ -52,7 +52,7 @@ def test_the_frame_is_that_of_the_camera(robot):
     assert found == 'camera_optical_frame'
 
 
-def test_without_camera_the_remedy_is_told(monkeypatch, tmp_path, capsys):
+def test_without_a_camera_the_remedy_is_printed(monkeypatch, tmp_path, capsys):
     program = tmp_path / 'rviz2'
     program.write_text('#!/bin/sh\n')
     program.chmod(0o755)
@@ -78,7 +78,7 @@ def test_rviz_is_started_with_the_frame(monkeypatch, tmp_path):
         assert 'Fixed Frame: map' in file.read()
 
 
-def test_without_rviz_the_remedy_is_told(monkeypatch, capsys):
+def test_without_rviz_the_remedy_is_printed(monkeypatch, capsys):
     monkeypatch.setenv('PATH', '/nowhere')
     assert rviz.main([]) == 1
     assert 'ros-jazzy-rviz2' in capsys.readouterr().err

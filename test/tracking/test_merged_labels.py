@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""When two labels become one, the plane that stays says which it took over."""
+"""When two labels become one, the remaining plane names the merged label."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def whole():
     return detection(np.zeros((60, 100), np.int32), (wall(),), (3,))
 
 
-def test_the_label_that_is_gone_is_named(halves, whole):
+def test_the_merged_label_is_named(halves, whole):
     assert merged_labels(halves, whole, CONFIG) == (7,)
 
 
@@ -49,7 +49,7 @@ def test_without_a_past_or_tracking_there_is_none(halves, whole):
     assert merged_labels(halves, small, CONFIG) == (0,)
 
 
-def test_what_stands_before_a_plane_does_not_take_it_over(halves):
+def test_an_occluding_plane_does_not_merge_the_one_behind(halves):
     """A box moves in front of the left half: it hides it and is another plane."""
     labels = halves.labels.copy()
     labels[:, :45] = 0
@@ -59,19 +59,19 @@ def test_what_stands_before_a_plane_does_not_take_it_over(halves):
     assert merged_labels(halves, known_before, CONFIG) == (0, 0), 'not in its plane'
 
 
-def test_a_label_that_is_still_there_is_not_taken_over(halves):
+def test_a_label_still_present_is_not_merged(halves):
     labels = np.ones((60, 100), np.int32)
     labels[:, :5] = 0
     assert merged_labels(halves, detection(labels, halves.planes, (7, 3)), CONFIG) == (0, 0)
 
 
-def test_while_no_label_is_gone_no_pixel_is_counted(halves, monkeypatch):
-    """That is nearly every frame, and pixels are many."""
+def test_pixels_are_counted_only_if_a_label_is_gone(halves, monkeypatch):
+    """Counting is slow, and in nearly every frame no label is gone."""
     monkeypatch.setattr(np, 'bincount', lambda *_, **__: pytest.fail('counts pixels'))
     assert merged_labels(halves, halves, CONFIG) == (0, 0)
 
 
-def test_pixels_of_shapes_take_nothing_over(halves):
+def test_pixels_of_shapes_merge_no_label(halves):
     """Behind the labels of the planes come those of the shapes."""
     shapes = detection(np.where(halves.labels == 0, 2, halves.labels), halves.planes, (9, 3))
     assert merged_labels(halves, shapes, CONFIG) == (0, 0)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Labels from image to image: by hand, on a camera that walks through a room, on real ones."""
+"""Labels over time: on hand-made planes, in a rendered walk, on real images."""
 
 from dataclasses import replace
 
@@ -90,7 +90,7 @@ def test_a_plane_missed_for_a_while_comes_back_under_its_label():
     assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
 
 
-def test_a_label_is_free_once_its_plane_is_forgotten():
+def test_a_label_is_reused_after_its_plane_is_dropped():
     tracker = Tracked(keep_frames=3)
     tracker.update(ROOM)
     for _ in range(4):
@@ -116,7 +116,7 @@ def test_another_plane_at_the_same_pixels_gets_another_label(stranger):
     assert labels_of(tracker, image(FLOOR, LEFT, stranger, BOX)) == (1, 2, 5, 4)
 
 
-def test_parts_of_one_plane_are_told_apart_by_their_pixels():
+def test_parts_of_one_plane_are_distinguished_by_their_pixels():
     tracker = Tracked()
     patches = (np.s_[:, :60], np.s_[:, 100:])
     left, right = plane([0, 0, -1], 3.0, (-1, 0, 3)), plane([0, 0, -1], 3.0, (1, 0, 3))
@@ -134,7 +134,7 @@ def test_a_change_of_unit_changes_no_label(factor):
         1, 2, 3, 4)
 
 
-def test_a_turn_changes_no_label_where_no_pixel_is_shared():
+def test_a_rotation_without_shared_pixels_changes_no_label():
     """A slow network sees a turning camera at 20 degrees an image; the small plane moves away."""
     tracker = Tracked()
     tracker.update(ROOM)
@@ -146,7 +146,7 @@ def test_a_turn_changes_no_label_where_no_pixel_is_shared():
     assert labels_of(tracker, moved) == (1, 2, 3, 4)
 
 
-def test_another_image_size_and_reset_start_anew():
+def test_another_image_size_and_reset_clear_the_tracks():
     tracker = Tracked()
     tracker.update(image(BACK, BOX))
     tracker.update(image(FLOOR, LEFT))
@@ -156,7 +156,7 @@ def test_another_image_size_and_reset_start_anew():
     assert labels_of(tracker, image(LEFT, FLOOR, shape=(240, 320))) == (1, 2)
 
 
-def test_labels_stay_small_and_unique_whatever_comes():
+def test_labels_stay_small_and_unique():
     rng = np.random.default_rng(0)
     tracker = Tracked(keep_frames=2)
     for _ in range(60):
@@ -170,7 +170,7 @@ def test_labels_stay_small_and_unique_whatever_comes():
         assert all(1 <= label <= 5 * 4 for label in labels)
 
 
-def test_smoothing_takes_the_noise_and_leaves_the_changes():
+def test_smoothing_removes_noise_and_keeps_changes():
     rng = np.random.default_rng(1)
     rough, smooth = [], []
     tracker = Tracked(smoothing=0.8)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Clean depth is judged by the labels grown from it, with and without what is unclear."""
+"""Clean depth is evaluated with the labels grown from it, with and without unclear pixels."""
 
 import json
 from dataclasses import replace
@@ -68,14 +68,14 @@ def test_unclear_pixels_do_not_make_a_plane_too_large():
     assert lenient.segmentation_covering == 1
 
 
-def test_the_labels_themselves_score_full_marks():
+def test_the_labels_themselves_have_a_perfect_score():
     one = halves()
     for result in frame_scores(Fixed(one.truth.labels, WALL.planes), one, 0.0):
         assert result.segmentation_covering == result.recall == result.precision == 1
         assert result.normal_error_deg == pytest.approx(0, abs=1e-4)
 
 
-def test_planes_for_the_greater_part_somewhere_are_left_out_by_hand():
+def test_planes_mostly_inside_a_mask_are_removed():
     labels = np.array([[0, 0, 0, 1, 1], [2, 2, -1, -1, 1]])
     there = np.array([[0, 1, 1, 0, 0], [1, 0, 1, 0, 1]], bool)
     planes = np.arange(12.0).reshape(3, 4)
@@ -120,7 +120,7 @@ def test_without_clean_frames_nothing_is_reported(capsys, tmp_path):
     assert not (tmp_path / 'sheets').exists()
 
 
-def test_held_out_frames_are_others_than_those_looked_at(tmp_path):
+def test_held_out_frames_differ_from_those_used_for_tuning(tmp_path):
     folder = tmp_path / 'living_room'
     folder.mkdir()
     about = {'fx': 9.0, 'fy': 9.0, 'cx': 4.5, 'cy': 3.5, 'width': 10, 'height': 8,

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""One program with subcommands: each has its help, and wrong input is explained in a line."""
+"""One program with subcommands: each has a help, and wrong input is explained in one line."""
 
 import re
 import shlex
@@ -82,7 +82,7 @@ def test_a_run_names_its_command_machine_and_commit_first(monkeypatch, capsys):
     assert given == [3]
 
 
-def test_where_a_result_comes_from_is_stated():
+def test_the_provenance_of_a_result_is_stated():
     text = program.provenance(['scale', 'with space'])
     assert text.startswith(f"`python3 -m {MODULE} scale 'with space'`\n\n")
     assert all(part in text for part in ('cores, Python 3.', 'numpy 2', '; commit '))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Curved things in the benchmark: what counts as taken for a plane."""
+"""Benchmark on curved surfaces: pixels that count as labelled."""
 
 import numpy as np
 import pytest
@@ -33,19 +33,19 @@ def test_every_scene_shows_a_curved_thing_and_planes_beside_it():
         assert len(scene.planes) >= 1
 
 
-def test_the_truth_takes_nothing_curved_for_a_plane():
+def test_the_truth_labels_no_curved_pixel():
     scene = SCENES[0]
     assert judge(Fixed(scene.labels), scene, 0.0, 0) == (0.0, 1.0)
 
 
-def test_a_label_everywhere_takes_all_that_is_curved_for_a_plane():
+def test_a_label_everywhere_covers_all_curved_pixels():
     scene = SCENES[0]
     share, least_iou = judge(Fixed(np.zeros_like(scene.labels)), scene, 0.0, 0)
     assert share == 1
     assert least_iou < 0.5
 
 
-def test_half_of_the_curved_thing_is_half():
+def test_half_of_the_curved_pixels_count_as_half():
     scene = SCENES[0]
     rows = np.indices(scene.labels.shape)[0]
     half = np.where((scene.labels < 0) & (rows % 2 == 0), len(scene.planes), scene.labels)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What one plane holds of a large one, and what one could hold, on depth made by hand."""
+"""The share of a large plane in one predicted plane, on synthetic depth."""
 
 import numpy as np
 import pytest
@@ -29,12 +29,12 @@ def test_a_plane_in_one_piece():
     assert shares(WHOLE, WHOLE, tilted()) == [(1.0, 1.0)]
 
 
-def test_a_patchwork_on_depth_that_is_one_plane():
+def test_many_pieces_on_depth_of_one_plane():
     assert shares(WHOLE, HALVES, tilted()) == [(0.75, 1.0)]
 
 
 @pytest.mark.parametrize(('step', 'holdable'), [(0.5, 1.0), (5, 1.0), (9, 0.75)])
-def test_depth_with_a_step_can_be_held_within_six_deviations(step, holdable):
+def test_depth_with_a_step_fits_one_plane_within_six_deviations(step, holdable):
     """A plane between both sides is within three of each."""
     disparity = 1 / tilted()
     disparity[:, 40:] += step * NOISE

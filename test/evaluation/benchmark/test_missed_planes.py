@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far the planes that are missed stand out of the noise."""
+"""Distance of missed planes relative to the noise."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def says(monkeypatch, labels, planes):
         labels, planes))
 
 
-def test_a_board_taken_for_its_wall_is_as_far_as_it_stands_out(monkeypatch):
+def test_a_board_merged_with_its_wall_is_missed_by_its_thickness(monkeypatch):
     scene = board(0.1)
     says(monkeypatch, np.zeros_like(scene.labels), scene.planes[:1])
     (deviation,) = missed(scene, SIGMA, 0)
@@ -35,7 +35,7 @@ def test_a_board_without_any_plane_is_infinitely_far(monkeypatch):
     assert list(missed(scene, SIGMA, 0)) == [np.inf]
 
 
-def test_what_is_found_or_small_is_not_missed(monkeypatch):
+def test_found_or_small_planes_are_not_missed(monkeypatch):
     scene = board(0.1)
     says(monkeypatch, scene.labels, scene.planes)
     assert list(missed(scene, SIGMA, 0)) == []

@@ -98,7 +98,7 @@ def test_the_time_on_a_core_grows_with_work():
     assert (scheduled_ms(os.getpid()) - before_ms)[0] > 1
 
 
-def test_a_network_that_is_not_there_is_named(monkeypatch, capsys):
+def test_an_unavailable_network_is_named(monkeypatch, capsys):
     def missing(name):
         raise FileNotFoundError('no way to get it')
     monkeypatch.setattr(benchmark_node, 'fetch', missing)

@@ -67,7 +67,7 @@ def test_the_split_chooses_the_frames(file, run, tmp_path):
         run(*arguments, tmp_path / 'frames.txt')
 
 
-def test_an_interrupted_run_goes_on_where_it_was(file, tmp_path, monkeypatch):
+def test_an_interrupted_run_is_continued(file, tmp_path, monkeypatch):
     task, journal = Task(file, methods=('ours',)), tmp_path / 'frames.jsonl'
     whole = nyu.evaluate_all(task, (1, 2, 3), tmp_path / 'whole.jsonl', 1, False)
 
@@ -91,7 +91,7 @@ def test_an_interrupted_run_goes_on_where_it_was(file, tmp_path, monkeypatch):
         None, 1, 2, 3]
 
 
-def test_a_journal_of_other_settings_is_refused_or_forgotten(file, tmp_path, monkeypatch):
+def test_a_journal_with_other_settings_is_refused_or_replaced(file, tmp_path, monkeypatch):
     monkeypatch.setattr(nyu, 'evaluate', lambda task, number: nyu.FrameResult(number, {}, {}))
     journal = tmp_path / 'frames.jsonl'
     nyu.evaluate_all(Task(file), (1,), journal, 1, False)
@@ -117,7 +117,7 @@ def test_a_label_folder_is_scored_like_the_method_that_wrote_it(file, run, tmp_p
     assert inside == pytest.approx(outside, rel=1e-6, nan_ok=True)
 
 
-def test_without_planes_a_folder_is_fitted_to_the_sensor_and_that_is_said(file, run, tmp_path):
+def test_planes_missing_in_a_folder_are_fitted_and_reported(file, run, tmp_path):
     scene = nyu_room(SEEDS[0])
     cv2.imwrite(str(tmp_path / 'frame1.png'), (scene.labels + 1).astype(np.uint16))
     text = run('labels', tmp_path, '--nyu', file, '--depth', 'filled', '--processes', 1)
@@ -189,7 +189,7 @@ def test_the_network_has_rows_and_a_figure_of_its_own(file, run, tmp_path, monke
         assert 5 * 400 <= sheet.shape[1] < 6 * 400, 'image, three methods, an outside one'
 
 
-def test_means_leave_out_what_is_undefined():
+def test_means_ignore_undefined_values():
     frames = {1: {'recall': 0.5, 'true planes': 1.0}, 2: {'recall': 1.0, 'true planes': 3.0},
               3: {'recall': np.nan, 'true planes': 0.0}}
     assert mean(frames, 'recall') == 0.75

@@ -32,14 +32,14 @@ def test_true_gravity_is_that_of_the_floor(scene):
     assert orientation.angle_deg(down, scene.gravity_camera) < 0.1
 
 
-def test_gravity_is_told_frame_by_frame(frame, capsys):
+def test_gravity_is_reported_for_each_frame(frame, capsys):
     orientation.report_gravity('rooms', [frame])
     printed = capsys.readouterr().out
     assert '1 of 1 answer' in printed
     assert '| 300 | 0.1 |' in printed or '| 300 | 0.0 |' in printed
 
 
-def test_refusals_are_told_with_their_reason(scene, capsys):
+def test_refusals_are_reported_with_their_reason(scene, capsys):
     plain = Frame('rooms', 'plain', np.full_like(scene.rgb, 90), scene.depth_m, scene.intrinsics)
     orientation.report_gravity('rooms', [plain])
     assert 'only 0 straight lines' in capsys.readouterr().out

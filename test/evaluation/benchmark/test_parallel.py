@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Work in several processes ends with the first one, however that ends."""
+"""Work in several processes ends with the main process, however that ends."""
 
 import os
 import subprocess

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Real frames are compared with the planes of their sensor."""
+"""Comparison of real images with the planes of their sensor."""
 
 import cv2
 import numpy as np
@@ -46,7 +46,7 @@ def test_every_real_frame_has_planes_by_its_sensor(data_folder):
     assert len(names) == 8
 
 
-def test_a_depth_camera_is_not_taken_for_a_network(data_folder):
+def test_a_depth_camera_is_not_treated_as_a_network(data_folder):
     """A Kinect is good to an eighth of a pixel, 0.003 per metre, also in a cluttered room."""
     noise = {frame.name: compare(frame, None).sensor.disparity_noise
              for frame in frames(data_folder, ('nyu', 'kinect'))}

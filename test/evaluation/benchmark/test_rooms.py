@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of rendered rooms, and full marks for the truth."""
+"""Tables of rendered rooms, and a perfect score for the truth."""
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from plane_detector.evaluation.benchmark.tables import table
 
 
 class Truth(peers.Method):
-    """Knows the labels, and calls what is curved a plane if asked to."""
+    """Returns the true labels, and optionally labels curved surfaces as planes."""
 
     def __init__(self, scene, curved=False):
         self.scene, self.curved = scene, curved
@@ -32,7 +32,7 @@ class Truth(peers.Method):
 
 
 @pytest.mark.parametrize('scene_of', [room, furnished])
-def test_the_truth_scores_full_marks(scene_of):
+def test_the_truth_has_a_perfect_score(scene_of):
     scene = scene_of(0)
     best = room_score(Truth(scene), 0, 0.0, scene_of)
     assert best.segmentation_covering == best.rand_index == best.recall == best.precision == 1

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Times are taken of every method on one thread."""
+"""Every method is timed on one thread."""
 
 import cv2
 import numpy as np
@@ -44,7 +44,7 @@ def test_every_table_is_printed_and_frames_have_one(monkeypatch, capsys):
         '### Time by resolution', '### Time by number of planes']
 
 
-def test_one_thread_is_put_back():
+def test_the_number_of_threads_is_restored():
     before = cv2.getNumThreads()
     with one_thread():
         assert cv2.getNumThreads() == 1

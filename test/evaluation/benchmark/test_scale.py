@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of the scale runs, and real images keep its promise."""
+"""The benchmark of the scale runs, and its results hold on real images."""
 
 import numpy as np
 import pytest

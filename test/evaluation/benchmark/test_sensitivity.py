@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Constants are found, changed wherever they are used, and put back."""
+"""Constants are found, changed wherever they are used, and restored."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ def test_the_numbers_of_the_segmentation_are_found():
     assert ('search.connected_components', 'MAX_VARIANCES') not in found  # compiled in
 
 
-def test_a_constant_is_changed_where_it_is_imported_and_put_back():
+def test_a_constant_is_changed_where_it_is_imported_and_restored():
     before = fine_pass.MIN_CELL_SHARE
     with changed(Constant('fine_pass', 'MIN_CELL_SHARE', before), 0.7):
         assert fine_pass.MIN_CELL_SHARE == segment.MIN_CELL_SHARE == pytest.approx(0.7 * before)
     assert fine_pass.MIN_CELL_SHARE == segment.MIN_CELL_SHARE == before
 
 
-def test_a_constant_is_put_back_after_an_error():
+def test_a_constant_is_restored_after_an_error():
     before = merging.MAX_BULGE_SHARE
     with pytest.raises(ZeroDivisionError), changed(
             Constant('regions.merging', 'MAX_BULGE_SHARE', before), 1.4):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The truth that rendered living rooms come with is true, and what furnishes them is as said."""
+"""The ground truth of rendered living rooms is correct, and their furniture as stated."""
 
 from functools import cache
 
@@ -44,7 +44,7 @@ def furnished(seed):
 
 
 def seen(thing, position=(0, -3, 0), intrinsics=SMALL, yaw_deg=0.0):
-    """Return the image of a thing from a level camera that looks along y."""
+    """Return the image of a thing seen by a horizontal camera that looks along y."""
     return render(thing.flat, camera_rotation(yaw_deg, 0, 0), np.array(position, float),
                   intrinsics, np.random.default_rng(0), thing.curved_pieces())
 
@@ -79,7 +79,7 @@ def test_planes_are_unit_look_at_the_camera_and_are_all_visible(seed):
 
 
 @pytest.mark.parametrize('seed', SEEDS)
-def test_every_face_that_is_seen_is_the_one_of_its_label(seed):
+def test_visible_faces_match_their_labels(seed):
     """The points of a label, in the world, lie within the rectangle that it stands for."""
     things, rotation, position = furnished(seed)
     flat = joined(*(thing for _, thing in things)).flat
@@ -102,7 +102,7 @@ def test_a_room_is_lived_in():
     assert 0.05 < np.median(curved) < 0.2
 
 
-def test_rooms_have_what_rooms_have():
+def test_rooms_contain_the_usual_furniture():
     names = {name for seed in range(20)
              for name, _ in furnished(seed)[0]}
     assert names >= {'floor', 'ceiling', 'wall', 'skirting', 'sofa', 'picture', 'lamp', 'bench',
@@ -111,7 +111,7 @@ def test_rooms_have_what_rooms_have():
 
 
 @pytest.mark.parametrize('seed', SEEDS)
-def test_nothing_stands_out_of_the_room(seed):
+def test_furniture_stays_inside_the_room(seed):
     things, _, position = furnished(seed)
     bounds = {name: thing.bounds() for name, thing in things}
     size = bounds['ceiling'][1]
@@ -154,7 +154,7 @@ def test_points_lie_on_surfaces_of_revolution(thing, radius_of_height):
     np.testing.assert_allclose(np.hypot(x, y), radius_of_height(z), atol=2e-3)
 
 
-def test_bounds_hold_what_is_seen():
+def test_bounds_contain_the_visible_surface():
     lying = cone(0.1, 0.4, 0, 0.8).turned((0, 1, 0), 30).at(0.1, 0, -0.2, 20)
     points = world_points(seen(lying))
     low, high = lying.bounds()
@@ -224,7 +224,7 @@ def test_curved_things_hide_planes_and_are_hidden():
     assert len(scene.planes) == 3, 'two fronts and the lower side of the near one'
 
 
-def test_what_is_behind_the_camera_is_not_seen():
+def test_surfaces_behind_the_camera_are_not_visible():
     behind = block([-1, -5, -1], [1, -4, 1]) + ellipsoid(0.3, 0.3).at(0, -4)
     assert np.isnan(seen(behind).depth_m).all()
     around = Thing((Rectangle(np.array([-9.0, -9, -1]), np.array([18.0, 0, 0]),
@@ -239,7 +239,7 @@ def test_what_is_behind_the_camera_is_not_seen():
 
 
 @pytest.mark.parametrize('seed', SEEDS)
-def test_looking_only_where_a_surface_can_be_misses_nothing(seed, monkeypatch):
+def test_the_window_of_a_surface_contains_all_its_hits(seed, monkeypatch):
     scene = living_room(np.random.default_rng(seed), SMALL)
     monkeypatch.setattr(rendering, '_window', lambda hull, intrinsics: (slice(None), slice(None)))
     everywhere = living_room(np.random.default_rng(seed), SMALL)
@@ -247,7 +247,7 @@ def test_looking_only_where_a_surface_can_be_misses_nothing(seed, monkeypatch):
     np.testing.assert_array_equal(scene.labels, everywhere.labels)
 
 
-def test_television_and_door_frame_are_a_little_off_the_wall():
+def test_television_and_door_frame_protrude_from_the_wall():
     for seed in range(20):
         rng = np.random.default_rng(seed)
         assert 0.02 <= wall_fittings.television(rng).bounds()[1, 1] <= 0.05
@@ -268,7 +268,7 @@ def test_cushions_lean_by_5_to_20_degrees():
     assert max(angles_deg) <= 20
 
 
-def test_things_are_where_they_are_said_to_be():
+def test_things_are_at_their_stated_positions():
     assert disc(0.2, 0.3).bounds()[:, 2] == pytest.approx([0.3, 0.3])
     np.testing.assert_allclose(ellipsoid(0.5, 0.2).bounds(), [[-0.5, -0.5, -0.2], [0.5, 0.5, 0.2]])
     for seed in range(10):

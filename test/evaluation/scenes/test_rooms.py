@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The truth that rendered scenes come with is true."""
+"""The ground truth of rendered scenes is correct."""
 
 import numpy as np
 import pytest
@@ -77,7 +77,7 @@ def test_the_nearest_surface_hides_the_others():
     assert (scene.labels == 1).sum() == pytest.approx((0.4 * 131)**2, rel=0.05)
 
 
-def test_where_nothing_is_there_is_neither_depth_nor_label():
+def test_rays_without_a_hit_have_no_depth_and_no_label():
     scene = render(box(np.array([0, 3.0, 0]), np.ones(3)), camera_rotation(0, 0, 0), np.zeros(3),
                    SMALL, np.random.default_rng(0))
     assert np.isnan(scene.depth_m[0, 0])
@@ -122,7 +122,7 @@ def test_noise_has_its_standard_deviation_in_disparity(smooth_share):
     assert (1 / noisy_m - 1 / depth_m).std() == pytest.approx(0.01, rel=0.05)
 
 
-def test_noise_beyond_infinity_is_no_depth():
+def test_noise_beyond_infinity_gives_invalid_depth():
     far_m = np.full((50, 50), 100.0, np.float32)
     noisy_m = with_disparity_noise(far_m, 0.02, np.random.default_rng(0))
     assert 0.1 < np.isnan(noisy_m).mean() < 0.9

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compressed images: JPEG and PNG of the right size, and nothing that is decoded before."""
+"""Compressed images: only JPEG and PNG of the right size are decoded."""
 
 import cv2
 import numpy as np
@@ -75,7 +75,7 @@ def others():
 @pytest.mark.parametrize('expected', [SIZE, (0, 0)], ids=['of a known size', 'of any size'])
 @pytest.mark.parametrize('data, reason', [
     pytest.param(data, reason, id=name) for name, data, reason in (*bombs(), *others())])
-def test_what_is_refused_is_refused_before_it_is_decoded(data, reason, expected, monkeypatch):
+def test_images_are_refused_before_they_are_decoded(data, reason, expected, monkeypatch):
     def decode(*_):
         pytest.fail('decoded')
 
@@ -97,7 +97,7 @@ def test_the_limit_is_inclusive():
         decoded(data, (0, 0), 18 * 16 - 1)
 
 
-def test_what_opencv_fails_on_is_one_line():
+def test_images_that_opencv_cannot_decode_give_one_line():
     damaged = bytearray(encoded('.png'))
     damaged[33:41] = b'\xff' * 8
     with pytest.raises(ValueError, match='cannot be decoded') as caught:
@@ -116,7 +116,7 @@ def test_an_error_of_opencv_is_one_line(monkeypatch):
 
 
 @pytest.mark.parametrize('extension', ['.png', '.jpg'])
-def test_random_damage_is_told_or_decoded_but_never_another_size(extension):
+def test_random_damage_never_changes_the_size(extension):
     rng, plain = np.random.default_rng(0), encoded(extension)
     for _ in range(300):
         data = np.frombuffer(plain, np.uint8).copy()

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""When an image is rectified, by which matrices, and how its depth is fitted to it."""
+"""Rectification of images, its matrices, and resizing of depth."""
 
 import cv2
 import numpy as np
@@ -136,7 +136,7 @@ def test_compressed_images_are_decoded():
 
 
 @pytest.mark.parametrize('shape', [(60, 80), (30, 40), (120, 160), (45, 60)])
-def test_depth_of_the_same_view_is_brought_to_the_image(shape):
+def test_depth_with_the_same_view_is_resized_to_the_image(shape):
     image = convert(frame(depth=np.full(shape, 2.0, np.float32)))
     np.testing.assert_allclose(image.depth_m, np.full((60, 80), 2.0), rtol=1e-6)
 
@@ -174,7 +174,7 @@ def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
     np.testing.assert_allclose(small.depth_m[inside], expected_m[inside], atol=0.03)
 
 
-def test_the_lens_that_is_left_in_the_image_is_told():
+def test_the_remaining_distortion_is_reported():
     distortion = DISTORTION['plumb_bob']
     assert convert(frame(distortion)).lens == NO_LENS
     assert convert(frame(distortion), 'camera/image_rect').lens == NO_LENS

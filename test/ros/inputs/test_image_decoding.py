@@ -95,7 +95,7 @@ def test_colour_at_half_the_resolution_needs_even_sides(shape):
 
 
 @pytest.mark.parametrize('encoding, dtype', [('16UC1', np.uint16), ('32FC1', np.float32)])
-def test_depth_in_place_of_the_image_is_told(encoding, dtype):
+def test_depth_instead_of_the_image_is_reported(encoding, dtype):
     with pytest.raises(ValueError, match='is depth .*remap its topic to depth'):
         rgb_from_msg(image_msg(np.ones((4, 6), dtype), encoding))
 

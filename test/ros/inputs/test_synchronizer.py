@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which messages are put together."""
+"""Assembly of frames from messages."""
 
 import numpy as np
 import pytest
@@ -92,7 +92,7 @@ def test_with_depth_they_wait_together_and_are_refused_together():
     assert stamps == [header(1.1), header(1.2), header(2.0)]
 
 
-def test_an_image_whose_calibration_does_not_come_is_handed_over_to_be_refused():
+def test_an_image_without_a_matching_calibration_is_passed_on_to_be_refused():
     for later in ('info', 'image', 'end'):
         synchronizer = FrameSynchronizer()
         synchronizer.add_camera_info(info(1.0))
@@ -104,7 +104,7 @@ def test_an_image_whose_calibration_does_not_come_is_handed_over_to_be_refused()
 
 
 @pytest.mark.parametrize('info_s, image_s', [(1.0, 1.0), (1.1, 1.0), (1.0, 3.0)])
-def test_an_image_of_another_size_does_not_wait_for_what_will_not_come(info_s, image_s):
+def test_an_image_does_not_wait_for_messages_that_cannot_come(info_s, image_s):
     """It has its own, they are ahead in time, or they have come once, long ago."""
     synchronizer = FrameSynchronizer()
     synchronizer.add_camera_info(info(info_s))
@@ -130,7 +130,7 @@ def test_an_exact_match_comes_before_a_near_one():
     assert synchronizer.add_depth(own)[0].depth is own
 
 
-def test_the_nearest_depth_within_the_slop_is_taken_once_none_can_match():
+def test_the_nearest_depth_within_the_slop_is_used_if_none_matches():
     synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
     synchronizer.add_camera_info(info(0.0))
     near = depth(0.98)
@@ -149,7 +149,7 @@ def test_an_image_without_depth_within_the_slop_is_dropped():
     assert synchronizer.take_dropped() == 1
 
 
-def test_images_do_not_pile_up_while_depth_is_missing():
+def test_the_number_of_images_waiting_for_depth_is_limited():
     synchronizer = FrameSynchronizer(depth='required')
     synchronizer.add_camera_info(info(0.0))
     for index in range(100):
@@ -157,7 +157,7 @@ def test_images_do_not_pile_up_while_depth_is_missing():
     assert 80 <= synchronizer.take_dropped() < 100
 
 
-def test_a_jump_back_in_time_begins_an_epoch_and_forgets():
+def test_a_jump_back_in_time_starts_an_epoch_and_clears_the_buffers():
     synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
     synchronizer.add_camera_info(info(100.0))
     synchronizer.add_depth(depth(100.0))
@@ -205,7 +205,7 @@ def test_gravity_of_the_imu_goes_with_the_frames():
     assert synchronizer.add_image(image(5.0))[0].gravity_camera is None, 'the IMU has gone silent'
 
 
-def test_at_the_end_nothing_is_waited_for():
+def test_at_the_end_waiting_frames_are_returned():
     synchronizer = FrameSynchronizer('required', stamp_slop_s=0.05)
     synchronizer.add_camera_info(info(0.0))
     near = depth(0.98)

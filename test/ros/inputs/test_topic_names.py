@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What follows a remap of the image, and what is left where it is put."""
+"""Topics that follow a remapped image, and topics that are remapped themselves."""
 
 import pytest
 import rclpy

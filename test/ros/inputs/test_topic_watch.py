@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which topic is silent, why, and that it is logged once."""
+"""Detection of silent topics, their reason, and a single log line."""
 
 from types import SimpleNamespace
 
@@ -41,7 +41,7 @@ class Graph:
 
 
 class Clock:
-    """A clock that is set by hand."""
+    """A clock set by the test."""
 
     now_s = 100.0
 
@@ -61,7 +61,7 @@ def watch_of(graph, clock):
     return watch
 
 
-def test_silence_is_no_problem_for_two_seconds(clock):
+def test_silence_is_not_a_problem_for_two_seconds(clock):
     graph = Graph()
     watch = watch_of(graph, clock)
     clock.now_s += 1.9
@@ -81,7 +81,7 @@ def test_the_topics_that_there_are_are_listed_but_not_the_nodes_own(clock):
     assert 'overlay' not in problem
 
 
-def test_what_has_never_come_is_told_before_what_has_stopped(clock):
+def test_topics_without_messages_are_reported_before_stopped_ones(clock):
     watch = watch_of(Graph(), clock)
     watch.heard('image')
     clock.now_s += 60.0
@@ -89,7 +89,7 @@ def test_what_has_never_come_is_told_before_what_has_stopped(clock):
 
 
 @pytest.mark.parametrize('interval_s, still_alive_s', [(0.03, 1.9), (4.0, 11.0), (20.0, 59.0)])
-def test_a_camera_that_stops_is_logged_once_and_once_when_it_is_back(clock, interval_s,
+def test_a_stopped_camera_and_its_return_are_logged_once(clock, interval_s,
                                                                      still_alive_s):
     graph = Graph()
     watch = watch_of(graph, clock)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Transforms by time, and what the node makes of them."""
+"""Transforms over time, and their use by the node."""
 
 import sys
 
@@ -52,7 +52,7 @@ def test_messages_may_come_in_any_order():
 
 
 @pytest.mark.parametrize('target, stamp_s', [('odom', 0.9), ('odom', 2.1), ('map', 1.5)])
-def test_what_is_not_known_is_an_error(target, stamp_s):
+def test_an_unknown_frame_is_an_error(target, stamp_s):
     with pytest.raises(TransformError):
         looked_up(robot_buffer(), target, 'camera_optical_frame', stamp_s)
 
@@ -75,7 +75,7 @@ def test_gravity_and_height_of_the_camera():
                                [1, 0, 0], atol=1e-9)
 
 
-def test_without_names_nothing_is_asked():
+def test_without_frame_names_nothing_is_looked_up():
     transforms = FrameTransforms(None)
     assert transforms.camera_pose(header(1.5), NodeConfig()) is None
     assert transforms.to_target(header(1.5), NodeConfig()) is None
@@ -90,13 +90,13 @@ def test_into_the_target_frame():
     np.testing.assert_allclose(to_odom.translation_m, [1.35, 0, 1.2], atol=1e-9)
 
 
-def test_a_missing_transform_is_told_with_its_frames():
+def test_a_missing_transform_is_reported_with_its_frames():
     with pytest.raises(ValueError, match=r'from camera_optical_frame to map .*0\.3 s.*connected'):
         FrameTransforms(robot_buffer()).to_target(
             header(1.5), NodeConfig(target_frame='map', tf_timeout=0.3))
 
 
-def test_without_tf2_the_remedy_is_told(monkeypatch):
+def test_without_tf2_the_remedy_is_reported(monkeypatch):
     monkeypatch.setitem(sys.modules, 'tf2_ros', None)
     with pytest.raises(ValueError, match='ros-jazzy-tf2-ros-py'):
         listen_to_tf(None)

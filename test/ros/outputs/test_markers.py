@@ -51,7 +51,7 @@ def test_of_two_captions_that_would_overlap_that_of_the_larger_plane_is_shown():
     assert shown_captions(small, WALL, 4) == ['2: 2.00 m']
 
 
-def test_a_caption_stands_where_its_plane_is_widest_and_before_it():
+def test_a_caption_is_in_front_of_the_widest_place_of_its_plane():
     """The arms of an L are narrow, and its centroid is off it; the left end of a wall is near."""
     labels = np.full((80, 100), -1, np.int32)
     labels[4:76, 4:12] = labels[60:76, 4:96] = 0
@@ -108,6 +108,6 @@ def test_a_small_plane_has_no_caption_and_no_text_is_larger_than_its_plane():
     assert markers()[2].scale.z < 0.07, 'not as tall as a chair'
 
 
-def test_only_markers_of_planes_gone_are_deleted():
+def test_only_markers_of_lost_planes_are_deleted():
     deleted = [(m.ns, m.id) for m in markers(shown={1, 4}) if m.action == m.DELETE]
     assert deleted == [('outline', 4), ('normal', 4), ('caption', 4)]

@@ -116,7 +116,7 @@ def test_the_table_is_printed_live(robot):
     assert robot.spin(lambda: '2 planes at' in printed.getvalue())
 
 
-def test_silence_is_explained_with_the_nodes_that_there_are(robot):
+def test_silence_is_explained_with_the_existing_nodes(robot):
     printer = PlanePrinter('front', io.StringIO(), context=robot.context)
     robot.add(printer)
     assert printer.why_nothing() == 'nobody publishes /front/planes; is it running?'

@@ -54,7 +54,7 @@ def test_pixels_carry_the_labels_of_the_shapes(detection):
     assert labels[19, 19] == 0
 
 
-def test_markers_show_the_shapes_and_delete_those_gone(detection):
+def test_markers_show_the_shapes_and_delete_lost_ones(detection):
     gone = FIRST_SHAPE_LABEL + 9
     msg = markers_to_msg(Header(), detection, [()] * len(detection.planes), [], {gone}, 0.0)
     shown = {m.id: m for m in msg.markers if m.ns == NAMESPACE and m.action == Marker.ADD}

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The demo: its images, its files, its judgement, and a run of the real node over DDS."""
+"""The demo: its images, its files, its verdict, and a run of the node over DDS."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_lens_without_calibration_is_the_stated_field_of_view():
     assert f'{STATED_FIELD_OF_VIEW_DEG:g} degrees' in str(Lens())
 
 
-def test_lens_fills_in_what_is_not_given():
+def test_a_lens_has_defaults_for_missing_values():
     assert Lens(fx=500).intrinsics(640, 480) == CameraIntrinsics(500, 500, 319.5, 239.5, 640, 480)
     assert Lens(fx=500, fy=510, cx=0.0, cy=7).intrinsics(640, 480) == CameraIntrinsics(
         500, 510, 0, 7, 640, 480)
@@ -233,7 +233,7 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
         assert printed[1].strip() == ''
 
 
-def test_demo_says_what_is_wrong(tmp_path):
+def test_demo_reports_wrong_arguments(tmp_path):
     pytest.importorskip('rclpy')
     reasons = {
         ('--images', '.'): 'demo: no image in', ('--fx', '525'): 'demo: a calibration',

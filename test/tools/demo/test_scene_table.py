@@ -51,7 +51,7 @@ def test_the_table_has_a_row_for_each_plane_and_angles_to_the_others(planes):
     assert lines[2].split()[-3:] == ['90', '-', '60']
 
 
-def test_without_gravity_it_says_so_and_labels_keep_their_colours(planes):
+def test_without_gravity_labels_keep_their_colours(planes):
     planes['class'] = PlaneClass.UNKNOWN
     assert 'gravity is not known' in scene_table(planes, 'm')
     assert legend(planes) == ''
@@ -71,6 +71,6 @@ def test_classes_have_their_colours(planes):
     np.testing.assert_allclose(drawn[5, 20], 0.55 * colours[7], atol=1)
 
 
-def test_no_plane_is_a_table_too(planes):
+def test_a_table_without_planes(planes):
     assert scene_table(planes[:0], 'm') == '  no plane found'
     assert class_colours(planes[:0]).shape == (1, 3)

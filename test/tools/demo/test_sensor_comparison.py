@@ -65,7 +65,7 @@ def test_the_distance_is_that_of_the_points_from_the_plane():
         np.median(np.abs(points_m @ plane[:3] + plane[3])), abs=1e-5)
 
 
-def test_of_several_planes_those_measured_are_told_by_index():
+def test_judged_planes_are_identified_by_index():
     depth_m = np.full((120, 160), 2.0)
     depth_m[:, :80] = np.nan
     labels = np.zeros(depth_m.shape, int)

@@ -139,7 +139,7 @@ def test_part_of_a_bag(bag, replay):
 @pytest.mark.parametrize('asked', [
     ('--start', 5), ('--start', 0.1, '--duration', 0), ('--start', 0.11, '--duration', 0.05),
     ('--start', 1e300)])
-def test_a_part_without_images_is_told_and_nothing_is_written(bag, replay, tmp_path, asked):
+def test_a_part_without_images_is_reported_and_not_written(bag, replay, tmp_path, asked):
     code, target, text = replay(bag, *asked, '--figures', tmp_path / 'figures')
     assert code == 1
     asked_for = ' '.join(f'{word:g}' if isinstance(word, float) else str(word) for word in asked)
@@ -217,7 +217,7 @@ def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
     (('-p', 'segmentation.max_planes:=0'), 'max_planes must be in'),
     (('-p', 'segmentation.max_planes=1'), 'NAME:=VALUE'),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml')])
-def test_wrong_parameters_are_told(bag, replay, options, told):
+def test_wrong_parameters_are_reported(bag, replay, options, told):
     code, target, text = replay(bag, *options)
     assert (code, target.exists()) == (1, False)
     assert told in text

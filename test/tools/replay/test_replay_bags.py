@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a replay takes out of a bag, and what can be wrong with one."""
+"""The inputs that a replay reads from a bag, and errors in bags."""
 
 import shutil
 import sys
@@ -22,7 +22,7 @@ from replay_helpers import (
 from ros_helpers import image_msg
 
 
-def test_a_frame_that_cannot_be_used_is_told_and_left_out(tmp_path, scenes, replay):
+def test_an_unusable_frame_is_reported_and_skipped(tmp_path, scenes, replay):
     messages = camera_messages(scenes)
     messages[3][2].encoding = 'rainbow'
     code, target, text = replay(write_bag(tmp_path / 'walk', messages))
@@ -48,7 +48,7 @@ def test_images_without_depth_are_counted(tmp_path, scenes, replay):
     assert '1 images had no calibration or depth' in text
 
 
-def test_depth_of_the_images_frame_is_found(tmp_path, scenes, replay):
+def test_depth_in_the_frame_of_the_image_is_found(tmp_path, scenes, replay):
     other = camera_messages(scenes)
     for entry in other:
         entry[2].header.frame_id = 'another_frame'
@@ -60,7 +60,7 @@ def test_depth_of_the_images_frame_is_found(tmp_path, scenes, replay):
     assert_true(target, scenes)
 
 
-def test_of_several_images_the_rectified_colour_one_is_taken(tmp_path, scenes, replay):
+def test_the_rectified_colour_image_is_preferred(tmp_path, scenes, replay):
     messages = camera_messages(scenes)
     for index, scene in enumerate(scenes):
         for name, pixels, encoding in (('/cam/image_rect', scene.rgb, 'rgb8'),
@@ -72,7 +72,7 @@ def test_of_several_images_the_rectified_colour_one_is_taken(tmp_path, scenes, r
     assert 'Reading /cam/image_rect, /cam/camera_info, /cam/depth' in text
 
 
-def test_of_two_cameras_one_must_be_named(tmp_path, scenes, replay):
+def test_one_of_two_cameras_must_be_named(tmp_path, scenes, replay):
     right = ('/right/image_raw', '/right/camera_info', '/right/depth')
     messages = camera_messages(scenes) + camera_messages(scenes, names=right)
     source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
@@ -89,7 +89,7 @@ def test_of_two_cameras_one_must_be_named(tmp_path, scenes, replay):
     (('--image', '/bumper'), f'/bumper is of type {CUSTOM_TYPE}, but --image must be '
                              'sensor_msgs/msg/Image or sensor_msgs/msg/CompressedImage'),
     (('--camera-info', IMAGE), '--camera-info must be sensor_msgs/msg/CameraInfo')])
-def test_wrong_topics_are_told_with_what_is_there(tmp_path, scenes, replay, options, told):
+def test_wrong_topics_are_reported_with_the_existing_ones(tmp_path, scenes, replay, options, told):
     messages = [*camera_messages(scenes), ('/bumper', time_ns(9), 'bang')]
     code, target, text = replay(write_bag(tmp_path / 'walk', messages), *options)
     assert (code, target.exists()) == (1, False)
@@ -102,7 +102,7 @@ def test_wrong_topics_are_told_with_what_is_there(tmp_path, scenes, replay, opti
 @pytest.mark.parametrize('missing, told', [
     (IMAGE, 'no topic for --image'), (INFO, 'no topic for --camera-info'),
     (DEPTH, 'no topic for --depth')])
-def test_missing_topics_are_told(tmp_path, scenes, replay, missing, told):
+def test_missing_topics_are_reported(tmp_path, scenes, replay, missing, told):
     messages = [entry for entry in camera_messages(scenes) if entry[0] != missing]
     source = write_bag(tmp_path / 'walk', messages)
     code, target, text = replay(source, '-p', 'depth.source:=topic', depth='')
@@ -129,7 +129,7 @@ def damaged(tmp_path, scenes, kind):
 
 @pytest.mark.parametrize('kind', ['mcap_cut', 'mcap_garbled', 'mcap_gone', 'sqlite3_cut',
                                   'sqlite3_garbled', 'ros1_cut', 'ros1_garbled', 'metadata'])
-def test_damaged_bags_are_told_in_one_line(tmp_path, scenes, replay, kind):
+def test_damaged_bags_are_reported_in_one_line(tmp_path, scenes, replay, kind):
     source = damaged(tmp_path, scenes, kind)
     code, _, text = replay(source)
     assert code == 1
@@ -138,7 +138,7 @@ def test_damaged_bags_are_told_in_one_line(tmp_path, scenes, replay, kind):
     assert 'There is ' in text
 
 
-def test_reading_goes_on_after_a_damaged_record(tmp_path, scenes, replay):
+def test_reading_continues_after_a_damaged_record(tmp_path, scenes, replay):
     """A record in the middle is garbled, the index at the end is whole."""
     source = write_bag(tmp_path / ROS1, camera_messages(scenes), ROS1)
     data = bytearray(source.read_bytes())
@@ -164,7 +164,7 @@ def test_a_recording_without_metadata_and_a_single_file_are_read(
     assert replay(file)[0] == 0
 
 
-def test_what_is_no_bag_is_told(tmp_path, replay):
+def test_files_that_are_not_bags_are_reported(tmp_path, replay):
     (tmp_path / 'folder').mkdir()
     (tmp_path / 'folder' / 'notes.txt').write_text('no bag')
     (tmp_path / 'walk.avi').write_bytes(b'RIFF')
@@ -175,7 +175,7 @@ def test_what_is_no_bag_is_told(tmp_path, replay):
         assert told in text
 
 
-def test_an_empty_bag_is_told(tmp_path, replay):
+def test_an_empty_bag_is_reported(tmp_path, replay):
     code, _, text = replay(write_bag(tmp_path / 'empty', []))
     assert code == 1
     assert 'holds no topic' in text
@@ -189,7 +189,7 @@ def test_nothing_is_overwritten(bag, replay, tmp_path):
     assert list(target.iterdir()) == []
 
 
-def test_without_rosbags_it_says_what_to_install(bag, replay, monkeypatch):
+def test_without_rosbags_the_remedy_is_printed(bag, replay, monkeypatch):
     modules = ('rosbags', 'plane_detector.tools.replay.bag_',
                'plane_detector.tools.replay.run')
     for name in [name for name in sys.modules if name.startswith(modules)]:

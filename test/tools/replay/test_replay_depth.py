@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Which depth a replay takes, that it says so, and that the new bag says so too."""
+"""The depth that a replay uses, as reported in its output and in the new bag."""
 
 import pytest
 from bags import messages_of, write_bag
@@ -42,7 +42,7 @@ def facts_of(target):
             for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
 
 
-def test_measured_depth_that_is_there_is_used(bag, scenes, replay):
+def test_available_measured_depth_is_used(bag, scenes, replay):
     code, target, text = replay(bag, depth='')
     assert code == 0, text
     assert_true(target, scenes)
@@ -65,7 +65,7 @@ def test_the_diagnostics_have_the_stamps_of_the_images(bag, replay):
     assert messages[-1].status[0].message == 'replayed'
 
 
-def test_a_network_is_taken_though_there_is_depth_when_asked_for(
+def test_a_network_is_used_on_request_despite_measured_depth(
         tmp_path, scenes, replay, network):
     options, path = network
     source = write_bag(tmp_path / 'walk', coded(scenes))
@@ -79,7 +79,7 @@ def test_a_network_is_taken_though_there_is_depth_when_asked_for(
     assert_true(target, scenes)
 
 
-def test_what_a_relative_network_lacks_is_said_once_with_the_remedy(
+def test_what_a_relative_network_lacks_is_reported_once(
         tmp_path, scenes, replay, network):
     options, path = network
     source = write_bag(tmp_path / 'walk', coded(scenes[:2], depth=False))
@@ -98,7 +98,7 @@ def test_what_a_relative_network_lacks_is_said_once_with_the_remedy(
     ('frame', "because /cam/depth (160 x 120, 32FC1, frame_id 'depth_optical') is not registered "
               "to the image (160 x 120, frame_id 'camera_optical_frame')"),
     ('size', 'because /cam/depth (80 x 60, 32FC1')])
-def test_without_registered_depth_a_network_is_taken_and_it_says_why(
+def test_without_registered_depth_a_network_is_used_with_the_reason(
         tmp_path, scenes, replay, network, change, told):
     messages = coded(scenes, depth=change is not None)
     for topic, _, msg in messages:
@@ -118,7 +118,7 @@ def test_without_registered_depth_a_network_is_taken_and_it_says_why(
     assert told in facts_of(target)[0]['depth']
 
 
-def test_of_two_registered_depths_one_must_be_named(tmp_path, scenes, replay):
+def test_one_of_two_registered_depths_must_be_named(tmp_path, scenes, replay):
     messages = camera_messages(scenes)
     messages += [('/cam/depth_filtered', when, msg) for topic, when, msg in messages
                  if topic == DEPTH]
@@ -141,7 +141,7 @@ def test_a_skipped_frame_has_diagnostics_too(tmp_path, scenes, replay):
     assert len(planes_of(target)) == 3
 
 
-def test_an_integer_is_taken_where_a_float_is_meant(bag, replay):
+def test_an_integer_is_accepted_for_a_float(bag, replay):
     config, _ = load_settings(None, ['scale.camera_height:=1', 'scale.gravity:=[0, 1, 0]'])
     assert config.scale.camera_height == 1.0
     assert config.scale.gravity == (0.0, 1.0, 0.0)

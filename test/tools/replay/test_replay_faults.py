@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A replay that is interrupted, killed, or runs out of disk; a bag with holes."""
+"""A replay that is interrupted, killed, or fills the disk; a damaged bag."""
 
 import resource
 import signal
@@ -56,7 +56,7 @@ def kill_at(tmp_path):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_killed_replay_keeps_its_frames_and_is_gone_on_with(
+def test_a_killed_replay_keeps_its_frames_and_can_be_resumed(
         bag, scenes, replay, kill_at, tmp_path, storage):
     options = ('--storage', storage, '--copy')
     assert kill_at(bag, 2, signal.SIGKILL, *options).returncode == -signal.SIGKILL
@@ -77,7 +77,7 @@ def test_a_killed_replay_keeps_its_frames_and_is_gone_on_with(
     assert not part.parent.exists()
 
 
-def test_the_table_is_gone_on_with_too(bag, replay, kill_at, tmp_path):
+def test_the_table_is_resumed_too(bag, replay, kill_at, tmp_path):
     table = tmp_path / 'planes.csv'
     kill_at(bag, 2, signal.SIGKILL, '--csv', str(table))
     code, _, text = replay(bag, '--csv', table, '--resume')
@@ -88,7 +88,7 @@ def test_the_table_is_gone_on_with_too(bag, replay, kill_at, tmp_path):
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_leaves_a_whole_bag_that_is_gone_on_with(
+def test_a_signal_leaves_a_complete_bag_that_can_be_resumed(
         bag, scenes, replay, kill_at, tmp_path, number):
     run = kill_at(bag, 2, number)
     assert run.returncode == 130, run.stderr
@@ -106,7 +106,7 @@ def test_a_signal_leaves_a_whole_bag_that_is_gone_on_with(
     assert 'already exists' in text
 
 
-def test_a_frame_that_takes_for_ever_does_not_hold_up_the_end(bag, tmp_path):
+def test_an_endless_frame_does_not_delay_the_end(bag, tmp_path):
     script = (
         'import sys, threading\n'
         'from plane_detector.ros.frame_processor import FrameProcessor\n'
@@ -174,7 +174,7 @@ def test_a_full_disk_leaves_the_frames_before(bag, tmp_path, storage):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_disk_too_full_for_the_first_frame_is_told_in_a_line(bag, tmp_path, storage):
+def test_a_disk_too_full_for_the_first_frame_is_reported_in_a_line(bag, tmp_path, storage):
     run = subprocess.run(
         [sys.executable, '-m', 'plane_detector.tools.replay', str(bag), str(tmp_path / 'planes'),
          '--storage', storage], cwd=ROOT, capture_output=True, text=True, timeout=120,
@@ -195,7 +195,7 @@ def test_figures_into_a_place_that_cannot_be_written(bag, replay, tmp_path):
         assert not target.with_name('planes.part').exists()
 
 
-def test_figures_that_cannot_be_written_any_more_end_it(bag, replay, tmp_path, monkeypatch):
+def test_a_failure_to_write_figures_ends_the_replay(bag, replay, tmp_path, monkeypatch):
     monkeypatch.setattr('cv2.imwrite', lambda path, image: '000001' not in path)
     code, target, text = replay(bag, '--figures', tmp_path / 'figures')
     assert code == 1
@@ -203,7 +203,7 @@ def test_figures_that_cannot_be_written_any_more_end_it(bag, replay, tmp_path, m
     assert stamps_of(planes_of(target)) == [0.0]
 
 
-def test_a_dangling_link_as_output_is_told(bag, replay, tmp_path):
+def test_a_dangling_link_as_output_is_reported(bag, replay, tmp_path):
     (tmp_path / 'planes').symlink_to(tmp_path / 'nowhere')
     code, _, text = replay(bag)
     assert code == 1
@@ -213,7 +213,7 @@ def test_a_dangling_link_as_output_is_told(bag, replay, tmp_path):
 @pytest.mark.parametrize('topic, told', [
     (IMAGE, 'no topic for --image was found, and of /cam/image_raw no announced message is there'),
     (INFO, 'and of /cam/camera_info no announced message is there')])
-def test_messages_that_are_announced_but_missing_are_told(tmp_path, scenes, replay, topic, told):
+def test_announced_but_missing_messages_are_reported(tmp_path, scenes, replay, topic, told):
     source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3')
     (file,) = source.glob('*.db3')
     with sqlite3.connect(file) as database:
@@ -227,7 +227,7 @@ def test_messages_that_are_announced_but_missing_are_told(tmp_path, scenes, repl
 
 @pytest.mark.parametrize('topic', [IMAGE, INFO, DEPTH])
 @pytest.mark.parametrize('index', [0, 2])
-def test_a_damaged_message_is_left_out_and_counted(tmp_path, scenes, replay, topic, index):
+def test_a_damaged_message_is_skipped_and_counted(tmp_path, scenes, replay, topic, index):
     source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3')
     (file,) = source.glob('*.db3')
     with sqlite3.connect(file) as database:
@@ -244,7 +244,7 @@ def test_a_damaged_message_is_left_out_and_counted(tmp_path, scenes, replay, top
     assert stamps_of(planes_of(target)) == stamps
 
 
-def test_compressed_messages_that_are_damaged_are_left_out(tmp_path, scenes, replay):
+def test_damaged_compressed_messages_are_skipped(tmp_path, scenes, replay):
     """The library that unpacks them gives up at the first; reading begins anew after it."""
     source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3_zstd_messages')
     (file,) = source.glob('*.db3')
@@ -257,7 +257,7 @@ def test_compressed_messages_that_are_damaged_are_left_out(tmp_path, scenes, rep
     assert stamps_of(planes_of(target)) == [0.0, 0.1, 0.3]
 
 
-def test_nothing_but_whole_frames_is_left_by_a_kill(bag, kill_at, tmp_path):
+def test_a_kill_leaves_only_complete_frames(bag, kill_at, tmp_path):
     """All topics have the same stamps: commits come between frames."""
     kill_at(bag, 3, signal.SIGKILL)
     part = tmp_path / 'planes.part' / 'planes'

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Many bags: which, where to, what a second run skips, a bag that fails, a worker that dies."""
+"""Many bags: search, names, a second run, a bag that fails, a worker that dies."""
 
 import csv
 import os
@@ -49,7 +49,7 @@ def plane_topics(bag):
             if topic != '/diagnostics'}
 
 
-def test_bags_are_found_in_folders_and_behind_patterns(bags):
+def test_bags_are_found_in_folders_and_by_patterns(bags):
     assert list(find_bags([str(bags)])) == ['first', 'monday_walk', 'second']
     assert find_bags([str(bags / 's*')]) == {'second': bags / 'second'}
     assert find_bags([str(bags / 'first'), str(bags / 'monday')]) == {
@@ -59,7 +59,7 @@ def test_bags_are_found_in_folders_and_behind_patterns(bags):
         True, False, True]
 
 
-def test_bags_that_are_not_there_or_of_one_name_are_told(bags, scenes):
+def test_missing_bags_and_equal_names_are_reported(bags, scenes):
     with pytest.raises(FileNotFoundError, match='there is no bag at'):
         find_bags([str(bags / 'third*')])
     (bags / 'empty').mkdir()
@@ -71,7 +71,7 @@ def test_bags_that_are_not_there_or_of_one_name_are_told(bags, scenes):
 
 
 def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys, replay):
-    """What comes out is, byte for byte, what one bag alone gives."""
+    """The result is byte for byte that of a single bag."""
     out = tmp_path / 'out'
     (bags / 'broken.mcap').write_bytes(b'no bag')
     assert main([str(bags), str(out), '--jobs', '2']) == 1
@@ -107,7 +107,7 @@ def test_the_progress_ends_with_all_bags_and_frames(bags, scenes, tmp_path, monk
     assert shown[-1] == (2, 2, f'{2 * len(scenes)} frames')
 
 
-def test_a_bag_of_other_options_is_not_taken_for_finished(bag, tmp_path):
+def test_a_bag_with_other_options_is_not_treated_as_finished(bag, tmp_path):
     def options(**changes):
         return ReplayOptions(source=bag, target=tmp_path / 'out', depth_by_bag=True,
                              leftover='restart', **changes)
@@ -120,7 +120,7 @@ def test_a_bag_of_other_options_is_not_taken_for_finished(bag, tmp_path):
     assert read_summary('out', tmp_path).frames == 4
 
 
-def test_a_bag_begun_before_is_begun_anew_and_gives_the_same(bag, tmp_path):
+def test_an_unfinished_bag_is_restarted_and_gives_the_same(bag, tmp_path):
     """A file for stopping ends the first try; the second has all frames, and their bytes."""
     options = ReplayOptions(source=bag, target=tmp_path / 'out', depth_by_bag=True,
                             leftover='restart')
@@ -197,7 +197,7 @@ def test_network_takes_the_name_of_one_only(words, network, paths):
 
 
 @pytest.mark.parametrize('backend, module', [('dask', 'dask'), ('ray', 'ray')])
-def test_an_engine_that_is_not_installed_is_told(bag, tmp_path, capsys, monkeypatch, backend,
+def test_a_missing_backend_is_reported(bag, tmp_path, capsys, monkeypatch, backend,
                                                  module):
     monkeypatch.setitem(sys.modules, module, None)
     code = main(['--backend', backend, '--scheduler', 'tcp://127.0.0.1:1', '--depth', DEPTH,

@@ -71,13 +71,13 @@ def test_target_frame_is_that_of_the_outputs(bag_with_tf, replay):
     assert floor['z'] == pytest.approx(0, abs=0.03)
 
 
-def test_a_bag_without_transforms_is_told(bag, replay):
+def test_a_bag_without_transforms_is_reported(bag, replay):
     code, target, text = replay(bag, '-p', 'base_frame:=base_link')
     assert (code, target.exists()) == (1, False)
     assert 'base_frame and target_frame need transforms' in text
 
 
-def test_a_frame_that_is_not_connected_is_told(bag_with_tf, replay):
+def test_an_unconnected_frame_is_reported(bag_with_tf, replay):
     code, _, text = replay(bag_with_tf, '-p', 'base_frame:=odom')
     assert code == 1
     assert f'no transform from {FRAME_ID} to odom' in text
