@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.directions.finder import find_in_image
+from plane_detector.directions.finder import ImageDirections, find_in_image
+from plane_detector.directions.line_segments import segments_from_pixels
+from plane_detector.directions.vanishing import AxisPair, SceneDirections
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
 from plane_detector.planes.measurement import measure_planes
 from plane_detector.planes.reorientation import reorient
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.segment import metric_noise_floor, segment
+from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()
 
@@ -63,6 +68,26 @@ def test_labels_are_only_joined():
     joined = {(int(b), int(a)) for b, a in zip(before.ravel(), after.ravel(), strict=True)}
     assert len(joined) == len({b for b, _ in joined})
     assert scene.labels.shape == after.shape
+
+
+@pytest.mark.parametrize(('step_share', 'pieces'), [(0.0, 1), (0.025, 2)])
+def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, pieces):
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    ray_x = np.broadcast_to((np.arange(160) - camera.cx) / camera.fx, (120, 160))
+    wave = 0.01 * np.sin(np.arange(120) / 6.0)[:, None]
+    disparity = 0.5 * (1 + 0.15 * np.abs(ray_x) + wave) * (1 + step_share * (ray_x > 0))
+    image = DisparityImage(disparity.astype(np.float32), np.ones((120, 160), bool))
+    halves = (ray_x > 0).astype(np.int32)
+    slope = 0.15 * 0.5 * camera.width / camera.fx
+    regions = PixelRegions(image.values, halves, np.array([
+        [-slope, 0, 0.5], [slope * (1 + step_share), 0, 0.5 * (1 + step_share)]]),
+        build_cell_grid(image), metric_noise_floor(CONFIG, 0.01))
+    planes, labels = measure_planes(regions, camera)
+    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), 0.3,
+                            (AxisPair(np.eye(3)[[0, 2]], 0.01, 0.3),), '', '')
+    lines = ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
+    turned = reorient(replace(regions, labels=labels), planes, lines, camera)
+    assert len(np.unique(turned.labels)) == pieces
 
 
 def test_offsets_fit_the_depth():
