@@ -130,11 +130,14 @@ def _scores(normals, midpoints, lengths, frames, widest):
     scores = np.zeros(len(frames))
     for k in range(len(frames)):
         for i in range(len(lengths)):
-            best = 1.0
+            best, n, m = widest * widest, normals[i], midpoints[i]
             for axis in range(3):
-                sine = _sine(normals[i], midpoints[i], frames[k, axis]) / widest
-                best = min(best, sine * sine)
-            scores[k] += lengths[i] * (1.0 - best)
+                d = frames[k, axis]
+                x, y = d[0] - m[0] * d[2], d[1] - m[1] * d[2]
+                cross = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
+                # As _sine, squared, which needs no root.
+                best = min(best, cross * cross / (x * x + y * y + 1e-12))
+            scores[k] += lengths[i] * (1.0 - best / (widest * widest))
     return scores / max(lengths.sum(), 1e-12)
 
 

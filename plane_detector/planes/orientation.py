@@ -102,10 +102,10 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
-    variances = [_variances(planes, sigma) for sigma in SIGMAS_RAD]
-    scores = [_log_likelihood(hypotheses, variance) - lost for variance in variances]
+    variances = _variances(planes)
+    scores = _log_likelihood(hypotheses, variances) - lost
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
-    best = int(np.argmax([np.logaddexp.reduce(score, axis=1).sum() for score in scores] + prior))
+    best = int(np.argmax(np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior))
     chosen = scores[best].argmax(1)
     axis_variance = np.trace(directions.covariance) / 2
     share = axis_variance / (axis_variance + variances[best])
@@ -114,11 +114,12 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     return Orientations(normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances[best]))
 
 
-def _variances(planes: tuple[Plane, ...], sigma_rad: float) -> np.ndarray:
-    """Return the variances (K,) of the network's normals, rad^2, for an error sigma."""
+def _variances(planes: tuple[Plane, ...]) -> np.ndarray:
+    """Return the variance (S, K) of the network's normals, rad^2, for each of SIGMAS_RAD."""
     fit = np.array([np.trace(plane.covariance[:3, :3]) / 2 for plane in planes])
     bend = np.array([plane.rms_m / np.sqrt(plane.area_m2) for plane in planes])
-    return fit + 1 / (1 / sigma_rad**2 + 1 / np.maximum(TILT_PER_BEND * bend, 1e-6) ** 2)
+    limit = np.maximum(TILT_PER_BEND * bend, 1e-6)
+    return fit + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / limit**2)
 
 
 def _hypotheses(normals: np.ndarray, directions: SceneDirections,
@@ -144,8 +145,8 @@ def _hypotheses(normals: np.ndarray, directions: SceneDirections,
 
 
 def _log_likelihood(hypotheses: _Hypotheses, variance: np.ndarray) -> np.ndarray:
-    """Return the log of prior and marginal likelihood (K, C) for variances (K,), rad^2."""
-    variance = variance[:, None]
+    """Return the log of prior and marginal likelihood (S, K, C), of variances (S, K), rad^2."""
+    variance = variance[..., None]
     misfit = np.log1p(-OUTLIER_SHARE) - 0.5 * hypotheses.angle_rad**2 / variance
     anywhere = -np.log(2 * np.pi)
     point = np.logaddexp(misfit - np.log(2 * np.pi * variance), np.log(OUTLIER_SHARE) + anywhere)

@@ -90,9 +90,11 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     agree = _agreeing(normals, offsets, found.sigmas_rad)
     group = _groups(agree & _continuous(regions, planes, intrinsics, found.sigmas_rad))
     joined = replace(regions, labels=rename_labels(regions.labels, group))
-    again = samples.joined(group).offsets(normals)
-    grown = np.isfinite(again) & (np.bincount(group, minlength=len(group)) > 1)
-    offsets[grown] = again[grown]
+    grown = np.bincount(group, minlength=len(group)) > 1
+    if grown.any():
+        again = samples.joined(group).offsets(normals)
+        grown &= np.isfinite(again)
+        offsets[grown] = again[grown]
     coefficients = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T)
     return replace(joined, coefficients=coefficients.T)
 
