@@ -78,7 +78,7 @@ def _add_inputs(group: argparse._ArgumentGroup) -> None:
 def _add_settings(group: argparse._ArgumentGroup) -> None:
     group.add_argument('--network', metavar='[NAME]',
                        help='use a network even if the bag has measured depth: that of '
-                            'depth.model, or this one of the zoo, or this .onnx file')
+                            'depth.model, or the one named here, or an .onnx file')
     group.add_argument('--params-file', type=Path, metavar='YAML',
                        help='parameters of the node, as for ros2 run')
     group.add_argument('-p', '--parameter', action='append', default=[], metavar='NAME:=VALUE',
@@ -92,11 +92,11 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
                        help='copy these topics into the new bag; without a name: the inputs. '
                             'With --every, only the inputs of the processed frames')
     group.add_argument('--storage', choices=['mcap', 'sqlite3'], default='mcap',
-                       help='of the new bag (default: %(default)s)')
+                       help='format of the new bag (default: %(default)s)')
     group.add_argument('--compress', action='store_true', help='compress the new bag with zstd')
     group.add_argument('--figures', type=Path, metavar='FOLDER',
-                       help='image, depth and planes of each frame as .jpg; with many bags one '
-                            'subfolder per bag, also for --ply and --csv')
+                       help='image, depth and planes of each frame as .jpg; with many bags '
+                            '--figures, --ply and --csv name folders with one entry per bag')
     group.add_argument('--ply', type=Path, metavar='FOLDER', help='labelled cloud of each frame')
     group.add_argument('--csv', type=Path, metavar='FILE', help=(
         'table of all planes; with shapes.types also one of all shapes'))
@@ -104,7 +104,8 @@ def _add_outputs(group: argparse._ArgumentGroup) -> None:
 
 def _add_workers(group: argparse._ArgumentGroup) -> None:
     group.add_argument('--jobs', type=_jobs, default=-1, metavar='N',
-                       help='bags processed at a time, one thread each (default: number of cores)')
+                       help='bags processed at a time, one thread each (default: number of '
+                            'cores); on Dask the cluster decides')
     group.add_argument('--backend', choices=BACKENDS, default='processes',
                        help='processes on this machine, or a cluster that shares the folders '
                             '(default: %(default)s)')
