@@ -25,7 +25,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from plane_detector.ros.allocator import keep_freed_memory
+from plane_detector.ros.allocator import retain_freed_memory
 from plane_detector.stopping import end_process
 
 _SPIN_TIMEOUT_S = 0.2
@@ -93,7 +93,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoRetur
     ending, exit_code = _Ending(), 0
     ending.begin()
     try:
-        keep_freed_memory()
+        retain_freed_memory()
         _init(args)
         _spin(make_node(), ending)
     except ExternalShutdownException:

@@ -1,35 +1,40 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Freed memory stays with the process.
+Memory of a process that works on one frame after the other.
 
-A frame allocates and frees some fifty arrays of the size of the image. As it comes, glibc returns
-each to the kernel and asks for zeroed pages again for the next: on depth of a sensor that takes as
+A frame allocates and frees about fifty arrays of the size of the image. By default glibc returns
+each to the kernel, which clears its pages again for the next one: on sensor depth this takes as
 long as all the arithmetic.
 """
 
 from __future__ import annotations
 
 import ctypes
+import os
 from functools import cache
 
-# derived: names of malloc.h of glibc, and the largest threshold that it takes.
+# derived: values from <malloc.h> of glibc, and the largest threshold that it accepts.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD, _LARGEST_MMAP_THRESHOLD = -1, -3, 32 * 2**20
-# derived: some fifty float32 images of 1280 x 720.
+# derived: about fifty float32 images of 1280 x 720.
 KEPT_BYTES = 256 * 2**20
 
 
 @cache
-def keep_freed_memory() -> bool:
+def retain_freed_memory() -> bool:
     """
-    Let the allocator keep up to 256 MB that are free, for the process, once.
+    Make the C library keep up to 256 MB of freed memory; once per process.
+
+    Settings of the user by MALLOC_* or GLIBC_TUNABLES in the environment take precedence.
 
     Returns
     -------
     bool
-        Whether the allocator of this system can be told; others are left as they are.
+        False with another C library, or if the user has set the thresholds.
 
     """
+    if any(name.startswith('MALLOC_') or name == 'GLIBC_TUNABLES' for name in os.environ):
+        return False
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (AttributeError, OSError, TypeError):

@@ -24,7 +24,7 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
-from plane_detector.segmentation.memory import keep_freed_memory
+from plane_detector.segmentation.memory import retain_freed_memory
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.bends import join_nearly_flat, merge_bowed_walls
@@ -102,7 +102,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
         In the unit of the disparity. Finding no plane is not an error.
 
     """
-    keep_freed_memory()
+    retain_freed_memory()
     rng = rng or np.random.default_rng(config.ransac.seed)
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)

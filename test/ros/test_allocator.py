@@ -18,7 +18,7 @@ FRAMES, ARRAYS = 20, 30
 PROGRAM = f"""
 import resource, sys, threading
 import numpy as np
-from plane_detector.ros.allocator import keep_freed_memory
+from plane_detector.ros.allocator import retain_freed_memory
 
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -33,7 +33,7 @@ def work():
         frame()
     print(kept, (faults() - before) // {FRAMES})
 
-kept = 'keep' in sys.argv and keep_freed_memory()
+kept = 'keep' in sys.argv and retain_freed_memory()
 thread = threading.Thread(target=work)
 thread.start()
 thread.join()

@@ -8,12 +8,12 @@ import resource
 import numpy as np
 import pytest
 
-from plane_detector.segmentation.memory import keep_freed_memory
+from plane_detector.segmentation.memory import retain_freed_memory
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != 'glibc', reason='mallopt belongs to glibc')
 def test_arrays_of_the_size_of_images_cause_no_page_faults_twice():
-    assert keep_freed_memory()
+    assert retain_freed_memory()
     pages = 8 * 2**20 // resource.getpagesize()
     for _ in range(2):
         before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -22,3 +22,8 @@ def test_arrays_of_the_size_of_images_cause_no_page_faults_twice():
             del first, second
         faults = resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
     assert faults < 2 * pages  # else 20 times as many
+
+
+def test_settings_of_the_user_are_kept(monkeypatch):
+    monkeypatch.setenv('MALLOC_TRIM_THRESHOLD_', '131072')
+    assert not retain_freed_memory.__wrapped__()

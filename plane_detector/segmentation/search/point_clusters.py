@@ -6,6 +6,12 @@ DBSCAN (Ester et al. 1996) of points in space, in bounded memory.
 scikit-learn is fast but keeps the neighbours of all points at once: if all points are within the
 radius of each other, 20 000 points take 5 GB. That many pairs are processed in parts here, and
 only a component for each point is kept. The clusters and their numbers are the same.
+
+References
+----------
+M. Ester, H.-P. Kriegel, J. Sander, X. Xu: A density-based algorithm for discovering clusters in
+large spatial databases with noise. KDD 1996.
+
 """
 
 from __future__ import annotations
@@ -36,17 +42,12 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
     eps_m : float
         Radius of the neighbourhood.
     min_samples : int
-        Points in the neighbourhood, the point itself included, that make it a core point.
+        Points in the neighbourhood of a core point, including itself.
 
     Returns
     -------
     (n,) int64
         Cluster of each point, in the order of their first core points; -1 for noise.
-
-    References
-    ----------
-    M. Ester, H.-P. Kriegel, J. Sander, X. Xu: A density-based algorithm for discovering clusters
-    in large spatial databases with noise. KDD 1996.
 
     """
     count = len(points_m)
