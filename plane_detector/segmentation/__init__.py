@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Disparity to regions, each one plane, in any unit."""
+"""From disparity, in any unit, to regions that are planes."""

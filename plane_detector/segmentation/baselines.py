@@ -3,9 +3,9 @@
 """
 Baselines of the segmentation: the paper's method, and RANSAC without clustering.
 
-The method of "Improved Plane Detection in 3D Reconstruction from 2D Images" (J. Quan) peels planes
-off the point cloud one by one with pyRANSAC-3D and one metric threshold, then DBSCAN on each
-plane's points takes the artefacts away. pyransac3d is an optional extra and only imported here.
+The method of "Improved Plane Detection in 3D Reconstruction from 2D Images" (J. Quan) removes
+planes from the point cloud one by one with pyRANSAC-3D and one metric threshold; then DBSCAN on
+the points of each plane removes artefacts. pyransac3d is optional and only imported here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.stopping import raise_if_stopped
 from plane_detector.types import CameraIntrinsics
 
-# derived: some 50 ms with 20 000 points; a stop is looked at in between.
+# derived: about 50 ms with 20 000 points; a stop is checked in between.
 ITERATIONS_AT_ONCE = 100
 
 
@@ -44,7 +44,7 @@ ITERATIONS_AT_ONCE = 100
 def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_floor: Noise,
                      config: Config, rng: np.random.Generator | None = None) -> PixelRegions:
     """
-    Segment with the paper's method, behind the interface of ours.
+    Segment with the paper's method; same interface as :func:`segment`.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_
     Returns
     -------
     PixelRegions
-        Each plane is refitted to the cells that it fills, as ours are.
+        Each plane is refitted to the cells that it fills.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     rng : numpy.random.Generator
         Seeds pyransac3d.
     cluster : bool
-        False leaves DBSCAN out: planes of RANSAC alone.
+        False: without DBSCAN, the planes of RANSAC alone.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.
     Return the equation (4,) of the best plane and the indices of its inliers.
 
     pyransac3d is called for a part of the iterations at a time, so that it can be stopped; the
-    first of the best samples is the same as in one go.
+    result is that of a single call.
     """
     equation, inliers = np.zeros(4), np.zeros(0, np.int64)
     for done in range(0, paper.max_iterations, ITERATIONS_AT_ONCE):
@@ -204,7 +204,7 @@ def _cluster(labels: np.ndarray, points_m: np.ndarray, equations: np.ndarray, mi
 
 def _to_all_pixels(thinned: np.ndarray, points_m: np.ndarray, equations: np.ndarray, stride: int,
                    paper: PaperConfig) -> np.ndarray:
-    """Give each pixel near its thinned point's plane that point's label."""
+    """Label each pixel like its subsampled point if it is near that point's plane."""
     height, width = points_m.shape[:2]
     labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)[:height, :width]
     for k, equation in enumerate(equations):

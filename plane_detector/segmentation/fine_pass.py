@@ -20,7 +20,7 @@ from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 
-# derived: three pixels are the least that a slope and its error need.
+# derived: the minimum for a slope and its error.
 MIN_CELL_SIZE_PX = 3
 # derived: half of a plane's pixels may lie in cells that straddle its border.
 MIN_CELL_SHARE = 0.5
@@ -84,14 +84,14 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
 
 
 def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
-    """Say whether an object as deep as a smaller cell is wide stands out from the noise."""
+    """Return whether an object as deep as a smaller cell is wide stands out from the noise."""
     width = cells.grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * cells.grid.width_px)
     return noise.mean_sigma < width * cells.grid.typical_disparity
 
 
 @kernel('boolean[::1](boolean[:, ::1], int64, float64)')
 def _large_pieces(left, size, min_pixels):
-    """Say which cells lie in connected pieces, of cells half full at least, of enough pixels."""
+    """Return the cells in connected pieces with enough pixels; cells are at least half full."""
     rows, columns = -(-left.shape[0] // size), -(-left.shape[1] // size)
     pixels = np.zeros(rows * columns, np.int64)
     for v in range(left.shape[0]):
@@ -157,7 +157,7 @@ def _merged(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
 
 @kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')
 def _touching(labels, size, count):
-    """Say which labels lie within reach of each other, sampled at one pixel of each cell."""
+    """Return which labels lie within reach of each other, sampled at one pixel of each cell."""
     touching = np.zeros((count, count), np.bool_)
     for v in range(size // 2, labels.shape[0], size):
         for u in range(size // 2, labels.shape[1], size):

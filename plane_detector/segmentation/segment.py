@@ -52,7 +52,7 @@ def metric_noise_floor(config: Config, disparity_noise: float = 0.0) -> Noise:
         Its ``ransac.noise_floor`` is used; its ``segmentation.disparity_noise``, if not 0,
         replaces the argument.
     disparity_noise : float
-        Noise level specified for the depth source, 1/m; 0 if none.
+        Noise stated for the depth source, 1/m; 0 if none.
 
     """
     source_sigma = config.segmentation.disparity_noise or disparity_noise
@@ -68,7 +68,7 @@ def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) ->
     disparity : (H, W) floating
         Not finite where invalid.
     disparity_noise : float
-        Noise level specified for its source, in the same unit; 0 if none.
+        Noise stated for its source, in the same unit; 0 if none.
 
     """
     return Noise(0.0, RELATIVE_FLOOR * disparity_range(disparity), disparity_noise)
@@ -164,7 +164,7 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
 
 def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, regions: PlaneRegions,
             kind: DepthKind) -> tuple[np.ndarray, np.ndarray]:
-    """Remove curved regions, so late that no plane grew into them, and join nearly flat ones."""
+    """Remove curved regions last, so that no plane grows into them, and merge nearly flat ones."""
     graph = RegionGraph.of(frame.cells, regions)
     curved = find_curved(frame.cells, graph, kind)
     owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)

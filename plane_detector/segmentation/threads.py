@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-One thread for the matrix products of the plane stage, or for all that a worker does.
+Limits to one thread: for the matrix products of the plane stage, or for a whole worker.
 
 The products are so small that waking a second thread takes longer than the product. With the
 other cores busy with the network or other programs, a product takes twice as long.
@@ -22,7 +22,7 @@ P, R = ParamSpec('P'), TypeVar('R')
 
 @cache
 def _libraries() -> list:
-    """Look for the linear algebra libraries once; numpy's is loaded by now."""
+    """Find the linear algebra libraries once; numpy's is already loaded."""
     return ThreadpoolController().select(user_api='blas').lib_controllers
 
 

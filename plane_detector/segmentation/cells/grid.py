@@ -38,7 +38,7 @@ class DisparityImage:
 
     @cached_property
     def smoothed(self) -> np.ndarray:
-        """The median (H, W) float32 of the 3 x 3 pixels about each: less noise, edges kept."""
+        """Median (H, W) float32 of 3 x 3 pixels, which reduces noise and keeps edges."""
         return cv2.medianBlur(self.values, 3)
 
 
@@ -70,8 +70,8 @@ class CellGrid:
     usable : (R * C,) bool
         The valid pixels are enough, and spread well enough, to determine the cell's own plane.
     sparsity : (R * C, 2) float64
-        What missing pixels add to the variances of the cell's mean and slope, per variance of a
-        pixel; 0 for full cells.
+        Additional variances of the cell's mean and slope due to missing pixels, as multiples of
+        the variance of a pixel; 0 for full cells.
     normal_slope : (R * C, 2) float64
         dd/dx and dd/dy by the normals of a network; NaN where it gives none.
 
@@ -118,7 +118,7 @@ def build_cell_grid(image: DisparityImage, size: int = 0,
     size : int
         Side of the cells in pixels; 0: that of :func:`cell_size`.
     wanted : (R * C,) bool, optional
-        Other cells stay empty. Default: all are wanted.
+        Cells to fill; the others stay empty. Default: all.
 
     Returns
     -------
@@ -195,8 +195,8 @@ def _sum_up_columns(disparity, valid, band, reference, sums):
     """
     Sum up the columns of some cells of a row, ``band``: its top, their side, the first, the last.
 
-    Written are the sums of n, y, yy, d, yd and dd of each column, y in pixels from the middle of
-    the cells, d from ``reference``, which is a value of the middle row of each cell.
+    Writes the sums of n, y, yy, d, yd and dd of each column, with y in pixels from the centre of
+    the cells and d relative to ``reference``, a value in the middle row of each cell.
     """
     top, size, first, last = band
     bottom, end = min(top + size, disparity.shape[0]), min((last + 1) * size, disparity.shape[1])
@@ -233,7 +233,7 @@ def _add_powers(n, d, y, sums, first):
 
 @kernel('void(float32[:, ::1], int64, int64, float64, float64[::1])')
 def _sum_up_cell(sums, left, right, width, m):
-    """Write the moments of a cell about its middle from the sums of its columns."""
+    """Write the moments of a cell about its centre from the sums of its columns."""
     m[:] = 0.0
     middle = (left + right - 1) / 2
     for u in range(left, right):
@@ -268,7 +268,7 @@ def _shift(m, x, y, d, out):
 
 
 def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
-    """Return the image (H, W) as cells (R, s, C, s), filled up to whole ones."""
+    """Return the image (H, W) as cells (R, s, C, s), padded to whole cells."""
     missing = [(0, -side % size) for side in image.shape]
     image = np.pad(image, missing, constant_values=fill)
     return image.reshape(image.shape[0] // size, size, -1, size)

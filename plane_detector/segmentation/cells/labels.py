@@ -40,7 +40,7 @@ def _renumbered(labels, index):
     found = np.empty_like(labels)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
-            found[i, j] = index[np.uint32(labels[i, j] + 1)]  # not looked at for a sign
+            found[i, j] = index[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
     return found
 
 
@@ -52,7 +52,7 @@ def remove_regions(labels: np.ndarray, planes: np.ndarray,
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
-    """Return how many pixels of each label each cell has, (R * C, K) float64."""
+    """Return the number of pixels of each label in each cell, (R * C, K) float64."""
     return _count(np.ascontiguousarray(labels), grid.size_px, count)
 
 

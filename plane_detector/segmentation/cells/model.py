@@ -16,7 +16,7 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_INNER_VARIANCES = 4.0
-# derived: cells without depth have no variance at all; any number above 0 will do.
+# derived: avoids division by 0 for cells without depth; any positive number works.
 MIN_VARIANCE = 1e-30
 # Rounding error of float32 sums, as a share of the variance that the slope causes in a cell.
 # derived: from the precision of float32, 1e-7, and some ten additions.
@@ -67,10 +67,10 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     """
     Weigh each cell by the noise that it is tested with.
 
-    The floor of the depth is a floor of the disparity that falls with 1/z**2. In a cell of
+    The lower bound of the depth noise is one of disparity that falls with 1/z**2. In a cell of
     n = s * s pixels it tilts a least-squares plane by sqrt(12 / n) / s per pixel. Neighbouring
-    pixels share their quantisation error: it tilts a cell as a whole. Far cells are not held to
-    less than the error that near ones leave in the plane of both.
+    pixels have the same quantisation error, which tilts a cell as a whole. The variance of far
+    cells is at least that of the error which near cells leave in a common plane.
     """
     size = grid.size_px / grid.width_px
     squares = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
@@ -153,5 +153,5 @@ def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
 
 @kernel('boolean(float64[:, ::1], int64)')
 def has_no_depth(table, i):
-    """Say whether no pixel of cell i is valid."""
+    """Return whether no pixel of cell i is valid."""
     return table[i, 0] == 0 and table[i, 1] == 0 and table[i, 2] == 0

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How noisy the disparity is, estimated from differences between neighbouring cells.
+Noise of the disparity, estimated from differences between neighbouring cells.
 
 Noise has two parts. The pixel noise is independent from pixel to pixel; the smooth noise shifts
 and tilts whole cells. Second differences of the means of cells in a row or column, and first
@@ -67,8 +67,8 @@ class Noise:
     disparity_floor : float
         Lower bound for the disparity of a pixel, 1/m.
     source_sigma : float
-        Noise level specified for the depth source, 1/m; 0 if none. ``mean_sigma`` is at least
-        this, since the errors of a network are too smooth to be seen in any window.
+        Noise stated for the depth source, 1/m; 0 if none. ``mean_sigma`` is at least this,
+        because the errors of a network are too smooth to be visible in any window.
     mean_sigma : float
         Of the mean of a full cell about its plane, 1/m.
     slope_sigma : float
@@ -90,7 +90,7 @@ class Noise:
         return (self.depth_floor_m * disparity * disparity) ** 2 + self.disparity_floor**2
 
     def is_exact(self, disparity: float) -> bool:
-        """Say whether the smooth noise is below the floor at this disparity."""
+        """Return whether the smooth noise is below the floor at this disparity."""
         return self.mean_sigma**2 < self.variance_floor(disparity)
 
     def kind(self, disparity: float) -> DepthKind:
@@ -106,7 +106,7 @@ class Noise:
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
-        Return the noise that cells show.
+        Return the noise from deviations measured on cells.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times.
     mean_sigma = _quantile(curvature) / NORMAL_QUANTILE / 6**0.5
     slope_sigma = (_quantile(bend) / CHI_SQUARED_QUANTILE / 2) ** 0.5
-    # Over the cells of a second difference no noise adds up to more than its slopes; a step does.
+    # Smooth noise changes by at most its slopes times the distance of the cells; a step does not.
     mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
     pixel_sigma = _quantile(grid.inner_rms[grid.usable]) / _inner_rms_quantile(grid.size_px**2 - 3)
     return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma),

@@ -24,13 +24,13 @@ MIN_REGION_CELLS = 100
 # Residuals are cut off at this many deviations.
 # after: the usual three deviations of a normal distribution.
 MAX_RESIDUAL = 3.0
-# derived: what differs from cell to cell is at least next to none and at most next to all.
+# derived: bound of the share that is independent from cell to cell, and of the smooth share.
 MIN_SHARE = 1e-3
-# derived: likewise, of neighbouring cells.
+# derived: bounds of the correlation of neighbouring cells.
 CORRELATION_RANGE = (0.02, 0.98)
 # derived: about 1, exponential, and 2, Gaussian.
 POWER_RANGE = (0.5, 2.0)
-# derived: noise that is alike over more of the image is a bend of it.
+# derived: errors correlated over a larger distance are a bend, not noise.
 MAX_LAG_CELLS = 20
 
 

@@ -1,13 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Slopes of the disparity by the normals that a network gives beside its depth.
+Slopes of the disparity from the normals that a network gives in addition to depth.
 
 With the ray (X, Y, 1) of a pixel, the plane n . p + d = 0 is 1/z = -(n_x X + n_y Y + n_z) / d: its
-slopes are 1/z times n_x / (n . r) and n_y / (n . r). A cell has two slopes then, that of its own
-depth and that of its normals. Their noise is measured on the image, by the differences between
-neighbouring cells, and the two are averaged by their variances. Errors that neighbours share do
-not show there: by how much more the two differ, in most of the image, is laid to the normals.
+slopes are 1/z times n_x / (n . r) and n_y / (n . r). Each cell has two slopes, that of its depth
+and that of its normals. Their noise is estimated from the differences between neighbouring cells,
+and the two are averaged, weighted by their variances. Errors common to neighbours do not show in
+these differences: the remaining difference between the two, in most of the image, is attributed
+to the normals.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import CHI_SQUARED_QUANTILE, QUANTILE
 from plane_detector.types import CameraIntrinsics, Prediction
 
-# derived: the best published normals are 10 degrees off on the average, of which neighbours share
-# the larger part; no difference between them makes normals surer than this.
+# derived: the best published normals have a mean error of 10 degrees, most of which is common to
+# neighbours; normals are not assumed more accurate than this.
 MIN_ANGLE_RAD = np.radians(2.0)
-# Least noise of the depth's slopes, per image width, for each unit of the noise of its source.
+# Lower bound of the noise of the depth's slopes, per image width and unit of source noise.
 # tuned: rooms of seeds 302, 303, 309, 310, normals with smooth errors of 5 and 10 degrees: mean SC
 # as without normals at 2, up to .1 less at 8.
 SLOPE_PER_NOISE = 2.0
@@ -42,9 +43,9 @@ class NormalMap:
     Attributes
     ----------
     normals_camera : (H, W, 3) float32
-        Unit, in the optical frame, looking at the camera; NaN where invalid.
+        Unit normals in the optical frame, pointing to the camera; NaN where invalid.
     confidence : (H, W) floating or None
-        Weight of each; None: all weigh the same.
+        Weight of each; None: equal weights.
     intrinsics : CameraIntrinsics
         Of the image.
 
@@ -64,7 +65,7 @@ class NormalMap:
 
 def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> CellGrid:
     """
-    Return the grid with slopes that normals make surer.
+    Return the grid with slopes averaged with those of the normals.
 
     Parameters
     ----------
@@ -73,12 +74,12 @@ def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> Cel
     normals : NormalMap
         Of the same image.
     source_sigma : float
-        Noise level specified for the source of the depth, in the unit of the disparity.
+        Noise stated for the source of the depth, in the unit of the disparity.
 
     Returns
     -------
     CellGrid
-        With other ``slope``, and with ``normal_slope``.
+        With a new ``slope``, and with ``normal_slope``.
 
     """
     slope = slopes_of(grid, normals)

@@ -8,7 +8,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 
-# derived: pixels on a line have no plane; wider than a thousandth of their length they have.
+# derived: pixels on a line determine no plane; a width of a thousandth of their length suffices.
 MIN_WIDTH_SQUARED = 1e-6
 # derived: far above float64's rounding. A smaller eigenvalue, relative to the largest one,
 # counts as zero: too few cells for the fit.

@@ -6,8 +6,8 @@ From labels of cells to labels of pixels.
 If all neighbours of a cell have its label, its pixels get this label. In cells along borders each
 pixel chooses among the planes nearby. If two planes intersect along their border, the side of the
 intersection decides, which does not depend on noise; at a step the residual of the pixel decides.
-On depth good enough to show creases a cell most of whose pixels choose another plane is that
-plane's, and its neighbours choose again: borders end where the pixels want them.
+On depth accurate enough to show creases, a cell is reassigned if most of its pixels choose another
+plane, and its neighbours choose again, so that borders follow the pixels.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from plane_detector.segmentation.search.plane_search import sees_creases
 
 # derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
 MEDIAN_NOISE_SHARE = 0.41
-# derived: a border moves by one cell a sweep, and hardly any is farther off.
+# derived: a border moves by one cell per sweep, and almost none is further off.
 SWEEPS = 16
 # Tolerance of pixels over that of the cells.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
@@ -130,7 +130,7 @@ def _fill_cells(found, valid, labels, is_open, size):
 
 @kernel('boolean(int32[:, ::1], int64, int64, int32[::1])')
 def _find_labels_around(labels, row, column, near):
-    """Write the labels of the 3 x 3 cells around one, and -1 after them; say if there are any."""
+    """Write the labels of the 3 x 3 cells around one, then -1; return whether there are any."""
     count, last = 0, np.int32(-1)
     for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):

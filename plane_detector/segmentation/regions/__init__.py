@@ -1,3 +1,3 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is found competes, is merged, split and removed."""
+"""Competition for cells, merging, splitting and removal of regions."""

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-How bent is a plane: a network's bowed walls, and floors that are flat enough for the user.
+Merging of slightly bent surfaces: walls bent by a network, and floors within a set flatness.
 
-Networks bend walls: adjacent regions that a slight bend separates are one plane. A concrete floor
-that dips by a degree or two is several planes to depth without noise: two touching planes are
-joined if they meet without a step, the surface departs from a plane by no more than a tolerance,
-in metres, and they meet at no more than another, in degrees.
+Networks bend walls: adjacent regions separated by a slight bend are one plane. In depth without
+noise, a concrete floor that dips by a degree or two is several planes: two adjacent planes are
+merged if there is no step between them, the surface deviates from a plane by at most a tolerance
+in metres, and the angle between them is within a tolerance in degrees.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 # If the shift of the disparity is unknown, the angle is approximate.
 # tuned: benchmark segmentation --only real; the range was not swept.
 MAX_BOW_DEG, MAX_BOW_GAP_DEVIATIONS = 35.0, 4.0
-# How much worse than its plane the quadric may fit a region, and the lower bound of the plane's
-# error as a share of the noise.
+# Largest ratio of the quadric's error to the plane's error in a region, and the lower bound of the
+# plane's error as a share of the noise.
 # tuned: benchmark segmentation --only real; the range was not swept.
 MAX_BOW_RATIO, MIN_NOISE_SHARE = 3.0, 0.1
 
@@ -74,7 +74,7 @@ def _bow_misfit(planes, sums, borders, products):
 def join_nearly_flat(graph: RegionGraph, removed: np.ndarray,
                      config: SegmentationConfig) -> tuple[np.ndarray, np.ndarray]:
     """
-    Join touching regions that together are as flat as the user asks, flattest pair first.
+    Merge adjacent regions that are flat within the settings, flattest pair first.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def join_nearly_flat(graph: RegionGraph, removed: np.ndarray,
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], boolean[::1], '
         'UniTuple(float64, 2))')
 def _flat_misfit(planes, sums, borders, is_kept, limits):
-    """Return distance and angle over what is tolerated, the larger; infinite at a step."""
+    """Return the larger of distance and angle over their tolerances; infinite at a step."""
     count, joint = len(planes), np.empty(10)
     misfit = np.full((count, count), np.inf)
     for i in range(count):

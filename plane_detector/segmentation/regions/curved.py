@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Reject curved regions of measured depth.
+Removal of curved regions in measured depth.
 
 Within the tolerance of any method a curtain or a cushion is a row of narrow planes. At low noise
 the cells of a single region show the curvature: a quadric fits them far better than a plane
@@ -44,10 +44,10 @@ MIN_FOLD_DEG, MAX_FOLD_DEG = 10.0, 70.0
 # share of it: a weak one.
 # tuned: evaluation.benchmark curved; flat from 0.7 to 1.5.
 LOW_THRESHOLD = 0.5
-# The quadric may fit one of the regions so many times worse than its plane does.
+# Largest ratio of the quadric's error to the plane's error in one of the regions.
 # tuned: evaluation.benchmark curved; flat from 1.5 to 3.
 MAX_RATIO = 2.0
-# derived: small regions fit their noise: no plane is taken to fit better than these shares of it.
+# derived: small regions fit their noise: lower bounds of a plane's error as shares of the noise.
 MIN_NOISE_SHARE, MIN_WEAK_NOISE_SHARE = 0.25, 0.8
 
 
@@ -117,7 +117,7 @@ def _products(labels, table, is_planar, count):
 
 @kernel('boolean[::1](float64[:, :, ::1], float64, float64)')
 def _are_curved(products, disparity, noise_density):
-    """Say whether each region is curved; its disparity counts from ``disparity``."""
+    """Return whether each region is curved; its disparity counts from ``disparity``."""
     curved, quadric = np.zeros(len(products), np.bool_), np.zeros(7)
     for k in range(len(products)):
         sums, count = products[k], products[k, 0, 0]

@@ -209,7 +209,7 @@ def _relabelled(labels, pieces, names):
 
 @kernel('boolean(int32[:, ::1], int64, UniTuple(int64, 2), int64)')
 def _has(pieces, piece, corner, side):
-    """Say whether a piece has a block in the square with this upper left corner."""
+    """Return whether a piece has a block in the square with this upper left corner."""
     for i in range(max(corner[0], 0), min(corner[0] + side, pieces.shape[0])):
         for j in range(max(corner[1], 0), min(corner[1] + side, pieces.shape[1])):
             if pieces[i, j] == piece:

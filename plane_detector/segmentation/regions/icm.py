@@ -90,7 +90,7 @@ def _compete(given, model, threshold2):
 
 @kernel('boolean(int32[:, ::1], int64, int64)')
 def _is_amid(labels, row, column):
-    """Say whether all neighbours of a cell have its label."""
+    """Return whether all neighbours of a cell have its label."""
     for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
             if labels[r, c] != labels[row, column]:

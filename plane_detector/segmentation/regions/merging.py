@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Merge regions that are one plane to depth with this noise.
+Merging of regions that are coplanar within the noise.
 
 Two regions are merged if a joint plane fits both within the noise, or if the smaller one is a
 bulge of the larger: near its plane and without a step along the border. A step keeps parallel
@@ -45,7 +45,7 @@ MAX_BULGE_DEVIATIONS = 3.5
 MAX_BULGE_STEP_DEVIATIONS = 2.0
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MAX_BULGE_SHARE = 0.35
-# derived: as many lines, and samples of each, as cells along the longer side of a piece, about.
+# derived: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
 # Of the cells between two pieces no more than this share may be farther than their plane.
 # tuned: on rooms and lived-in rooms of seeds below 9000; compiled in, so its range was not swept.
@@ -84,7 +84,7 @@ def merge_coplanar(cells: WeightedCells, regions: PlaneRegions,
 
 def coplanar_misfit(graph: RegionGraph, least_pairs: int = 0) -> np.ndarray:
     """
-    Return how badly one plane fits each pair of regions.
+    Return the misfit of one plane to each pair of regions.
 
     Parameters
     ----------
@@ -127,9 +127,9 @@ def _misfits(planes, sums, borders, least_pairs):
 @kernel('boolean(float64[::1], float64[::1])')
 def normals_differ(first, second):
     """
-    Say whether normals show that two regions, by their sums, lie on two planes.
+    Return whether normals show that two regions, by their sums, lie on two planes.
 
-    The slopes of the disparity are constant on a plane. How far those of the normals stray within
+    The slopes of the disparity are constant on a plane. The scatter of the normals' slopes within
     a region is their noise.
     """
     if min(first[11], second[11]) <= PLANE_TERMS:

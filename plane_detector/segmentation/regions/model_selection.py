@@ -29,15 +29,14 @@ MAX_CELLS = 256
 # rougher noise contains more edges.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_LOG_LIKELIHOOD_GAIN = 24.0
-# derived: a cell that the border cuts anywhere is off by this share of the step, squared, on
-# average.
+# derived: mean squared error of a cell cut by the border, as a share of the squared step.
 CUT_VARIANCE = 1 / 12
 
 
 def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Correlation | None,
                       first: int, second: int) -> bool:
     """
-    Say whether a step or a crease along the border separates two regions.
+    Return whether a step or a crease along the border separates two regions.
 
     Parameters
     ----------

@@ -19,12 +19,12 @@ from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, 
 from plane_detector.segmentation.cells.plane_fit import fit_plane
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
-# derived: cells this far apart still touch, as between them may lie one that straddles the border;
-# and more pairs of cells than one, which may touch by chance, make a border.
+# derived: cells at this distance touch, because a cell that straddles the border may lie between
+# them; and a border needs more than one pair of cells, which may touch by chance.
 BORDER_REACH_CELLS = MIN_BORDER_PAIRS = 2
 # derived: one normal deviate in 370 is larger.
 MAX_DEVIATIONS = 3.0
-# derived: the terms of a plane over the image, of which one cell more is to be known.
+# derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
 
 
@@ -67,7 +67,7 @@ class RegionGraph:
         return cls(labels, np.arange(count), regions.coefficients, *sums)
 
     def merged(self, target: int, source: int) -> RegionGraph:
-        """Return the graph with one region merged into another, whose plane is fitted anew."""
+        """Return the graph with one region merged into another, whose plane is refitted."""
         graph = RegionGraph(*(part.copy() for part in vars(self).values()))
         _merge(graph.labels, graph.owner, (graph.planes, graph.pixels, graph.sums), graph.borders,
                (target, source))
@@ -87,7 +87,7 @@ class RegionGraph:
         return _intersections(self.planes, self.borders)
 
     def regions(self) -> PlaneRegions:
-        """Return the regions that are left, numbered anew."""
+        """Return the remaining regions with consecutive labels."""
         kept = self.owner == np.arange(len(self.owner))
         if kept.all():
             return PlaneRegions(self.labels, self.planes)
@@ -104,9 +104,9 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     ----------
     graph : RegionGraph
     misfit : callable
-        Returns (K, K) float64, at entries i < j up to 1 for a fit, infinity elsewhere.
+        Returns (K, K) float64; entries i < j are at most 1 for a fit, all others infinite.
     is_apart : callable
-        Says that two regions stay apart although they fit; it is asked once for each pair.
+        Returns whether two regions stay separate although they fit; called once per pair.
 
     Returns
     -------

@@ -6,7 +6,7 @@ Search for the planes and the noise together, since each is needed to find the o
 1. the noise is estimated from differences between neighbouring cells;
 2. the largest planes are found, and the noise is estimated from their residuals, which neither
    miss noise that is smooth over several cells nor count clutter as noise;
-3. the remaining planes are found with this noise, or all of them anew if it is another.
+3. the remaining planes are found with this noise, or all of them again if it has changed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.
-# tuned: benchmark sensitivity; 1.0 doubles what is taken for planes of curved things at 0.01.
+# tuned: benchmark sensitivity; 1.0 doubles the labelled share of curved surfaces at 0.01.
 START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
@@ -28,11 +28,11 @@ CALIBRATION_PLANES = 3
 # A small plane fits the noise itself, and its residuals are too small.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_CELLS = 100
-# derived: the median of so many is good to 4 %.
+# derived: the median of this many samples is accurate to 4 %.
 MAX_SAMPLES = 1500
 # derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
-# derived: of a lens of 64 degrees, over the image width; for angles where the camera is unknown.
+# derived: focal length over image width for 64 degrees, for angles if the camera is unknown.
 TYPICAL_FOCAL_SHARE = 0.8
 # derived: the tangent of 30 degrees; neighbours on planes at this angle must not link.
 MIN_CREASE_SLOPE = 0.577
@@ -69,7 +69,7 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
 
 
 def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise) -> Noise:
-    """Return the noise by median absolute deviation from planes that are large enough, if any."""
+    """Return the noise from the median absolute deviation from the large planes, if any."""
     labels, table = regions.labels.ravel(), cells.table
     size = np.bincount(labels + 1, minlength=len(regions.coefficients) + 1)[1:]
     members = np.flatnonzero(np.append(size > MIN_CELLS, False)[labels])
@@ -85,6 +85,6 @@ def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise
 
 
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
-    """Say whether neighbouring cells on two planes differ by more than this many deviations."""
+    """Return whether neighbouring cells on two planes differ by more than this many deviations."""
     tolerance = threshold * 2**0.5 * noise.slope_sigma * TYPICAL_FOCAL_SHARE
     return noise.source_sigma == 0 and tolerance < MIN_CREASE_SLOPE * grid.typical_disparity

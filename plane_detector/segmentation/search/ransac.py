@@ -47,7 +47,7 @@ SETTLED_SHARE = 0.03
 
 @dataclass(frozen=True)
 class Search:
-    """Inputs of a search beside the noise: grid, smallest plane, settings and random generator."""
+    """Inputs of a search except the noise: grid, smallest plane, settings, random generator."""
 
     grid: CellGrid
     min_pixels: float
@@ -72,12 +72,12 @@ def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
     regions : PlaneRegions
         Planes found before.
     most : int
-        The search ends with so many planes, those found before included.
+        Total number of planes at which the search ends.
 
     Returns
     -------
     PlaneRegions
-        Those found before come first.
+        With the planes found before first.
 
     """
     ransac, near = search.config.ransac, neighbourhood(search.config.dbscan)
@@ -87,7 +87,7 @@ def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
     drawn = 0
     while len(planes) < most and drawn < ransac.max_iterations:
         raise_if_stopped()
-        # More than are wanted: a window in which too few cells are free is drawn again.
+        # More than needed, because windows with too few free cells are drawn again.
         chance = search.rng.random((len(WINDOWS_CELLS), len(WINDOWS_CELLS) * wanted))
         limits = np.array([search.min_pixels, ransac.inlier_threshold**2, most, len(planes)])
         found = find_in_one_round((cells.table, cells.grid.moments), cells.is_planar, labels,
