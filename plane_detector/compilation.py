@@ -110,12 +110,12 @@ def compile_kernels(subjects: Iterable[str],
                if one.subject == subject and not one.is_ready]
     if not missing:
         return
-    is_told = False
+    is_reported = False
     # Under one lock: processes that take turns would each start numba's compiler.
     with _COMPILING, _one_process(cache_folder()), ExitStack() as helpers:
         for one in missing:
-            if one.make_ready().stats.cache_misses and not is_told:
-                is_told = True
+            if one.make_ready().stats.cache_misses and not is_reported:
+                is_reported = True
                 on_compiling()
                 helpers.callback(_end, _second_process(missing))
 

@@ -143,9 +143,9 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     if len(segments) < MIN_SEGMENTS:
         return _refused(f'only {len(segments)} straight lines')
     expected = np.asarray(IMAGE_DOWN if coarse_down is None else coarse_down, float)
-    axes, objection = _best_frame(segments, propose_frames(segments, rng), expected)
+    axes, reason = _best_frame(segments, propose_frames(segments, rng), expected)
     if axes is None:
-        return _refused(objection)
+        return _refused(reason)
     axes = fit_frame(segments, axes).axes
     every = np.ones(len(segments), bool)
     alone = _uprights_alone(segments, axes, _azimuth(segments, axes[0], every)[0])
@@ -153,10 +153,10 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     if alone is not axes:
         axes, pair_refusal = alone, 'the upright lines are at right angles to no pair of axes'
     tilt_rad = np.arccos(np.clip(axes[0] @ expected, -1, 1))
-    objection = objection or _objection(_upright_sigmas(segments, axes[0], azimuth), pair_sigmas,
-                                        tilt_rad)
-    if objection:
-        return _refused(objection)
+    reason = reason or _reason_to_refuse(_upright_sigmas(segments, axes[0], azimuth), pair_sigmas,
+                                         tilt_rad)
+    if reason:
+        return _refused(reason)
     return _fitted(segments, axes[0], azimuth, pair_refusal)
 
 
@@ -214,7 +214,7 @@ def _points_to(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
     return sine < np.sin(np.radians(REACH_DEG))
 
 
-def _objection(vertical_sigmas: float, pair_sigmas: float, tilt_rad: float) -> str:
+def _reason_to_refuse(vertical_sigmas: float, pair_sigmas: float, tilt_rad: float) -> str:
     if vertical_sigmas < MIN_VERTICAL_SIGMAS:
         return 'hardly more upright lines than by chance'
     if pair_sigmas < MIN_PAIR_SIGMAS:
@@ -239,12 +239,12 @@ def _azimuth(segments: LineSegments, down: np.ndarray,
     score = pairs @ weights
     best = int(score.argmax())
     away = np.abs((np.arange(90) - best + 45) % 90 - 45)
-    objection = ''
+    reason = ''
     if sigmas[best] < MIN_PAIR_SIGMAS:
-        objection = 'hardly more level lines along two axes than by chance'
+        reason = 'hardly more level lines along two axes than by chance'
     elif score[away > SAME_DEG].max() > RIVAL_SHARE * score[best]:
-        objection = 'another pair of level axes fits the lines as well'
-    return directions[[best, best + 90]], float(sigmas[best]), objection
+        reason = 'another pair of level axes fits the lines as well'
+    return directions[[best, best + 90]], float(sigmas[best]), reason
 
 
 def _fitted(segments: LineSegments, down: np.ndarray, axes: np.ndarray,
@@ -278,8 +278,8 @@ def _more_pairs(segments: LineSegments, down: np.ndarray,
     for pair in pairs:
         left &= ~_points_to(segments, pair.axes)
     while pairs and len(pairs + more) < MAX_PAIRS:
-        axes, _, objection = _azimuth(segments, down, left)
-        if objection:
+        axes, _, reason = _azimuth(segments, down, left)
+        if reason:
             break
         axes = fit_frame(segments, np.vstack([down, axes]), (0, 1, 2)).axes[1:]
         more += (AxisPair(axes, np.radians(SYSTEMATIC_DEG), _support(segments, axes)),)

@@ -156,15 +156,15 @@ def _best_fit(view: DepthView, candidates: Sequence[Candidate],
               cells: np.ndarray) -> FittedShape | None:
     """Return the candidate that best explains the pixels of some cells; None if a plane does."""
     pixels, _ = view.free_pixels(cells)
-    around, best, least = dilated_cells(view, cells), None, plane_cost(pixels)
+    around, best, lowest = dilated_cells(view, cells), None, plane_cost(pixels)
     silhouette = None
     alone = [fit for one in candidates if (fit := fit_shape(one.model, one.shape, pixels))]
     for fit in sorted(alone, key=lambda one: one.cost):
-        if fit.cost >= least:  # silhouette and rays can only add to it
+        if fit.cost >= lowest:  # silhouette and rays can only add to it
             break
         silhouette = silhouette or view.silhouette(cells, around)
         fit = fit_silhouette(fit, pixels, silhouette)
         cost = fit.cost + seen_through_cost(view, fit, cells, around)
-        if cost < least:
-            best, least = fit, cost
+        if cost < lowest:
+            best, lowest = fit, cost
     return best

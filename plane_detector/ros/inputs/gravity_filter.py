@@ -30,7 +30,7 @@ class GravityFilter:
 
     def reset(self) -> None:
         """Discard all readings."""
-        self._down_camera: np.ndarray | None = None
+        self._gravity_camera: np.ndarray | None = None
         self._stamp_s = -np.inf
 
     def add(self, stamp_s: float, acceleration: Sequence[float]) -> None:
@@ -41,9 +41,9 @@ class GravityFilter:
         if stamp_s < self._stamp_s - _SILENT_S:
             self.reset()
         interval_s = min(stamp_s - self._stamp_s, 1e3)
-        self._down_camera = smooth_gravity(self._down_camera, reading, interval_s)
+        self._gravity_camera = smooth_gravity(self._gravity_camera, reading, interval_s)
         self._stamp_s = stamp_s
 
     def gravity_camera(self, stamp_s: float) -> np.ndarray | None:
         """Return the unit direction (3,) in the optical frame; None without recent readings."""
-        return self._down_camera if stamp_s - self._stamp_s <= _SILENT_S else None
+        return self._gravity_camera if stamp_s - self._stamp_s <= _SILENT_S else None
