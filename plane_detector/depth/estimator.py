@@ -83,7 +83,7 @@ class DepthEstimator:
         self.focal_per_height = network.focal_per_height if network else 0.0
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)
-        self._input_reason = ''
+        self._input_reason, self._target_rate_hz = '', 0.0
         check_external_data(self._path)
         self._session, self.provider, passed_over, arrays = _first_that_runs(
             self._path, config, _interface(config, network, self._reader), self._recipe)
@@ -142,6 +142,7 @@ class DepthEstimator:
 
         """
         session, width_height = self._session, plausibility.CORRIDOR_SIZE
+        self._target_rate_hz = rate_hz
         if rate_hz == 0:
             return
         if not session.short_sides:
@@ -171,8 +172,10 @@ class DepthEstimator:
         side = side_for(self._session.short_side, share, sides)
         if side is None:
             return 'it has no input size that is small enough: use a smaller network or a GPU'
-        return (f'depth.short_side {side} (now {self._session.short_side}) would keep up, or '
-                'depth.target_rate chooses it')
+        taken = (f', taken for depth.target_rate {self._target_rate_hz:g} Hz'
+                 if self._target_rate_hz else '')
+        return (f'depth.short_side {side} (now {self._session.short_side}{taken}) would keep up, '
+                "or depth.target_rate at the camera's rate")
 
     @property
     def facts(self) -> Mapping[str, str]:

@@ -38,6 +38,18 @@ def test_the_largest_that_fits_is_found_and_its_time_was_measured(limit_s):
     assert len(seconds) <= 5, 'bisection'
 
 
+@pytest.mark.parametrize('disturbed', range(98, 211, 14))
+def test_a_size_that_was_disturbed_once_is_not_passed_over(disturbed):
+    """The limit is that of 210, which every size up to it keeps while nothing else runs."""
+    calls = []
+
+    def seconds(side):
+        calls.append(side)
+        return seconds_of(side) * (1.5 if side == disturbed and calls.count(side) == 1 else 1)
+    assert largest_within(SIDES, seconds, seconds_of(210))[0] == 210
+    assert len(calls) <= 5 + 2, 'what is far too slow is timed once'
+
+
 def test_one_size_needs_no_search():
     assert largest_within((42,), seconds_of, 0.0) == (42, {42: seconds_of(42)})
 
@@ -131,8 +143,15 @@ def test_a_fixed_size_stays(tmp_path):
 
 
 def test_advice_names_a_size_that_keeps_up(free):
-    assert 'depth.short_side 196 (now 280)' in free.advise(0.5)
+    assert free.advise(0.5) == ("depth.short_side 196 (now 280) would keep up, or "
+                                "depth.target_rate at the camera's rate")
     assert 'no input size that is small enough' in free.advise(0.01)
+
+
+def test_advice_says_so_where_the_size_was_taken_for_a_lower_rate(free, timed):
+    timed.estimator = free
+    free.fit_to_rate(20.0, lambda: None)
+    assert 'depth.short_side 140 (now 210, taken for depth.target_rate 20 Hz)' in free.advise(0.5)
 
 
 def test_real_times_find_an_input(free):
