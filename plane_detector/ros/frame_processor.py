@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Processing of one frame, from messages to messages, in two halves: depth and planes. No DDS."""
+"""Processing of one frame, from messages to messages: depth, planes, outputs. No DDS."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class FrameOutputs:
 @dataclass(frozen=True)
 class ObservedFrame:
     """
-    A frame with its depth: result of the first half, input of the second.
+    A frame with its depth: result of the first stage, input of the second.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class ObservedFrame:
     past : tuple of int
         Frames share their history only if this is equal.
     start_s, converted_s, end_s : float
-        By time.perf_counter: start of the first half, end of the conversion, end of the half.
+        By time.perf_counter: start of the first stage, end of the conversion, end of the stage.
 
     """
 
@@ -78,12 +78,37 @@ class ObservedFrame:
     end_s: float
 
 
+@dataclass(frozen=True)
+class DetectedFrame:
+    """
+    A frame with its planes: result of the second stage, input of the third.
+
+    Attributes
+    ----------
+    frame : Frame
+        The messages.
+    result : ProcessedFrame
+        Data that the outputs are made from.
+    stage_seconds : mapping of str to float
+        Time of each stage so far.
+    end_s : float
+        By time.perf_counter: end of the second stage.
+
+    """
+
+    frame: Frame
+    result: ProcessedFrame
+    stage_seconds: Mapping[str, float]
+    end_s: float
+
+
 class FrameProcessor:
     """
-    Processes frames for the node and for replay.
+    Processes frames for the node and for replay, in three stages.
 
-    One thread may run :meth:`finish` for a frame while another runs :meth:`observe` for the next.
-    Each of the two processes one frame at a time, in order.
+    While one thread runs :meth:`make` for a frame, another may run :meth:`find_planes` for the
+    next one and a third :meth:`observe` for the one after it. Each of them processes one frame at
+    a time, in order.
 
     Parameters
     ----------
@@ -124,10 +149,10 @@ class FrameProcessor:
             The messages are invalid or do not fit together, or a transform is missing.
 
         """
-        return self.finish(self.observe(frame), wanted)
+        return self.make(self.find_planes(self.observe(frame)), wanted)
 
     def observe(self, frame: Frame) -> ObservedFrame:
-        """Run the first half of :meth:`process`: conversion and depth."""
+        """Run the first stage of :meth:`process`: conversion and depth."""
         start_s, settings, past = time.perf_counter(), self.settings, (frame.epoch, self._resets)
         if past != self._observed_past:
             self.detector.reset_depth()
@@ -140,9 +165,8 @@ class FrameProcessor:
         return ObservedFrame(frame, converted, pose, seen, settings, past, start_s, converted_s,
                              time.perf_counter())
 
-    def finish(self, observed: ObservedFrame, wanted: Collection[str] = tuple(OUTPUTS)
-               ) -> FrameOutputs:
-        """Run the second half of :meth:`process`: planes and messages."""
+    def find_planes(self, observed: ObservedFrame) -> DetectedFrame:
+        """Run the second stage of :meth:`process`: planes, shapes and their labels."""
         start_s, seen = time.perf_counter(), observed.seen
         header, settings = observed.frame.image.header, observed.settings
         if observed.past != self._finished_past:
@@ -153,18 +177,28 @@ class FrameProcessor:
         if detection.gravity_source == 'measured':
             by_imu = observed.frame.gravity_camera is not None
             detection = replace(detection, gravity_source='imu' if by_imu else 'tf')
-        detected_s = time.perf_counter()
-        result = ProcessedFrame(header, seen.rgb, seen.intrinsics, detection, settings,
-                        self._shown, self._transforms.to_target(header, settings),
-                        observed.converted.lens,
-                        merged_labels(self._before, detection, seen.config.tracking))
+        merging_s = time.perf_counter()
+        merged = merged_labels(self._before, detection, seen.config.tracking)
         self._before = detection
+        result = ProcessedFrame(header, seen.rgb, seen.intrinsics, detection, settings,
+                                to_target=self._transforms.to_target(header, settings),
+                                lens=observed.converted.lens, merged=merged)
+        end_s, seconds = time.perf_counter(), dict(detection.stage_seconds)
+        seconds['tracking'] = seconds.get('tracking', 0.0) + end_s - merging_s
+        return DetectedFrame(observed.frame, result, {
+            'convert': observed.converted_s - observed.start_s, **seconds,
+            'wait': start_s - observed.end_s}, end_s)
+
+    def make(self, detected: DetectedFrame, wanted: Collection[str] = tuple(OUTPUTS)
+             ) -> FrameOutputs:
+        """Run the third stage of :meth:`process`: the messages of the wanted outputs."""
+        start_s, result = time.perf_counter(), replace(detected.result, shown=self._shown)
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}
-        self._remember_markers(detection, made)
-        return FrameOutputs(made, result, {
-            'convert': observed.converted_s - observed.start_s, **detection.stage_seconds,
-            'wait': start_s - observed.end_s, 'messages': time.perf_counter() - detected_s})
+        self._remember_markers(result.detection, made)
+        waited_s = detected.stage_seconds['wait'] + start_s - detected.end_s
+        return FrameOutputs(made, result, {**detected.stage_seconds, 'wait': waited_s,
+                                           'messages': time.perf_counter() - start_s})
 
     def reset(self) -> None:
         """Discard the history before the next observed frame; thread-safe."""

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rclpy.task import Future
-from std_msgs.msg import Header
 from std_srvs.srv import Trigger
+
+from plane_detector.ros.outputs.topics import ProcessedFrame
 
 ANSWERED_WITHIN_S = 30.0
 """A call without a frame is answered after this time."""
@@ -97,7 +98,7 @@ async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.
     return response
 
 
-def describe_frame(header: Header, plane_count: int) -> str:
+def describe_frame(result: ProcessedFrame) -> str:
     """Return the answer to a call: number of planes and stamp of the image."""
-    return (f'{plane_count} planes in the image of {header.stamp.sec}.'
-            f'{header.stamp.nanosec:09d}')
+    stamp, count = result.header.stamp, len(result.detection.planes)
+    return f'{count} planes in the image of {stamp.sec}.{stamp.nanosec:09d}'

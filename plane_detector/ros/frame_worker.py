@@ -1,59 +1,58 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two threads that process frames, and the buffers between them."""
+"""Threads that process frames, one per stage, and the buffers between them."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.stopping import Background, Stop, Stopped
 
 SKIPPED = None
-"""Result of the first half for a frame that has no second half."""
+"""Result of a stage for a frame that has no further stages."""
 
 
 class FrameWorker:
     """
-    Processes two frames at a time, in the two halves of a pipeline; the newest frame wins.
+    Processes several frames at a time, one in each stage of a pipeline; the newest frame wins.
 
-    While the second half processes a frame, the first half processes the next one. Each half takes
-    one frame at a time, both in the same order. One more frame may wait for the first half; a
-    newer one replaces it. The first half starts only if nothing waits for the second. If the
-    second half is slower, the first starts so late that both are expected to end together. So no
-    work is discarded, no queue grows, and the processed frames are recent.
+    While a stage processes a frame, the stage before it processes the next one. Each stage takes
+    one frame at a time, all in the same order. One more frame may wait for the first stage; a
+    newer one replaces it. A stage starts only if nothing waits for the next stage. If a later
+    stage is slower, it starts so late that the next one is expected to be free when it ends. So
+    no work is discarded, no queue grows, and the processed frames are recent.
 
     Parameters
     ----------
-    first : callable
-        Called in the first thread with each frame, under a stop for that frame; returns the input
-        of the second half, or SKIPPED. Must not raise, except Stopped.
-    second : callable
-        Called in the second thread with this input, under the same stop. Must not raise, except
-        Stopped.
+    *stages : callable
+        Each is called in its own thread, under a stop for the frame: the first with the frame,
+        the others with the result of the one before, unless it was SKIPPED. Must not raise,
+        except Stopped.
 
     """
 
-    def __init__(self, first: Callable[[Frame], Any], second: Callable[[Any], None]):
-        self._halves = first, second
+    def __init__(self, *stages: Callable[[Any], Any]):
+        self._stages = stages
         self._changed = threading.Condition()
-        self._waiting: Frame | None = None
-        self._between: tuple[Any, Stop] | None = None
+        # By stage: what waits for it, how long it took last, and since when it works.
+        self._waiting: list[tuple[Any, Stop] | None] = [None] * len(stages)
+        self._last_s = [0.0] * len(stages)
+        self._since_s: list[float | None] = [None] * len(stages)
         self._stops: list[Stop] = []
-        self._first_s = self._second_s = 0.0
-        self._second_since_s: float | None = None
         self._ended = False
-        self._threads = (Background(self._run_first, 'frame_worker'),
-                         Background(self._run_second, 'frame_finisher'))
+        self._threads = tuple(Background(partial(self._run, index), f'frame_stage_{index}')
+                              for index in range(len(stages)))
 
     def put(self, frame: Frame) -> bool:
         """Set the next frame; return whether it replaced one that was waiting."""
         with self._changed:
-            replaced = self._waiting is not None
-            self._waiting = frame
+            replaced = self._waiting[0] is not None
+            self._waiting[0] = frame, Stop()
             self._changed.notify_all()
             return replaced
 
@@ -66,9 +65,10 @@ class FrameWorker:
         """
         with self._changed:
             stops = tuple(self._stops)
-            if self._between is not None:
-                self._stops.remove(self._between[1])
-            self._waiting = self._between = None
+            for waiting in self._waiting[1:]:
+                if waiting is not None:
+                    self._stops.remove(waiting[1])
+            self._waiting = [None] * len(self._stages)
             self._changed.notify_all()
         for stop in stops:
             stop.set()
@@ -85,69 +85,59 @@ class FrameWorker:
         ended = [thread.wait(max(end_s - time.monotonic(), 0.0)) for thread in self._threads]
         return all(ended)
 
-    def _run_first(self) -> None:
-        first, _ = self._halves
-        while (taken := self._take_frame()) is not None:
-            (frame, stop), start_s = taken, time.monotonic()
-            observed = _called(first, frame, stop)
-            self._first_s = time.monotonic() - start_s
-            self._hand_over(observed, stop)
-            del frame, observed, taken  # no references while waiting
+    def _run(self, index: int) -> None:
+        while (taken := self._take(index)) is not None:
+            given, stop = taken
+            self._hand_over(index, _called(self._stages[index], given, stop), stop)
+            del given, taken  # no references while waiting
 
-    def _run_second(self) -> None:
-        _, second = self._halves
-        while (taken := self._take_observed()) is not None:
-            observed, stop = taken
-            _called(second, observed, stop)
-            with self._changed:
-                self._stops.remove(stop)
-                self._second_s = time.monotonic() - self._second_since_s
-                self._second_since_s = None
-                self._changed.notify_all()
-            del observed, taken
-
-    def _take_frame(self) -> tuple[Frame, Stop] | None:
+    def _take(self, index: int) -> tuple[Any, Stop] | None:
+        """Wait for the next input of a stage; None at the end."""
         with self._changed:
-            while not self._ended and (delay_s := self._delay_s()) != 0:
+            while not self._ended and (delay_s := self._delay_s(index)) != 0:
                 self._changed.wait(delay_s)
             if self._ended:
                 return None
-            frame, self._waiting = self._waiting, None
-            self._stops.append(Stop())
-            return frame, self._stops[-1]
-
-    def _delay_s(self) -> float | None:
-        """Return the delay of the first half; None: wait for a change."""
-        if self._waiting is None or self._between is not None:
-            return None
-        if self._second_since_s is None:
-            return 0.0
-        expected_end_s = self._second_since_s + self._second_s
-        return max(expected_end_s - self._first_s - time.monotonic(), 0.0)
-
-    def _hand_over(self, observed: Any, stop: Stop) -> None:
-        with self._changed:
-            if observed is SKIPPED or stop.is_set:
-                self._stops.remove(stop)
-            else:
-                self._between = observed, stop
-                self._changed.notify_all()
-
-    def _take_observed(self) -> tuple[Any, Stop] | None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._ended or self._between is not None)
-            if self._ended:
-                return None
-            taken, self._between = self._between, None
-            self._second_since_s = time.monotonic()
-            self._changed.notify_all()  # the first half may start the next frame
+            taken, self._waiting[index] = self._waiting[index], None
+            if index == 0:
+                self._stops.append(taken[1])
+            self._since_s[index] = time.monotonic()
+            self._changed.notify_all()  # the stage before may begin the next frame
             return taken
 
+    def _delay_s(self, index: int) -> float | None:
+        """Return the delay of a stage; None: wait for a change."""
+        is_last = index + 1 == len(self._stages)
+        if self._waiting[index] is None or (not is_last and self._waiting[index + 1] is not None):
+            return None
+        if is_last:
+            return 0.0
+        now_s = time.monotonic()
+        return max(self._free_s(index + 1, now_s) - self._last_s[index] - now_s, 0.0)
 
-def _called(half: Callable[[Any], Any], given: Any, stop: Stop) -> Any:
-    """Call one half of the pipeline; the frame is skipped if it is stopped."""
+    def _free_s(self, index: int, now_s: float) -> float:
+        """Return when a stage is expected to take the next frame, by time.monotonic."""
+        since_s = self._since_s[index]
+        free_s = now_s if since_s is None else since_s + self._last_s[index]
+        if index + 1 == len(self._stages):
+            return free_s
+        return max(free_s, self._free_s(index + 1, now_s) - self._last_s[index])
+
+    def _hand_over(self, index: int, result: Any, stop: Stop) -> None:
+        with self._changed:
+            self._last_s[index] = time.monotonic() - self._since_s[index]
+            self._since_s[index] = None
+            if index + 1 == len(self._stages) or result is SKIPPED or stop.is_set:
+                self._stops.remove(stop)
+            else:
+                self._waiting[index + 1] = result, stop
+            self._changed.notify_all()
+
+
+def _called(stage: Callable[[Any], Any], given: Any, stop: Stop) -> Any:
+    """Call a stage; skip the frame if it is stopped."""
     try:
         with stop.applies():
-            return half(given)
-    except Stopped:  # the frame was dropped
+            return stage(given)
+    except Stopped:  # nobody waits for this frame any more
         return SKIPPED

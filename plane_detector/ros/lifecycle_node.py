@@ -3,13 +3,15 @@
 """
 The lifecycle node: subscribe, convert, call, publish, log.
 
-The thread of the executor receives messages and answers services; two worker threads process
+The thread of the executor receives messages and answers services; three worker threads process
 frames, see frame_worker.py.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -23,7 +25,7 @@ from plane_detector.ros.allocator import freeze_loaded_objects
 from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
-from plane_detector.ros.frame_processor import FrameProcessor, ObservedFrame
+from plane_detector.ros.frame_processor import DetectedFrame, FrameProcessor, ObservedFrame
 from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
@@ -130,7 +132,9 @@ class PlaneDetectorNode(ReloadableNode):
         topics = input_topics(self, self._live.settings.image_transport)
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
                                          self._transforms)
-        self._worker = FrameWorker(self._observe, self._finish)
+        # No stage holds the processor: a worker that was stopped must not keep the network.
+        self._worker = FrameWorker(*(partial(self._or_skip, stage) for stage in (
+            self._observe, lambda seen: self._processor.find_planes(seen), self._publish)))
         for line in introduction(detector.source.facts, topics,
                                  self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
@@ -183,31 +187,29 @@ class PlaneDetectorNode(ReloadableNode):
             return True
         return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
-    def _observe(self, frame: Frame) -> ObservedFrame | None:
-        """Convert and estimate depth, or log the reason; called in the first worker thread."""
-        try:
-            self._live.apply_to(self._processor)
-            return self._processor.observe(frame)
-        except Exception as error:  # one frame must not end the node
-            return self._skip(frame, error)
+    def _observe(self, frame: Frame) -> ObservedFrame:
+        """Convert and estimate depth; called in the first worker thread."""
+        self._live.apply_to(self._processor)
+        return self._processor.observe(frame)
 
-    def _finish(self, observed: ObservedFrame) -> None:
-        """Find planes and publish, or log the reason; called in the second worker thread."""
+    def _publish(self, detected: DetectedFrame) -> None:
+        """Make and publish the outputs; called in the third worker thread."""
+        processed = self._processor.make(detected, wanted := self._outputs.wanted())
+        found, start_s = processed.result.detection, time.perf_counter()
+        with current_stop().uncut():
+            self._outputs.publish(processed.messages)
+            self._query.answer(processed.result)
+        self._health.note(found, wanted)
+        publish_s = time.perf_counter() - start_s
+        self._statistics.add_processed({**processed.stage_seconds, 'publish': publish_s})
+        self._requests.finish(detected.frame, True, describe_frame(processed.result))
+
+    def _or_skip(self, stage: Callable[[Any], Any], given: Any) -> Any:
+        """Run a stage of the worker, or log why not: one frame must not end the node."""
         try:
-            wanted = self._outputs.wanted()
-            processed = self._processor.finish(observed, wanted)
-            start_s = time.perf_counter()
-            with current_stop().uncut():
-                self._outputs.publish(processed.messages)
-                self._query.answer(processed.result)
-            self._health.note(processed.result.detection, wanted)
-            self._statistics.add_processed({**processed.stage_seconds,
-                                            'publish': time.perf_counter() - start_s})
-            planes = processed.result.detection.planes
-            self._requests.finish(observed.frame, True,
-                                  describe_frame(observed.frame.image.header, len(planes)))
-        except Exception as error:  # one frame must not end the node
-            self._skip(observed.frame, error)
+            return stage(given)
+        except Exception as error:
+            return self._skip(given if isinstance(given, Frame) else given.frame, error)
 
     def _skip(self, frame: Frame, error: Exception) -> None:
         """Count and log a frame that failed; if it was stopped, its error is ignored."""

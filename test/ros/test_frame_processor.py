@@ -27,6 +27,10 @@ def frame(stamp_s, epoch=0):
                  None, epoch)
 
 
+def finish(processor, observed, wanted):
+    return processor.make(processor.find_planes(observed), wanted)
+
+
 @pytest.fixture
 def processor():
     return FrameProcessor(PlaneDetector(Config(), lambda rgb: ROOM.depth_m), NodeConfig(), 'image')
@@ -39,9 +43,9 @@ def test_two_frames_in_flight_give_what_one_by_one_gives(processor):
     in_flight = []
     for stamp in (2.0, 3.0):
         second = processor.observe(frame(stamp))
-        in_flight.append(processor.finish(first, ('planes',)))
+        in_flight.append(finish(processor, first, ('planes',)))
         first = second
-    in_flight.append(processor.finish(first, ('planes',)))
+    in_flight.append(finish(processor, first, ('planes',)))
     for alone, together in zip(one_by_one, in_flight, strict=True):
         assert alone.result.header.stamp == together.result.header.stamp
         assert bytes(alone.messages['planes'].data) == bytes(together.messages['planes'].data)
@@ -49,13 +53,13 @@ def test_two_frames_in_flight_give_what_one_by_one_gives(processor):
 
 def test_times_of_all_stages_add_up_to_the_latency(processor):
     observed = processor.observe(frame(1.0))
-    seconds = processor.finish(observed, ('planes',)).stage_seconds
+    seconds = finish(processor, observed, ('planes',)).stage_seconds
     assert {'convert', 'depth', 'wait', 'segmentation', 'messages'} <= set(seconds)
     assert all(value >= 0 for value in seconds.values())
 
 
 @pytest.mark.parametrize('how', ['reset', 'epoch'])
-def test_each_half_forgets_before_its_own_first_new_frame(processor, how, monkeypatch):
+def test_each_stage_forgets_before_its_own_first_new_frame(processor, how, monkeypatch):
     calls = []
     for name in ('reset_depth', 'reset_planes'):
         monkeypatch.setattr(processor.detector, name, lambda name=name: calls.append(name))
@@ -64,11 +68,11 @@ def test_each_half_forgets_before_its_own_first_new_frame(processor, how, monkey
         processor.reset()
     new = processor.observe(frame(2.0, epoch=int(how == 'epoch')))
     assert calls == ['reset_depth']
-    processor.finish(old, ())
+    finish(processor, old, ())
     assert calls == ['reset_depth'], 'an old frame in flight still belongs to the past'
-    processor.finish(new, ())
+    finish(processor, new, ())
     assert calls == ['reset_depth', 'reset_planes']
-    processor.finish(processor.observe(frame(3.0, new.past[0])), ())
+    finish(processor, processor.observe(frame(3.0, new.past[0])), ())
     assert len(calls) == 2
 
 
@@ -76,7 +80,7 @@ def test_a_frame_keeps_the_settings_that_it_began_with(processor):
     before = processor.observe(frame(1.0))
     processor.detector.config = replace(Config(), depth=DepthConfig(max_depth=0.1))
     processor.settings = replace(processor.settings, stamp_slop=0.5)
-    assert processor.finish(before, ('planes',)).result.detection.planes
+    assert finish(processor, before, ('planes',)).result.detection.planes
     assert before.settings.stamp_slop != 0.5
-    after = processor.finish(processor.observe(frame(2.0)), ('planes',))
+    after = finish(processor, processor.observe(frame(2.0)), ('planes',))
     assert after.result.detection.planes == ()

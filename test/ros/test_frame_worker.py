@@ -146,22 +146,45 @@ def test_stop_does_not_wait_for_work_that_ignores_it():
     assert first.dropped == ['first']
 
 
-def test_the_first_half_starts_late_enough_for_a_recent_frame():
-    """If planes take longer than depth, frames do not wait between the halves."""
+def test_each_stage_has_a_frame_of_its_own():
+    first, second, third = Half(is_free=True), Half(is_free=True), Half()
+    worker = FrameWorker(first, second, third)
+    worker.put('one')
+    assert third.begun.wait(STUCK_S)
+    for frame, stage in (('two', second), ('three', first)):
+        stage.whole.clear()
+        worker.put(frame)
+        assert stage.whole.wait(STUCK_S), 'though the stages after it have frames'
+    first.begun.clear()
+    worker.put('four')
+    assert not first.begun.wait(0.1), 'a frame waits before each stage'
+    assert third.done == []
+    third.free.set()
+    while len(third.done) < 4:
+        assert third.whole.wait(STUCK_S)
+    assert ended(worker)
+    assert first.done == second.done == third.done == ['one', 'two', 'three', 'four']
+
+
+@pytest.mark.parametrize('slow', [1, 2])
+def test_frames_are_fresh_behind_a_slow_stage(slow):
     begun, ages = {}, []
 
     def first(frame):
         begun[frame] = time.monotonic()
         return frame
 
-    def second(frame):
-        ages.append(time.monotonic() - begun[frame])
-        time.sleep(0.1)
-    worker = FrameWorker(first, second)
-    frames = count()
+    def later(stage):
+        def run(frame):
+            if stage == slow:
+                ages.append(time.monotonic() - begun[frame])
+                time.sleep(0.1)
+            return frame
+        return run
+    worker, frames = FrameWorker(first, later(1), later(2)), count()
     end_s = time.monotonic() + STUCK_S
-    while len(ages) < 8 and time.monotonic() < end_s:
+    while len(ages) < 12 and time.monotonic() < end_s:
         worker.put(next(frames))
         time.sleep(0.005)
     assert ended(worker)
-    assert np.median(ages[2:8]) < 0.05, 'a frame begun at once would be 0.1 s old'
+    assert np.median(ages[4:12]) < 0.05, 'a frame begun at once would be 0.1 or 0.2 s old'

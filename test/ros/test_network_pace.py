@@ -77,7 +77,9 @@ def test_log_and_diagnostics_name_the_choice(capfd, tmp_path):
         start(robot, depth__model=str(path), depth__output='metric_depth', depth__short_side=140,
               depth__target_rate=1000.0, depth__input_scale=1.0, depth__mean=[0.0] * 3,
               depth__std=[1.0] * 3)
-        values = robot.diagnosis()[1]
+        values = {}
+        while values.get('state') != 'active':  # a status may have been on its way before
+            values = robot.diagnosis()[1]
         assert 'depth.target_rate 1000 Hz' in values['network_input_reason']
         assert ' x ' in values['network_input']
         assert values['network_input_reason'] in robot.log()

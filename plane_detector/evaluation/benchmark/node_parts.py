@@ -89,7 +89,7 @@ class _Parts:
         _timed(ms, 'conversion', lambda: self._converter.convert(frame, settings))
         observed = _timed(ms, 'depth', lambda: self._processor.observe(frame))
         ms['depth'] -= ms['conversion']
-        result = _timed(ms, 'planes', lambda: self._processor.finish(observed, ())).result
+        result = _timed(ms, 'planes', lambda: self._processor.find_planes(observed)).result
         for name, output in OUTPUTS.items():
             msg = _timed(ms, f'making {name}', lambda make=output.make: make(result))
             if msg is not None:
