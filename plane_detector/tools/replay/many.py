@@ -107,7 +107,8 @@ def describe(summaries: Sequence[BagSummary]) -> str:
         lines.append(f'{one.bag:<{width}}  {one.state:<11} {one.frames:7d} {one.planes:8d} '
                      f'{one.skipped:7d} {one.damaged:7d} {one.seconds:8.1f}  {error}'.rstrip())
     states = Counter(one.state for one in summaries)
-    lines.append(f'{len(summaries)} bags, {sum(one.frames for one in summaries)} frames: '
+    count_of_bags = f'{len(summaries)} bag{"s" if len(summaries) > 1 else ""}'
+    lines.append(f'{count_of_bags}, {sum(one.frames for one in summaries)} frames: '
                  + ', '.join(f'{count} {state}' for state, count in states.items()))
     return '\n'.join(lines)
 

@@ -20,7 +20,13 @@ from plane_detector.tools.replay.__main__ import main
 from plane_detector.tools.replay.arguments import parse
 from plane_detector.tools.replay.bag_reader import BagError
 from plane_detector.tools.replay.find_bags import find_bags, is_collection
-from plane_detector.tools.replay.one_bag import STOP_FILE, read_summary, replay_bag
+from plane_detector.tools.replay.one_bag import (
+    STOP_FILE,
+    BagSummary,
+    read_summary,
+    replay_bag,
+    write_summary,
+)
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.part_folder import FINISHED, STATE, replay_fields
 
@@ -183,6 +189,28 @@ def test_a_signal_ends_all_and_a_second_run_with_a_killed_worker_does_the_rest(
     for name in ('first', 'second', 'monday_walk'):
         assert_true(out / name, scenes)
     assert not list(out.glob('*.part'))
+
+
+def test_a_bag_that_ends_its_workers_fails_and_the_others_are_done(tmp_path, monkeypatch):
+    """It is tried twice beside the others, whose workers end with it, then alone."""
+    rounds = []
+
+    def one_round(batch, run_folder, _ahead):
+        rounds.append([job.target.name for job in batch])
+        if 'bad' in rounds[-1]:
+            return 'the worker ended'
+        for job in batch:
+            write_summary(BagSummary(job.target.name, FINISHED, frames=4), run_folder)
+        return ''
+
+    monkeypatch.setattr(many, '_one_round', one_round)
+    jobs = many.make_jobs({'bad': Path('bad'), 'good': Path('good')}, tmp_path,
+                          ReplayOptions(Path(), tmp_path))
+    bad, good = many.replay_many(jobs, tmp_path, many.Pool(), lambda: False)
+    assert sorted(rounds) == [['bad'], ['bad', 'good'], ['bad', 'good'], ['good']]
+    assert (bad.state, good.state) == ('failed', FINISHED)
+    assert 'the worker ended' in bad.error
+    assert rows_of(tmp_path)['bad']['state'] == 'failed'
 
 
 @pytest.mark.parametrize('words, network, paths', [
