@@ -182,7 +182,7 @@ def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
 
 def _label_pixels(frame: Frame, regions: PlaneRegions) -> np.ndarray:
     return label_pixels(frame.image, frame.cells, regions, frame.noise,
-                        frame.search.config.ransac.inlier_threshold)
+                        frame.search.config.ransac.inlier_threshold, grows=True)
 
 
 def _add_small_planes(frame: Frame, labels: np.ndarray,

@@ -7,7 +7,8 @@ If all neighbours of a cell have its label, its pixels get this label. In cells 
 pixel chooses among the planes nearby. If two planes intersect along their border, the side of the
 intersection decides, which does not depend on noise; at a step the residual of the pixel decides.
 On depth accurate enough to show creases, a cell is reassigned if most of its pixels choose another
-plane, and its neighbours choose again, so that borders follow the pixels.
+plane, and its neighbours choose again, so that borders follow the pixels. A border against pixels
+on no plane lies where the surface leaves the plane's own noise.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.grid import DisparityImage, N
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, region_moments
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
 
@@ -32,7 +34,7 @@ PIXEL_TOLERANCE = 1.3
 
 
 def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions, noise: Noise,
-                 threshold: float) -> np.ndarray:
+                 threshold: float, grows: bool = False) -> np.ndarray:
     """
     Label every pixel.
 
@@ -44,6 +46,9 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
     noise : Noise
     threshold : float
         Inlier threshold in standard deviations.
+    grows : bool
+        Where creases are visible, planes grow into cells without a label, from cell to cell, as
+        long as most of the pixels of a cell are near the plane.
 
     Returns
     -------
@@ -57,13 +62,29 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
     frame = np.array([grid.width_px, *grid.origin, threshold**2,
                       noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2,
                       noise.depth_floor_m**2])
+    planes = np.column_stack([regions.coefficients,
+                              _plane_variances(cells, regions, noise, pixel_sigma)])
     around, square = regions.labels.astype(np.int16), np.ones((3, 3), np.uint8)
     is_amid = cv2.dilate(around, square) == cv2.erode(around, square)
     is_open = ~(is_amid & (cells.is_planar.reshape(grid.shape) | (around < 0)))
     sweeps = SWEEPS if sees_creases(grid, noise, threshold) else 1
-    return _label(values, image.valid, (np.ascontiguousarray(regions.labels), is_open, sweeps),
-                  (np.ascontiguousarray(regions.coefficients),
-                   find_intersections(cells, regions)), (grid.size_px, frame))
+    labels = np.ascontiguousarray(regions.labels)
+    return _label(values, image.valid, (labels, is_open, sweeps, grows),
+                  (planes, find_intersections(cells, regions)), (grid.size_px, frame))
+
+
+def _plane_variances(cells: WeightedCells, regions: PlaneRegions, noise: Noise,
+                     pixel_sigma: float) -> np.ndarray:
+    """
+    Return the variance (K,) of pixels about each plane without the floor of the depth.
+
+    A plane whose cells fit better than the noise of the whole image says how far its border may
+    lie off it; one that fits worse gets no more than that noise.
+    """
+    moments = region_moments(cells, regions.labels, len(regions.coefficients))
+    shown = squared_errors(regions.coefficients, moments) / np.maximum(moments[:, N], 1)
+    smooth = np.clip(shown - noise.pixel_sigma**2, 0, noise.mean_sigma**2)
+    return smooth + pixel_sigma**2 + noise.disparity_floor**2
 
 
 def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarray:
@@ -81,13 +102,14 @@ def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarra
 
 
 @kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], '
-        'Tuple((int32[:, ::1], boolean[:, ::1], int64)), '
+        'Tuple((int32[:, ::1], boolean[:, ::1], int64, boolean)), '
         'Tuple((float64[:, ::1], int8[:, ::1])), Tuple((int64, float64[::1])))')
 def _label(disparity, valid, cells, planes, geometry):
     """Return the label of every pixel, given labels of cells and where pixels choose."""
-    (labels, is_open, sweeps), (coefficients, signs), (size, frame) = cells, planes, geometry
+    (coefficients, signs), (size, frame) = planes, geometry
+    labels, is_open, sweeps, grows = cells
     found, near = np.empty(disparity.shape, np.int32), np.full(10, np.int32(-1))
-    local, pixels = np.empty((9, 3), np.float32), np.zeros((4, size**2), np.float32)
+    local, pixels = np.empty((9, 4), np.float32), np.zeros((5, size**2), np.float32)
     chosen, columns = np.empty(size**2, np.int32), labels.shape[1]
     for p in range(size**2):
         pixels[0, p], pixels[1, p] = p % size, p // size
@@ -104,10 +126,12 @@ def _label(disparity, valid, cells, planes, geometry):
             _choose_nearest(pixels, chosen, near, local, frame)
             _choose_sides(pixels, chosen, near, local, signs, frame)
             _store(found, valid, corner, chosen)
-            winner = _majority(chosen, near) if sweeps > 1 and label >= 0 else label
+            winner = _majority(chosen, near) if sweeps > 1 and (grows or label >= 0) else label
             if winner >= 0 and winner != label:
                 settled[row, column], is_settled = winner, False
-                is_next[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True
+                for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
+                    for c in range(max(column - 1, 0), min(column + 2, columns)):
+                        is_next[r, c] |= label >= 0 or labels[r, c] < 0
         labels, is_open = settled, is_next
         if is_settled:
             break
@@ -187,25 +211,28 @@ def _move_planes(coefficients, near, corner, frame, local):
         local[k, 0], local[k, 1] = a / frame[0], b / frame[0]
         local[k, 2] = (a * (frame[1] + corner[1] / frame[0])
                        + b * (frame[2] + corner[0] / frame[0]) + c)
+        local[k, 3] = coefficients[label, 3]
 
 
 @kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], float64[::1])')
 def _choose_nearest(pixels, chosen, near, local, frame):
     """Write the plane of smallest residual of each pixel, -1 where all are too far."""
     tolerance2 = np.float32(frame[3] * PIXEL_TOLERANCE**2)
-    variance, depth_floor2 = np.float32(frame[4]), np.float32(frame[5])
+    depth_floor2 = np.float32(frame[5])
     for p in range(len(chosen)):
         square = pixels[2, p] * pixels[2, p]
-        pixels[3, p] = tolerance2 * (variance + depth_floor2 * square * square)
+        pixels[3, p], pixels[4, p] = depth_floor2 * square * square, np.float32(np.inf)
         chosen[p] = -1
     for k, label in enumerate(near):
         if label < 0:
             break
-        a, b, c = local[k, 0], local[k, 1], local[k, 2]
+        a, b, c, variance = local[k, 0], local[k, 1], local[k, 2], local[k, 3]
         for p in range(len(chosen)):
             residual = pixels[2, p] - (a * pixels[0, p] + b * pixels[1, p] + c)
-            chosen[p] = label if residual * residual <= pixels[3, p] else chosen[p]
-            pixels[3, p] = min(pixels[3, p], residual * residual)
+            square = residual * residual
+            is_best = (square <= tolerance2 * (variance + pixels[3, p])) & (square <= pixels[4, p])
+            chosen[p] = label if is_best else chosen[p]
+            pixels[4, p] = square if is_best else pixels[4, p]
 
 
 @kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], int8[:, ::1], '

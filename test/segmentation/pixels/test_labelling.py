@@ -27,3 +27,18 @@ def test_pixels_move_a_border_that_is_cells_away(scene, shift):
     moved.labels[:, :3], moved.labels[:, -3:] = cells[:, :3], cells[:, -3:]
     labels = label_pixels(disparity_image(scene.depth_m), model, moved, EXACT, 3.0)
     assert (labels != scene.labels).mean() < 0.004  # less than one pixel a row
+
+
+@pytest.mark.parametrize('scene', SCENES.values(), ids=SCENES)
+def test_a_plane_grows_to_where_the_surface_leaves_it(scene):
+    """Cells without a label between the plane and its border do not make it a staircase."""
+    model, size = cell_model(scene.depth_m), 4
+    cells = scene.labels[size // 2::size, size // 2::size]
+    true, is_first = hand_made(model, cells), cells == 0
+    is_short = is_first & np.roll(is_first, 3, axis=1) & np.roll(is_first, -3, axis=1)
+    short = PlaneRegions(np.where(is_short, 0, -1).astype(np.int32), true.coefficients)
+    image = disparity_image(scene.depth_m)
+    grown = label_pixels(image, model, short, EXACT, 3.0, grows=True)
+    assert ((grown == 0) != (scene.labels == 0)).mean() < 0.004  # less than one pixel a row
+    kept = label_pixels(image, model, short, EXACT, 3.0)
+    assert ((kept == 0) != (scene.labels == 0)).mean() > 0.02
