@@ -57,6 +57,7 @@ def test_the_costmap_reads_an_output_that_there_is():
     source = layer[layer['observation_sources']]
     assert source['topic'].removeprefix('/plane_detector/') in OUTPUTS
     assert OUTPUTS['points_without_floor'].msg_type.__name__ == source['data_type']
+    assert source['sensor_frame'] == '', 'the frame of the points, unless target_frame is set'
     assert source['obstacle_max_range'] <= source['raytrace_max_range']
     assert layer['z_voxels'] <= 16, 'the most that a voxel layer has'
     assert source['max_obstacle_height'] <= layer['z_voxels'] * layer['z_resolution']
