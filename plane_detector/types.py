@@ -113,8 +113,6 @@ class DepthModel(Protocol):
         :func:`~plane_detector.geometry.disparity.noise_reference`; 0: not known.
     focal_per_height : float
         Focal length over image height for which its metres are correct; 0: not known.
-    facts : mapping of str to str
-        Description for the log and the diagnostics; ``depth_model`` is one of its keys.
 
     """
 
@@ -124,7 +122,7 @@ class DepthModel(Protocol):
 
     @property
     def facts(self) -> Mapping[str, str]:
-        """Description for the log and the diagnostics."""
+        """Description for the log and the diagnostics; ``depth_model`` is one of its keys."""
 
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return the largest error of depth edges, in pixels of an image of this size."""
@@ -144,15 +142,12 @@ class Plane:
     """
     One plane, normal . p + offset = 0 in the optical frame.
 
-    The normal has length 1 and points to the camera, so that ``offset_m >= 0`` is the distance
-    from camera to plane.
-
     Attributes
     ----------
     normal : (3,) float64
-        Unit normal.
+        Unit normal, pointing to the camera.
     offset_m : float
-        Distance from the camera.
+        Distance from camera to plane, at least 0.
     centroid_m : (3,) float64
         Mean of the pixels' points, projected onto the plane.
     inlier_count : int
@@ -165,6 +160,12 @@ class Plane:
         Covariance of (normal, offset_m) from the fit.
     confidence : float
         Probability, 0 to 1, that the plane exists in the scene.
+
+    Examples
+    --------
+    >>> wall = Plane(np.array([0, 0, -1.0]), 2.0, np.array([0, 0, 2.0]), 9, 0.0, 1.0, np.eye(4), 1)
+    >>> float(wall.normal @ wall.centroid_m + wall.offset_m)
+    0.0
 
     """
 
@@ -209,9 +210,8 @@ class Shape:
     rms_m : float
         Root mean square distance of those pixels' points from the surface.
     covariance : (D, D) float64
-        Of the fitted parameters: centre and radius (sphere, 4); the position across the axis (2),
-        the axis across itself (2, radians) and the radius (cylinder, 5); apex, axis across itself
-        and half angle (cone, 6).
+        Of the fitted parameters: centre, radius (sphere, 4); position across the axis (2), axis
+        across itself (2, radians), radius (cylinder, 5); apex, axis, half angle (cone, 6).
     confidence : float
         Share, 0 to 1, of the surrounding surface that the shape explains.
 

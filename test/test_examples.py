@@ -32,7 +32,8 @@ PUBLIC = {
     'plane_detector.settings': ('setting',),
     'plane_detector.stage_timer': ('StageTimer',),
     'plane_detector.tracking.tracker': ('PlaneTracker',),
-    'plane_detector.types': ('CameraIntrinsics',),
+    'plane_detector.tools.replay.options': ('ReplayOptions',),
+    'plane_detector.types': ('CameraIntrinsics', 'Plane'),
 }
 
 

@@ -49,6 +49,12 @@ class ReplayOptions:
         What to do with an unfinished bag of an earlier run: ``refuse``, ``restart`` or
         ``resume``.
 
+    Examples
+    --------
+    >>> options = ReplayOptions(Path('walk'), Path('planes/walk'), depth_by_bag=True, every=2)
+    >>> options.target.as_posix(), options.storage
+    ('planes/walk', 'mcap')
+
     """
 
     source: Path
