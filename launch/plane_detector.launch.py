@@ -27,7 +27,7 @@ def generate_launch_description() -> LaunchDescription:
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
-    """Return the node, and RViz where it is asked for, with the values of the arguments."""
+    """Return the node, and RViz if requested, with the values of the arguments."""
     check_command_line(context.argv, sys.argv)
     value = context.launch_configurations
     share = Path(get_package_share_directory(PACKAGE))

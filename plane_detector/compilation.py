@@ -96,7 +96,7 @@ def compile_kernels(subjects: Iterable[str],
     """
     Compile kernels, or load them from the cache, so that the first frame is not delayed.
 
-    A second process compiles too, from the last kernel on, and this one loads what it wrote.
+    A second process compiles too, starting with the last kernel; this one loads its results.
 
     Parameters
     ----------

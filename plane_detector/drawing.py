@@ -95,7 +95,7 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
 @kernel("uint8[:, :, ::1](Array(uint8, 3, 'A', readonly=True), int32[:, ::1], "
         "Array(uint8, 2, 'C', readonly=True))")
 def _tinted(rgb, labels, colours):
-    """Return the image with label k mixed with colour k - 1; after the last they start anew."""
+    """Return the image with label k mixed with colour k - 1; the colours repeat."""
     result = np.empty(rgb.shape, np.uint8)
     of_colour = np.uint32(round(256 * _COLOUR_SHARE))
     added, last = np.zeros(3, np.uint32), 0

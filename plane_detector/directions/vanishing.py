@@ -151,7 +151,7 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     alone = _uprights_alone(segments, axes, _azimuth(segments, axes[0], every)[0])
     azimuth, pair_sigmas, pair_refusal = _azimuth(segments, alone[0], every)
     if alone is not axes:
-        axes, pair_refusal = alone, 'the upright lines are at right angles to no pair of axes'
+        axes, pair_refusal = alone, 'no horizontal axes are perpendicular to the vertical lines'
     tilt_rad = np.arccos(np.clip(axes[0] @ expected, -1, 1))
     reason = reason or _reason_to_refuse(_upright_sigmas(segments, axes[0], azimuth), pair_sigmas,
                                          tilt_rad)
@@ -182,7 +182,7 @@ def _best_frame(segments: LineSegments, frames: np.ndarray,
     is_rivalled = rival > RIVAL_SHARE * score[best]
     x = frames[best, (vertical[best] + 1) % 3]
     return np.stack([downs[best], x, np.cross(downs[best], x)]), (
-        'another upright fits the lines as well' if is_rivalled else '')
+        'another vertical fits the lines equally well' if is_rivalled else '')
 
 
 def _uprights_alone(segments: LineSegments, axes: np.ndarray, level: np.ndarray) -> np.ndarray:
@@ -216,12 +216,12 @@ def _points_to(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
 
 def _reason_to_refuse(vertical_sigmas: float, pair_sigmas: float, tilt_rad: float) -> str:
     if vertical_sigmas < MIN_VERTICAL_SIGMAS:
-        return 'hardly more upright lines than by chance'
+        return 'hardly more vertical lines than expected by chance'
     if pair_sigmas < MIN_PAIR_SIGMAS:
-        return 'upright lines only: nothing at right angles confirms them'
+        return 'vertical lines only: no lines perpendicular to them confirm them'
     rarity = np.exp(-0.5 * (tilt_rad / np.radians(TILT_SPREAD_DEG)) ** 2)
     if (vertical_sigmas + pair_sigmas) * rarity < MIN_SUM_SIGMAS:
-        return 'hardly more lines along three axes than by chance'
+        return 'hardly more lines along three axes than expected by chance'
     return ''
 
 
@@ -241,9 +241,9 @@ def _azimuth(segments: LineSegments, down: np.ndarray,
     away = np.abs((np.arange(90) - best + 45) % 90 - 45)
     reason = ''
     if sigmas[best] < MIN_PAIR_SIGMAS:
-        reason = 'hardly more level lines along two axes than by chance'
+        reason = 'hardly more horizontal lines along two axes than expected by chance'
     elif score[away > SAME_DEG].max() > RIVAL_SHARE * score[best]:
-        reason = 'another pair of level axes fits the lines as well'
+        reason = 'another pair of horizontal axes fits the lines equally well'
     return directions[[best, best + 90]], float(sigmas[best]), reason
 
 

@@ -1,9 +1,9 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Faults in the log: in one line, cut and escaped, each kind once in a while.
+Faults in the log: in one line, cut and escaped, each kind at limited intervals.
 
-What a fault says may quote a message from outside: of any length, with line breaks and escape
+The text of a fault may quote data from outside: of any length, with line breaks and escape
 sequences, and different in every frame.
 """
 
@@ -15,14 +15,14 @@ from typing import Any
 
 MOST_CHARACTERS = 400
 MOST_OF_FAILURE = 1000
-"""Of the one fault that ends a transition: it says from where to where to copy a network."""
+"""For a fault that ends a transition, which may explain how to copy a network by hand."""
 WARN_PERIOD_S = 5.0
-"""A kind of fault is logged once in this time."""
+"""Each kind of fault is logged at most once in this time."""
 
 
 def plain(text: str, most: int = MOST_CHARACTERS) -> str:
     r"""
-    Return a text in one line of characters that can be seen, cut where it is long.
+    Return a text as one line of printable characters, cut if it is long.
 
     Examples
     --------
@@ -40,7 +40,7 @@ def plain(text: str, most: int = MOST_CHARACTERS) -> str:
 
 class FaultLog:
     """
-    Logs why something from outside cannot be used.
+    Logs why data from outside cannot be used.
 
     The kind of a fault is its type and the line of code that raised it, not its text.
 
@@ -48,7 +48,7 @@ class FaultLog:
     ----------
     logger : rclpy's logger
     what : str
-        What each line begins with.
+        Start of each line.
 
     """
 
@@ -57,7 +57,7 @@ class FaultLog:
         self._told_s: dict[tuple[type, str, int], float] = {}
 
     def tell(self, error: Exception) -> str:
-        """Log the reason, if it is time to, and return it in one line."""
+        """Log the reason, at limited intervals, and return it in one line."""
         reason = plain(str(error) if isinstance(error, ValueError)
                        else f'{type(error).__name__}: {error}')
         raised_at = traceback.extract_tb(error.__traceback__)

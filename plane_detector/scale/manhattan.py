@@ -228,7 +228,7 @@ def _reason_to_refuse(planes: DisparityPlanes, winner: _Frames, frames: _Frames,
     if rival > RIVAL_SHARE * winner.votes[0]:
         return 'another shift gives as many right angles'
     if frames.upright[apart].max(initial=0.0) > winner.upright[0] - UPRIGHT_MARGIN:
-        return 'another shift leaves as many planes upright, at other angles to each other'
+        return 'another shift makes as many planes vertical, with other angles between them'
     return ''
 
 

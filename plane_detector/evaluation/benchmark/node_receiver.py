@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A subscriber of the node's outputs in a process of its own, that only counts what it gets."""
+"""A subscriber of the node's outputs in a separate process, which only counts messages."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _END_S = 5.0
 
 class Receiver:
     """
-    Takes outputs as bytes; a context manager.
+    Receives outputs as bytes; a context manager.
 
-    Subscribers that take bytes show the node's own limit: what a subscriber in Python needs to
-    make messages of them would be taken from the node's cores.
+    Bytes show the limit of the node itself: converting them to messages in Python would use the
+    node's cores.
 
     Parameters
     ----------
     outputs : sequence of str
-        Names in the table of outputs.
+        Names of outputs.
     namespace : str
         Of the topics.
 

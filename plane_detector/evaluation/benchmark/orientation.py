@@ -95,7 +95,7 @@ def report_gravity(name: str, found: Sequence[Frame]) -> None:
         rows.append([frame.name, f'{errors[-1]:.1f}', f'{seen.support:.2f}',
                      seen.pair_refusal or f'{seen.pairs[0].support:.2f}'])
     emit(f'### Gravity from lines, {name}: {_summary(errors, len(found))}',
-         table(('frame', 'error (deg)', 'share of upright lines', 'of level ones'), rows))
+         table(('frame', 'error (deg)', 'share of vertical lines', 'of horizontal ones'), rows))
 
 
 def _directions(rgb: np.ndarray, intrinsics) -> SceneDirections:
@@ -127,7 +127,7 @@ def report_rendered(count: int, first_seed: int) -> None:
                   for seed in range(first_seed, first_seed + count))
     rows.append(['strokes of all directions', f'{answers} of {count} answer', '-'])
     emit('### Directions of rendered rooms with lines',
-         table(('scene', 'gravity', 'level axes, where a wall or slope is within 10 deg'), rows))
+         table(('scene', 'gravity', 'horizontal axes, if a wall or slope is within 10 deg'), rows))
 
 
 def _axis_errors(axes: np.ndarray, scene) -> list[float]:

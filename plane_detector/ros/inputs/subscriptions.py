@@ -94,7 +94,7 @@ class Subscriptions:
         epoch = self._synchronizer.epoch
         self._hand_over(self._synchronizer.add_image(msg))
         if self._synchronizer.epoch != epoch:
-            self._node.get_logger().warning('time jumped back: caches and tracking start anew')
+            self._node.get_logger().warning('time jumped back: buffers and tracking are reset')
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
         self._hand_over(self._synchronizer.add_camera_info(msg))

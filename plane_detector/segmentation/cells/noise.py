@@ -226,8 +226,8 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     rows, columns = (np.arange(1, ROUNDING_LINES + 1) * (side - 1) // (ROUNDING_LINES + 1)
                      for side in disparity.shape)
     lines = disparity[rows], disparity[:, columns].T
-    # An upright wall has equal values along its columns even if not quantised, never along its
-    # rows.
+    # A vertical wall has equal values along its columns even without quantisation, but not along
+    # its rows.
     if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_EQUAL_SHARE for line in lines):
         return noise_floor
     sample = np.concatenate([lines[0][valid[rows]], lines[1][valid[:, columns].T]])

@@ -54,7 +54,7 @@ class Examples:
 @dataclass
 class Tally:
     """
-    What was done so far.
+    Counts and results so far.
 
     Attributes
     ----------
@@ -64,15 +64,15 @@ class Tally:
     planes : int
         In all frames together.
     damaged : int
-        Messages, or stretches of the bag, that could not be read and were left out.
+        Messages, or sections of the bag, that could not be read and were skipped.
     resumed_at : int
-        Number of the first frame that an earlier run had not done.
+        Number of the first frame that an earlier run had not processed.
     errors : Counter of str
         Why frames were skipped.
     scales, gaps : Examples
         Where the unit of depth came from; why planes have no class or obstacles are missing.
     depth : str
-        Which depth, which network and why.
+        The depth or network that was used, and why.
     stage_seconds : Counter of str
         Total time of each stage.
     interrupted : bool
@@ -102,13 +102,13 @@ class Tally:
 
     @property
     def state(self) -> str:
-        """How it ended, in a word or two."""
+        """Final state in one or two words."""
         if self.interrupted:
             return 'interrupted'
         return 'broken off' if self.failure else 'finished'
 
     def describe(self) -> str:
-        """Return counts, rate and times for people."""
+        """Return counts, rate and times as readable text."""
         frames = max(self.processed, 1)
         stages = ', '.join(f'{stage} {1e3 * total / frames:.1f}'
                            for stage, total in self.stage_seconds.items())
@@ -123,11 +123,11 @@ class Tally:
             lines.append(f'{self.damaged} damaged messages were skipped')
         lines += [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
         if self.interrupted:
-            lines.insert(0, 'interrupted: the results so far are complete, --resume goes on')
+            lines.insert(0, 'interrupted: the results so far are complete, --resume continues')
         return '\n'.join(lines)
 
     def to_fields(self) -> dict[str, str]:
-        """Return what goes into the metadata of the bag."""
+        """Return the fields for the metadata of the bag."""
         return {'replay.state': self.state, 'replay.frames': str(self.processed),
                 'replay.planes': str(self.planes), 'replay.skipped': str(self.skipped),
                 'replay.damaged': str(self.damaged), 'replay.seconds': f'{self.seconds:.3f}',
@@ -135,7 +135,7 @@ class Tally:
 
 
 def scale_of(depth_source: str, detection: Detection) -> str:
-    """Return where the unit of depth came from, with the note of the method."""
+    """Return the source of the unit of depth, with the note of the method."""
     if depth_source == 'topic':
         return 'metres, as measured'
     method, note = detection.scale_method, detection.scale_note
