@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
+from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.pixels.labelling import label_pixels
@@ -56,31 +56,25 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
 
     """
     config, size = search.config, coarse.grid.size_px // 2
-    room, count = config.segmentation.max_planes - len(coefficients), len(coefficients)
-    min_pixels, threshold = search.min_pixels, config.ransac.inlier_threshold
+    room = config.segmentation.max_planes - len(coefficients)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(coarse, noise):
         return labels, coefficients
     left = DisparityImage(image.values, image.valid & (labels < 0))
-    wanted = _large_pieces(left.valid, size, min_pixels / MIN_CELL_SHARE)
+    wanted = _large_pieces(left.valid, size, search.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return labels, coefficients
-    grid = build_cell_grid(left, size, wanted)
-    kind = noise.kind(coarse.grid.typical_disparity)
+    grid, kind = build_cell_grid(left, size, wanted), noise.kind(coarse.grid.typical_disparity)
     noise = noise.at_cell_size(coarse.grid.size_px, size)
     cells = weigh_cells(grid, noise)
     regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
     regions = remove_curved(cells, regions, noise.mean_sigma**2)
     if not len(regions.coefficients):
         return labels, coefficients
-    new = np.where(left.valid, label_pixels(image, cells, regions, noise, threshold), -1)
-    target = np.arange(-1, len(regions.coefficients), dtype=np.int32) + count
-    target[1 + find_curved(cells, RegionGraph.of(cells, regions), kind)] = target[0] = -1
-    labels = _overlaid(labels, new, target)
-    coefficients = np.vstack([coefficients, regions.coefficients])
-    target = _merged(labels, cells, regions, coefficients)
-    if (target[1:] != np.arange(len(coefficients))).any():
-        labels = _overlaid(labels, labels, target)
-    return labels, coefficients
+    graph = RegionGraph.of(cells, regions)
+    target = _targets(labels, grid, graph, coefficients)
+    target[find_curved(cells, graph, kind)] = -1
+    new = label_pixels(image, cells, regions, noise, config.ransac.inlier_threshold)
+    return _overlaid(labels, new, target), np.vstack([coefficients, regions.coefficients])
 
 
 def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
@@ -121,54 +115,42 @@ def _large_pieces(left, size, min_pixels):
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int32[::1])')
 def _overlaid(labels, new, target):
-    """Return labels in which pixels of new label k >= 0 have label target[1 + k], if >= 0."""
+    """Return labels in which a pixel without one and of new label k has label target[k]."""
     result = labels.copy()
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            if new[v, u] >= 0 and target[1 + new[v, u]] >= 0:
-                result[v, u] = target[1 + new[v, u]]
+            if labels[v, u] < 0 and new[v, u] >= 0:
+                result[v, u] = target[new[v, u]]
     return result
 
 
-def _merged(labels: np.ndarray, cells: WeightedCells, regions: PlaneRegions,
-            coefficients: np.ndarray) -> np.ndarray:
-    """
-    Merge each new plane with the coplanar planes it touches; the smallest label is kept.
-
-    Returns
-    -------
-    (1 + K + L,) int32
-        New label of the labels from -1 on.
-
-    """
-    count, new = len(coefficients), len(regions.coefficients)
-    sums = RegionGraph.of(cells, regions).sums
-    fits = np.array([squared_errors(coefficients, np.repeat(moments[None], count, axis=0))
-                     for moments in sums[:, :10]])
-    fits = fits <= MAX_JOINT_VARIANCES * sums[:, 10:11]
-    touching = _touching(labels, cells.grid.size_px, count)
-    target = np.arange(-1, count, dtype=np.int32)
-    for k in range(count - new, count):
-        same = np.flatnonzero((fits[k - count + new] & touching[k]) | (np.arange(count) == k))
-        if len(same) > 1:
-            target[np.isin(target, target[1 + same])] = target[1 + same].min()
-    return target
+def _targets(labels: np.ndarray, grid: CellGrid, graph: RegionGraph,
+             coefficients: np.ndarray) -> np.ndarray:
+    """Return the label (L,) of each new plane: that of a coplanar one it touches, or its own."""
+    planes, first = np.vstack([coefficients, graph.planes]), len(coefficients)
+    rows, columns = (np.minimum(np.arange(count) * grid.size_px + grid.size_px // 2, side - 1)
+                     for count, side in zip(grid.shape, labels.shape, strict=True))
+    around = np.where(graph.labels < 0, labels[rows[:, None], columns],
+                      graph.labels + np.int32(first))
+    touching = _touching(around, len(planes))
+    target = np.arange(len(planes), dtype=np.int32)
+    for k, sums in enumerate(graph.sums, first):
+        error = squared_errors(planes, np.repeat(sums[None, :10], len(planes), axis=0))
+        fits = touching[k] & (error <= MAX_JOINT_VARIANCES * sums[10])
+        same = target[np.append(np.flatnonzero(fits), k)]
+        target[np.isin(target, same)] = same.min()
+    return target[first:]
 
 
-@kernel('boolean[:, ::1](int32[:, ::1], int64, int64)')
-def _touching(labels, size, count):
-    """Return which labels lie within reach of each other, sampled at one pixel of each cell."""
+@kernel('boolean[:, ::1](int32[:, ::1], int64)')
+def _touching(labels, count):
+    """Return which labels of cells lie within reach of each other."""
     touching = np.zeros((count, count), np.bool_)
-    for v in range(size // 2, labels.shape[0], size):
-        for u in range(size // 2, labels.shape[1], size):
-            one = labels[v, u]
-            if one < 0:
-                continue
-            for reach in range(1, REACH_CELLS + 1):
-                if u + reach * size < labels.shape[1] and labels[v, u + reach * size] >= 0:
-                    other = labels[v, u + reach * size]
-                    touching[one, other] = touching[other, one] = True
-                if v + reach * size < labels.shape[0] and labels[v + reach * size, u] >= 0:
-                    other = labels[v + reach * size, u]
-                    touching[one, other] = touching[other, one] = True
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            one = labels[row, column]
+            for reach in range(1, REACH_CELLS + 1 if one >= 0 else 0):
+                for r, c in ((row + reach, column), (row, column + reach)):
+                    if r < labels.shape[0] and c < labels.shape[1] and labels[r, c] >= 0:
+                        touching[one, labels[r, c]] = touching[labels[r, c], one] = True
     return touching

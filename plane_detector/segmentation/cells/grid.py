@@ -141,38 +141,38 @@ def build_cell_grid(image: DisparityImage, size: int = 0,
 def _sum_up(disparity, valid, size, frame, wanted):
     """Return the fields of the cells from ``moments`` to ``sparsity``."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
-    width, middle = frame[0], (size - 1) / 2
     moments, mean = np.zeros((rows * columns, 10)), np.zeros((rows * columns, 3))
     slope, rms = np.zeros((rows * columns, 2)), np.zeros(rows * columns)
     usable, sparsity = np.zeros(rows * columns, np.bool_), np.zeros((rows * columns, 2))
     sums, m = np.empty((6, columns * size), np.float32), np.empty(10)
-    reference = np.empty(columns * size, np.float32)
-    for i in range(rows * columns):
-        top, left = i // columns * size, i % columns * size
-        if left == 0:
-            among = np.flatnonzero(wanted[i:i + columns])
-            if len(among):
-                _sum_up_columns(disparity, valid, (top, size, among[0], among[-1]), reference,
-                                sums)
-        if not wanted[i]:
-            continue
-        _sum_up_cell(sums, left, left + size, width, m)
-        if m[0] == 0:
-            continue
-        usable[i], rms[i], slope[i, 0], slope[i, 1], sparsity[i, 0], sparsity[i, 1] = _fit_cell(
-            m, size, width)
-        _shift(m, frame[1] + (left + middle) / width, frame[2] + (top + middle) / width,
-               reference[left], moments[i])
-        for k, column in enumerate((1, 2, 6)):
-            mean[i, k] = moments[i, column] / m[0]
+    reference, pixel = np.empty(columns * size, np.float32), 1 / frame[0]
+    for row in range(rows):
+        first, last = columns, -1
+        for column in range(columns):
+            if wanted[row * columns + column]:
+                first, last = min(first, column), column
+        if last >= 0:
+            _sum_up_columns(disparity, valid, (row * size, size, first, last), reference, sums)
+        y = frame[2] + (row * size + (size - 1) / 2) * pixel
+        for column in range(first, last + 1):
+            i, left = row * columns + column, column * size
+            if not wanted[i] or not _sum_up_cell(sums, left, size, m):
+                continue
+            usable[i], rms[i], slope[i, 0], slope[i, 1], sparsity[i, 0], sparsity[i, 1] = (
+                _fit_cell(m, size, frame[0]))
+            _shift(m, frame[1] + (left + (size - 1) / 2) * pixel, y, reference[left], pixel,
+                   moments[i])
+            per = 1 / m[0]
+            mean[i, 0], mean[i, 1], mean[i, 2] = (moments[i, 1] * per, moments[i, 2] * per,
+                                                  moments[i, 6] * per)
     return moments, mean, slope, rms, usable, sparsity
 
 
 @kernel('Tuple((boolean, float64, float64, float64, float64, float64))'
         '(float64[::1], int64, float64)')
 def _fit_cell(m, size, width):
-    """Return if a cell of moments m is usable, its rms, its slope and its sparsity."""
-    n, per, whole = m[0], 1 / m[0], (size**2 - 1) / 12 / width**2
+    """Return if a cell of moments m, in pixels, is usable, its rms, its slope, its sparsity."""
+    n, per, whole = m[0], 1 / m[0], (size**2 - 1) / 12
     mx, my, md = m[1] * per, m[2] * per, m[6] * per
     xx, xy, yy = m[3] * per - mx * mx, m[4] * per - mx * my, m[5] * per - my * my
     xd, yd, dd = m[7] * per - mx * md, m[8] * per - my * md, m[9] * per - md * md
@@ -180,13 +180,13 @@ def _fit_cell(m, size, width):
     is_usable = n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_SPREAD * whole**2
     slope_x = slope_y = of_mean = of_slope = 0.0
     if is_usable:
-        slope_x = (yy * xd - xy * yd) / determinant
-        slope_y = (xx * yd - xy * xd) / determinant
+        inverse = 1 / determinant
+        slope_x, slope_y = (yy * xd - xy * yd) * inverse, (xx * yd - xy * xd) * inverse
         if n < size**2:
             of_mean = per - 1 / size**2
-            of_slope = max((xx + yy) / (2 * n * determinant) - 1 / (size**2 * whole), 0.0)
+            of_slope = max((xx + yy) / 2 * per * inverse - 1 / (size**2 * whole), 0.0) * width**2
     rms = np.sqrt(max(dd - slope_x * xd - slope_y * yd, 0.0))
-    return is_usable, rms, slope_x, slope_y, of_mean, of_slope
+    return is_usable, rms, slope_x * width, slope_y * width, of_mean, of_slope
 
 
 @kernel('void(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 4), float32[::1], '
@@ -231,13 +231,12 @@ def _add_powers(n, d, y, sums, first):
         sum_dd[u] += d[u] * d[u]
 
 
-@kernel('void(float32[:, ::1], int64, int64, float64, float64[::1])')
-def _sum_up_cell(sums, left, right, width, m):
-    """Write the moments of a cell about its centre from the sums of its columns."""
+@kernel('boolean(float32[:, ::1], int64, int64, float64[::1])')
+def _sum_up_cell(sums, left, size, m):
+    """Write the moments of a cell about its centre, in pixels; return whether it has any."""
     m[:] = 0.0
-    middle = (left + right - 1) / 2
-    for u in range(left, right):
-        x = (u - middle) / width
+    for u in range(left, left + size):
+        x = u - left - (size - 1) / 2
         m[0] += sums[0, u]
         m[1] += sums[0, u] * x
         m[2] += sums[1, u]
@@ -248,27 +247,19 @@ def _sum_up_cell(sums, left, right, width, m):
         m[7] += sums[3, u] * x
         m[8] += sums[4, u]
         m[9] += sums[5, u]
-    for k in (2, 4, 8):
-        m[k] /= width
-    m[5] /= width**2
+    return m[0] > 0
 
 
-@kernel('void(float64[::1], float64, float64, float64, float64[::1])')
-def _shift(m, x, y, d, out):
-    """Write moments (10,) whose origin was at x, y, d with the origin at 0."""
-    n, sum_x, sum_y = m[0], m[1] + m[0] * x, m[2] + m[0] * y
+@kernel('void(float64[::1], float64, float64, float64, float64, float64[::1])')
+def _shift(m, x, y, d, pixel, out):
+    """Write moments (10,) with the origin at 0 of m, in pixels, whose origin is at x, y, d."""
+    n, m_x, m_y, m_d = m[0], m[1] * pixel, m[2] * pixel, m[6]
+    sum_x, sum_y = m_x + n * x, m_y + n * y
     out[0], out[1], out[2] = n, sum_x, sum_y
-    out[3] = m[3] + x * (m[1] + sum_x)
-    out[4] = m[4] + x * m[2] + y * sum_x
-    out[5] = m[5] + y * (m[2] + sum_y)
-    out[6] = m[6] + n * d
-    out[7] = m[7] + x * m[6] + d * sum_x
-    out[8] = m[8] + y * m[6] + d * sum_y
-    out[9] = m[9] + d * (2 * m[6] + n * d)
-
-
-def blocks(image: np.ndarray, size: int, fill: float = 0) -> np.ndarray:
-    """Return the image (H, W) as cells (R, s, C, s), padded to whole cells."""
-    missing = [(0, -side % size) for side in image.shape]
-    image = np.pad(image, missing, constant_values=fill)
-    return image.reshape(image.shape[0] // size, size, -1, size)
+    out[3] = m[3] * pixel**2 + x * (m_x + sum_x)
+    out[4] = m[4] * pixel**2 + x * m_y + y * sum_x
+    out[5] = m[5] * pixel**2 + y * (m_y + sum_y)
+    out[6] = m_d + n * d
+    out[7] = m[7] * pixel + x * m_d + d * sum_x
+    out[8] = m[8] * pixel + y * m_d + d * sum_y
+    out[9] = m[9] + d * (2 * m_d + n * d)

@@ -119,9 +119,11 @@ class Noise:
         """
         mean_sigma, slope_sigma, pixel_sigma = deviations
         pixel_sigma = max(pixel_sigma, GRAIN_PER_NOISE * self.source_sigma)
-        added = np.array([median(sparsity[:, 0]), median(sparsity[:, 1])]) * pixel_sigma**2
-        smooth = np.sqrt(np.maximum(np.array([mean_sigma, slope_sigma]) ** 2 - added, 0.0))
-        return replace(self, pixel_sigma=pixel_sigma).with_smooth_part(*smooth)
+        if sparsity.any():
+            mean_sigma, slope_sigma = (
+                max(sigma**2 - pixel_sigma**2 * median(added), 0.0) ** 0.5
+                for sigma, added in zip((mean_sigma, slope_sigma), sparsity.T, strict=True))
+        return replace(self, pixel_sigma=pixel_sigma).with_smooth_part(mean_sigma, slope_sigma)
 
     def rescaled(self, scale: float) -> Noise:
         """

@@ -14,7 +14,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 
@@ -96,35 +95,22 @@ def _table(correlation: Correlation, shape: tuple[int, int]) -> np.ndarray:
 
 def _covariances(model: WeightedCells, regions: PlaneRegions, limit: float) -> list[float]:
     """Return the mean product of the residuals of cells of a region 0, 1 and 2 cells apart."""
-    sums = _products_at_lags(np.ascontiguousarray(regions.labels), regions.coefficients,
-                             model.table, model.is_planar, limit)
-    return list(sums[:, 0] / np.maximum(sums[:, 1], 1))
-
-
-@kernel('float64[:, ::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1], float64)')
-def _products_at_lags(labels, planes, table, is_planar, limit):
-    """Return the sum of products of residuals and their number, 0, 1 and 2 cells apart."""
-    rows, columns = labels.shape
-    size, sums = np.zeros(len(planes), np.int64), np.zeros((3, 2))
-    for i in range(labels.size):
-        if labels[i // columns, i % columns] >= 0:
-            size[labels[i // columns, i % columns]] += 1
-    residual = np.full((rows, columns), np.nan)
-    for i in range(labels.size):
-        k = labels[i // columns, i % columns]
-        if k >= 0 and is_planar[i] and size[k] > MIN_REGION_CELLS:
-            error = table[i, 2] - (planes[k, 0] * table[i, 0] + planes[k, 1] * table[i, 1]
-                                   + planes[k, 2])
-            residual[i // columns, i % columns] = min(max(error, -limit), limit)
-    for row in range(rows):
-        for column in range(columns):
-            if np.isnan(residual[row, column]):
-                continue
-            for lag in range(3):
-                for down in range(2):
-                    r, c = row + lag * down, column + lag * (1 - down)
-                    if (r < rows and c < columns and not np.isnan(residual[r, c])
-                            and labels[r, c] == labels[row, column]):
-                        sums[lag, 0] += residual[row, column] * residual[r, c]
-                        sums[lag, 1] += 1
-    return sums
+    labels, planes, table = regions.labels, regions.coefficients, model.table
+    size = np.bincount(labels.ravel() + 1, minlength=len(planes) + 1)[1:]
+    used = (np.append(size > MIN_REGION_CELLS, False)[labels]
+            & model.is_planar.reshape(labels.shape))
+    if not used.any():
+        return [0.0, 0.0, 0.0]
+    a, b, c = planes[labels].transpose(2, 0, 1)
+    x, y, d = table[:, :3].T.reshape(3, *labels.shape)
+    residual = np.clip(d - (a * x + b * y + c), -limit, limit)
+    means = []
+    for lag in range(3):
+        total = count = 0
+        for near, far in ((np.s_[:, :labels.shape[1] - lag], np.s_[:, lag:]),
+                          (np.s_[:labels.shape[0] - lag], np.s_[lag:])):
+            both = used[near] & used[far] & (labels[near] == labels[far])
+            total += (residual[near] * residual[far])[both].sum()
+            count += both.sum()
+        means.append(float(total / max(count, 1)))
+    return means

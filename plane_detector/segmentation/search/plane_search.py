@@ -28,8 +28,8 @@ CALIBRATION_PLANES = 3
 # A small plane fits the noise itself, and its residuals are too small.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_CELLS = 100
-# derived: the median of this many samples is accurate to 4 %.
-MAX_SAMPLES = 1500
+# derived: the median of so many is good to 4 %.
+MAX_SAMPLES = 1000
 # derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
 # derived: focal length over image width for 64 degrees, for angles if the camera is unknown.

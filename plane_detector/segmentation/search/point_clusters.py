@@ -3,15 +3,9 @@
 """
 DBSCAN (Ester et al. 1996) of points in space, in bounded memory.
 
-scikit-learn is fast but keeps the neighbours of all points at once: if all points are within the
-radius of each other, 20 000 points take 5 GB. That many pairs are processed in parts here, and
-only a component for each point is kept. The clusters and their numbers are the same.
-
-References
-----------
-M. Ester, H.-P. Kriegel, J. Sander, X. Xu: A density-based algorithm for discovering clusters in
-large spatial databases with noise. KDD 1996.
-
+scikit-learn keeps the neighbours of all points at once: if all points are within the radius of
+each other, 20 000 points take 5 GB. Here pairs are processed in parts, and only a component for
+each point is kept. The clusters and their numbers are the same.
 """
 
 from __future__ import annotations
@@ -26,8 +20,6 @@ from scipy.spatial import cKDTree
 
 from plane_detector.stopping import raise_if_stopped
 
-# derived: scikit-learn takes 12 bytes each, 240 MB in all.
-MOST_PAIRS = 20_000_000
 # derived: 24 bytes each, so that a part takes 48 MB.
 PAIRS_AT_ONCE = 2_000_000
 
@@ -56,9 +48,6 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
         return labels
     tree = cKDTree(points_m)
     neighbours = tree.query_ball_point(points_m, eps_m, return_length=True)
-    if neighbours.sum() <= MOST_PAIRS:
-        from sklearn.cluster import DBSCAN  # takes half a second, and only this method needs it
-        return DBSCAN(eps=eps_m, min_samples=min_samples).fit_predict(points_m)
     core = np.flatnonzero(neighbours >= min_samples)
     if not len(core):
         return labels

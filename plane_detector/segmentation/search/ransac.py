@@ -239,8 +239,8 @@ def _cluster_about(members, plane, threshold2, table, near):
     """Return the density cluster of inliers that holds most members, and how many it holds."""
     free, step, min_samples = near
     # Free cells that were not tested are below 0; 0: outlier, 1: inlier, then the cluster.
-    marks, is_member, queue = free.copy(), np.zeros(len(free), np.bool_), np.empty(len(free),
-                                                                                  np.int64)
+    marks, is_member, queue = free.copy(), np.zeros(len(free), np.bool_), np.empty(
+        len(free) + len(step), np.int64)
     is_member[members] = True
     head, tail, cluster, most, first, last = 0, 0, 1, 0, 0, 0
     for start in members:
@@ -250,7 +250,7 @@ def _cluster_about(members, plane, threshold2, table, near):
         cluster, tail = cluster + 1, tail + 1
         marks[start] = cluster
         while head < tail:
-            p, samples = queue[head], 0
+            p, samples, fresh = queue[head], 0, tail
             head, held = head + 1, held + is_member[p]
             for k in range(len(step)):
                 q = p + step[k]
@@ -258,11 +258,12 @@ def _cluster_about(members, plane, threshold2, table, near):
                     marks[q] = chi_squared(table, -1 - marks[q], plane[0], plane[1],
                                            plane[2]) < threshold2
                 samples += marks[q] > 0
-            for k in range(len(step) if samples >= min_samples else 0):
-                if marks[p + step[k]] == 1:
-                    marks[p + step[k]] = cluster
-                    queue[tail] = p + step[k]
-                    tail += 1
+                queue[fresh] = q
+                fresh += marks[q] == 1
+            if samples >= min_samples:  # a core cell
+                for q in queue[tail:fresh]:
+                    marks[q] = cluster
+                tail = fresh
         if tail > begin + 1 and held > most:
             most, first, last = held, begin, tail
         if 2 * most >= len(members):  # no other can hold more

@@ -11,12 +11,6 @@ from plane_detector.segmentation.search.point_clusters import point_clusters
 from plane_detector.stopping import Stop, Stopped
 
 
-@pytest.fixture(autouse=True, params=['few pairs', 'many pairs'])
-def _pairs(request, monkeypatch):
-    if request.param == 'many pairs':
-        monkeypatch.setattr(module, 'MOST_PAIRS', -1)
-
-
 def test_two_heaps_and_a_stray_point():
     heap = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])
     points_m = np.vstack([heap + 5, heap, [[2, 2, 2]]])
@@ -46,8 +40,7 @@ def test_the_clusters_are_those_of_scikit_learn(seed, pairs_at_once, monkeypatch
     np.testing.assert_array_equal(point_clusters(points_m, eps_m, min_samples), expected)
 
 
-def test_it_can_be_stopped(monkeypatch):
-    monkeypatch.setattr(module, 'MOST_PAIRS', -1)
+def test_it_can_be_stopped():
     stop = Stop()
     stop.set()
     with pytest.raises(Stopped), stop.applies():
