@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
+from onnxruntime import InferenceSession
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import onnx_session
@@ -54,6 +55,19 @@ def test_an_image_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp
     found = DepthEstimator(config_for(path))(rgb)
     assert found.shape == (90, 120)
     np.testing.assert_allclose(found, 2.56, rtol=1e-5)
+
+
+def test_threads_of_the_network_do_not_spin_while_they_wait(tmp_path, monkeypatch):
+    """They would take the cores from the plane stage of the image before."""
+    sessions = []
+
+    def loaded(*arguments, **options):
+        sessions.append(InferenceSession(*arguments, **options))
+        return sessions[-1]
+    monkeypatch.setattr(onnx_session.ort, 'InferenceSession', loaded)
+    DepthEstimator(config_for(write_depth_network(tmp_path / 'n.onnx', height=48, width=64)))
+    entry = sessions[0].get_session_options().get_session_config_entry
+    assert entry('session.intra_op.allow_spinning') == '0'
 
 
 def test_scale_mean_and_std_are_applied(tmp_path):

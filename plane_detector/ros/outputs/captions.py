@@ -121,7 +121,7 @@ def _before_m(plane: Plane, box: np.ndarray) -> float:
 
 
 def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    return bool(np.all(first[0] < second[1]) and np.all(second[0] < first[1]))
+    return bool((first[0] < second[1]).all() and (second[0] < first[1]).all())
 
 
 def _description(detection: Detection, index: int) -> str:

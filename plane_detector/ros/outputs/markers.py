@@ -27,6 +27,7 @@ _NAMESPACES = ('outline', 'normal', 'caption')
 _LINE_WIDTH = 0.006
 _NO_POINTS = np.zeros((0, 3))
 _TEMPLATE = Marker()
+_HERE = Pose(orientation=Quaternion(w=1.0))  # of most markers; replaced, never changed
 
 
 def markers_to_msg(header: Header, detection: Detection, polygons: Sequence[Sequence[Polygon]],
@@ -98,7 +99,7 @@ def _plane_markers(header: Header, plane: Plane, outlines: Sequence[Polygon],
     normal.scale.x, normal.scale.y = line_width_m, 3 * line_width_m
     text = _marker(header, 'caption', Marker.TEXT_VIEW_FACING, _NO_POINTS)
     text.text, text.scale.z = caption.text, caption.height_m
-    text.pose.position = _point(caption.position_m)
+    text.pose = Pose(position=_point(caption.position_m), orientation=_HERE.orientation)
     if not caption.is_shown:  # the message keeps the text, for viewers that list it
         text.action = Marker.DELETE
     return outline, normal, text
@@ -107,7 +108,7 @@ def _plane_markers(header: Header, plane: Plane, outlines: Sequence[Polygon],
 def _marker(header: Header, name: str, kind: int, points_m: np.ndarray) -> Marker:
     marker = copy(_TEMPLATE)  # the constructor takes five times as long
     marker.header, marker.ns, marker.type, marker.action = header, name, kind, Marker.ADD
-    marker.pose, marker.scale = Pose(orientation=Quaternion(w=1.0)), Vector3()
+    marker.pose, marker.scale = _HERE, Vector3()
     marker.points = [Point(x=x, y=y, z=z) for x, y, z in points_m.tolist()]
     return marker
 
