@@ -27,9 +27,9 @@ from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
 from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
-from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
+from plane_detector.threads import one_blas_thread
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 

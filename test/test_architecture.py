@@ -17,13 +17,13 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
-LAYERS = (('stopping', 'compilation'), ('settings', 'stage_timer'), ('node_config',),
-          ('config', 'types'), ('geometry',),
+LAYERS = (('stopping', 'compilation', 'threads', 'memory'), ('settings', 'stage_timer'),
+          ('node_config',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
-SEGMENTATION_LAYERS = (('threads', 'memory'), ('cells',), ('search',), ('regions',),
-                       ('pixels',), ('fine_pass',), ('segment',), ('baselines',))
+SEGMENTATION_LAYERS = (('cells',), ('search',), ('regions',), ('pixels',), ('fine_pass',),
+                       ('segment',), ('baselines',))
 PLANES_MAY_IMPORT = 'plane_detector.segmentation.cells'
 CORE = [path for path in SOURCES if path.relative_to(PACKAGE).parts[0] not in
         ('ros', 'tools', 'evaluation')]

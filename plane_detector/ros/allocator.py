@@ -22,7 +22,7 @@ def retain_freed_memory() -> bool:
     Make the C library keep freed memory for the next frame, in one heap for all threads.
 
     The heaps of other threads would be returned completely whatever the thresholds. Must be called
-    before threads are started; see :func:`plane_detector.segmentation.memory.retain_freed_memory`.
+    before threads are started; see :func:`plane_detector.memory.retain_freed_memory`.
     """
     return memory.retain_freed_memory() and bool(ctypes.CDLL(None).mallopt(_M_ARENA_MAX, 1))
 

@@ -32,8 +32,8 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.search.point_clusters import point_clusters
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
-from plane_detector.segmentation.threads import one_blas_thread
 from plane_detector.stopping import raise_if_stopped
+from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics
 
 # derived: about 50 ms with 20 000 points; a stop is checked in between.

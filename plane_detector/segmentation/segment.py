@@ -16,6 +16,7 @@ import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
+from plane_detector.memory import retain_freed_memory
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import map_labels
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
@@ -24,7 +25,6 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
-from plane_detector.segmentation.memory import retain_freed_memory
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.bends import join_nearly_flat, merge_bowed_walls
@@ -35,7 +35,7 @@ from plane_detector.segmentation.regions.merging import merge_coplanar
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 from plane_detector.segmentation.search.ransac import Search
-from plane_detector.segmentation.threads import one_blas_thread
+from plane_detector.threads import one_blas_thread
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.

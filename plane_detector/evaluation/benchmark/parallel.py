@@ -15,7 +15,7 @@ from contextlib import contextmanager
 import cv2
 from threadpoolctl import threadpool_limits
 
-from plane_detector.segmentation.threads import one_thread
+from plane_detector.threads import one_thread
 
 
 @contextmanager

@@ -9,8 +9,8 @@ import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from plane_detector.segmentation.threads import one_thread
 from plane_detector.stopping import Stopped
+from plane_detector.threads import one_thread
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.part_folder import FINISHED, STATE, replay_fields
 from plane_detector.tools.replay.run import replay

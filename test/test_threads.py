@@ -5,7 +5,7 @@
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from plane_detector.segmentation.threads import one_blas_thread
+from plane_detector.threads import one_blas_thread
 
 
 def threads():

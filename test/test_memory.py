@@ -8,7 +8,7 @@ import resource
 import numpy as np
 import pytest
 
-from plane_detector.segmentation.memory import retain_freed_memory
+from plane_detector.memory import retain_freed_memory
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != 'glibc', reason='mallopt belongs to glibc')
