@@ -19,7 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plane_detector.config import Config, DirectionsConfig
+from plane_detector.config import Config, DirectionsConfig, RansacConfig
 from plane_detector.directions.finder import find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark import options as shared
@@ -143,14 +143,15 @@ def _axis_errors(axes: np.ndarray, scene) -> list[float]:
     return [float(nearest)] if nearest < 10 else []
 
 
-def report_planes(name: str, found: Sequence[Frame], model: str) -> None:
+def report_planes(name: str, found: Sequence[Frame], model: str, seeds: int = 1) -> None:
     """Print the errors of the network's planes with and without directions, for each frame."""
     estimate, title = load_network(model)
     if estimate is None:
         emit(f'Planes of a network: {title}')
         return
-    errors = {way: [_errors(frame, PlaneDetector(Config(directions=config), estimate))
-                    for frame in found] for way, config in WAYS.items()}
+    errors = {way: [_joined([_errors(frame, PlaneDetector(
+        Config(directions=config, ransac=RansacConfig(seed=seed)), estimate))
+        for seed in range(seeds)]) for frame in found] for way, config in WAYS.items()}
     rows = [[frame.name, *(cell for way in WAYS for cell in _cells([errors[way][k]]))]
             for k, frame in enumerate(found)]
     rows.append(['**all**', *(cell for way in WAYS for cell in _cells(errors[way]))])
@@ -160,7 +161,7 @@ def report_planes(name: str, found: Sequence[Frame], model: str) -> None:
     emit(f'### Planes of {title}, {name}',
          table(('frame', *(f'{way}: {column}' for way in WAYS for column in columns)), rows),
          f'Means over planes weighted by pixels; pure: more than {PURE:.0%} of the pixels on one '
-         f'plane of the sensor. Worst frame: {found[worst].name}.')
+         f'plane of the sensor. Worst frame: {found[worst].name}. Seeds of RANSAC: {seeds}.')
 
 
 def report_cost(found: Sequence[Frame], model: str) -> None:
@@ -200,6 +201,12 @@ def _errors(frame: Frame, detector: PlaneDetector) -> Errors:
     return Errors(tuple(judged), covered.share)
 
 
+def _joined(errors: Sequence[Errors]) -> Errors:
+    """Return the errors of one frame over several seeds."""
+    return Errors(tuple(plane for one in errors for plane in one.judged),
+                  float(np.mean([one.coverage for one in errors])))
+
+
 def _cells(errors: Sequence[Errors]) -> list[str]:
     judged = [plane for one in errors for plane in one.judged]
     pure = [plane for plane in judged if plane.purity > PURE]
@@ -222,6 +229,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='print this part only; may be given again')
     parser.add_argument('--scenes', type=shared.at_least_one, default=20,
                         help='rendered scenes of each kind')
+    parser.add_argument('--seeds', type=shared.at_least_one, default=1,
+                        help='seeds of RANSAC, over which the planes are averaged')
     parser.add_argument('--first-seed', type=int, default=HELD_OUT)
     parser.add_argument('--figure', type=Path, help='write the worst answers and the refusals '
                         'among the rendered scenes to this image')
@@ -240,7 +249,7 @@ def run(options: argparse.Namespace) -> None:
         if 'gravity' in parts:
             report_gravity(name, found)
         if 'planes' in parts:
-            report_planes(name, found, options.model)
+            report_planes(name, found, options.model, options.seeds)
     if 'cost' in parts and options.data.is_dir():
         report_cost(list(frames(options.data, INDOOR)), options.model)
     if 'rendered' in parts:
