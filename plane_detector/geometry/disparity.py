@@ -59,9 +59,9 @@ def to_disparity(depth_m: np.ndarray) -> np.ndarray:
         return _inverse(np.ascontiguousarray(depth_m, np.float32))
 
 
-@kernel('float32[:, ::1](float32[:, ::1])')
+@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True))")
 def _inverse(depth_m):
-    disparity, least = np.empty_like(depth_m), np.float32(MIN_DEPTH_M)
+    disparity, least = np.empty(depth_m.shape, np.float32), np.float32(MIN_DEPTH_M)
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             is_valid = (depth_m[v, u] >= least) & (depth_m[v, u] < np.float32(np.inf))
