@@ -109,6 +109,11 @@ def find_in_one_round(cells, is_planar, labels, near, windows, limits):
     found, count, failures = np.empty((int(most - first), 3)), 0, 0
     listed, free, place = _free_cells(is_planar, labels, offsets.max())
     step = offsets[:, 0] * (labels.shape[1] + 2 * offsets.max()) + offsets[:, 1]
+    left = 0.0
+    for i in listed:
+        left += moments[i, 0]
+    if left < min_pixels:
+        return found[:0]
     planes, seeds = _draw(listed, is_planar, labels, cells, windows)
     gain = np.zeros(len(planes), np.float32)
     add_support(gain, planes, table, moments, listed, 1 / threshold2)

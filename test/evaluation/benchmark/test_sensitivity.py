@@ -15,7 +15,7 @@ def test_the_numbers_of_the_segmentation_are_found():
     found = {(one.module, one.name): one.value for one in constants()}
     assert found['regions.merging', 'MAX_BULGE_SHARE'] == merging.MAX_BULGE_SHARE
     assert found['fine_pass', 'MIN_CELL_SHARE'] == fine_pass.MIN_CELL_SHARE
-    assert ('search.connected_components', 'MAX_VARIANCES') not in found  # compiled in
+    assert ('search.ransac', 'MAX_FAILURES') not in found  # compiled in
 
 
 def test_a_constant_is_changed_where_it_is_imported_and_restored():
