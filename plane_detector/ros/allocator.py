@@ -11,7 +11,7 @@ from __future__ import annotations
 import ctypes
 import gc
 
-from plane_detector.segmentation import memory
+from plane_detector import memory
 
 # derived: value from <malloc.h> of glibc.
 _M_ARENA_MAX = -8
