@@ -8,12 +8,12 @@ import pytest
 
 from plane_detector.evaluation.benchmark.sensitivity import Constant, changed, constants
 from plane_detector.segmentation import fine_pass, segment
-from plane_detector.segmentation.regions import merging
+from plane_detector.segmentation.regions import depth_steps
 
 
 def test_the_numbers_of_the_segmentation_are_found():
     found = {(one.module, one.name): one.value for one in constants()}
-    assert found['regions.merging', 'MAX_BULGE_SHARE'] == merging.MAX_BULGE_SHARE
+    assert found['regions.depth_steps', 'HIGH_THRESHOLD'] == depth_steps.HIGH_THRESHOLD
     assert found['fine_pass', 'MIN_CELL_SHARE'] == fine_pass.MIN_CELL_SHARE
     assert ('search.ransac', 'MAX_FAILURES') not in found  # compiled in
 
@@ -26,8 +26,8 @@ def test_a_constant_is_changed_where_it_is_imported_and_restored():
 
 
 def test_a_constant_is_restored_after_an_error():
-    before = merging.MAX_BULGE_SHARE
+    before = depth_steps.HIGH_THRESHOLD
     with pytest.raises(ZeroDivisionError), changed(
-            Constant('regions.merging', 'MAX_BULGE_SHARE', before), 1.4):
+            Constant('regions.depth_steps', 'HIGH_THRESHOLD', before), 1.4):
         raise ZeroDivisionError
-    assert before == merging.MAX_BULGE_SHARE
+    assert before == depth_steps.HIGH_THRESHOLD
