@@ -68,7 +68,7 @@ def test_the_covariance_is_across_the_direction_and_positive(rng):
 def test_one_direction_alone_is_refused(rng):
     found = find_directions(lines_along(tilted_frame()[:1], 40, rng), rng)
     assert found.gravity_camera is None and not found.pairs
-    assert 'nothing at right angles' in found.refusal or 'upright' in found.refusal
+    assert 'perpendicular' in found.refusal or 'upright' in found.refusal
 
 
 def test_few_lines_are_refused(rng):
@@ -121,7 +121,7 @@ def test_upright_edges_outvote_the_tiles_of_a_sloped_floor():
     scene = textured(ramp_room, 320)
     found = directions_of(scene.rgb)
     assert angle_deg(found.gravity_camera, scene.gravity_camera) < 1.0
-    assert not found.pairs and 'right angles' in found.pair_refusal
+    assert not found.pairs and 'perpendicular' in found.pair_refusal
 
 
 def test_a_roof_is_no_wall_of_a_camera_that_looks_down():

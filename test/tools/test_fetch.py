@@ -29,7 +29,7 @@ def test_without_a_name_all_networks_are_listed(tmp_path, capsys):
         assert network.summary in line
         assert (' yes ' in line) == (network.name == 'fastdepth')
     assert any(line.split()[1:4] == ['6', 'MB', 'MIT'] for line in lines)
-    assert f'auto takes the first that can be had of: {", ".join(AUTO_ORDER)}' in lines[-1]
+    assert f'auto uses the first available one of: {", ".join(AUTO_ORDER)}' in lines[-1]
 
 
 def test_named_networks_are_downloaded_with_their_licence(server, tmp_path, monkeypatch, capsys):

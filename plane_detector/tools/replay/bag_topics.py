@@ -214,7 +214,7 @@ def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
     if not candidates:
         empty = [topic.name for topic in bag.topics if topic.count
                  and _CLASSES.get(topic.msg_type) in _ROLES[role] and not _first(bag, topic.name)]
-        why = f', and {", ".join(empty)} have no messages' if empty else ''
+        why = f', and no message is recorded on {", ".join(empty)}' if empty else ''
         raise BagError(f'no topic for {option} was found{why}. {bag.describe()}')
     names = ', '.join(topic.name for topic in candidates)
     raise BagError(f'{names} all fit: select one by {option}. {bag.describe()}')

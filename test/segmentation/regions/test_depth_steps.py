@@ -63,7 +63,7 @@ def split(depth_m, noise=None):
 
 
 @pytest.mark.parametrize(('frame', 'gap_m', 'least'), [
-    ('wide', 0.06, 2), ('high', 0.06, 5), ('wide', 0.08, 8), ('high', 0.08, 8)])
+    ('wide', 0.06, 2), ('high', 0.06, 5), ('wide', 0.08, 7), ('high', 0.08, 8)])
 def test_a_picture_frame_is_a_plane_of_its_own(frame, gap_m, least):
     """At 6 cm the step is 1.4 deviations of the smooth part: 2 and 5 of 10; at 8 cm 9 and 9."""
     scene, hits = framed(frame, gap_m), 0
@@ -93,10 +93,10 @@ def test_pixels_without_depth_do_not_hide_a_step():
 
 
 def test_a_bare_wall_stays_one_plane():
-    """Alone in all of 30; in the whole 26 of 30, where a bulge may survive the merging."""
+    """Alone in all of 30; in the whole 27 of 30, where a bulge may survive the merging."""
     assert [len(split(bare(seed)).coefficients) for seed in range(30)] == 30 * [1]
     counts = [len(segment_planes(bare(seed), VGA).planes) for seed in range(30)]
-    assert counts.count(1) >= 26
+    assert counts.count(1) >= 27
     assert max(counts) <= 2
 
 

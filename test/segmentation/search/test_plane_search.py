@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from cell_helpers import EXACT, best_iou, disparity_image, view, wall
 
+from plane_detector import CameraIntrinsics, segment_planes
 from plane_detector.config import Config, SegmentationConfig
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.search.plane_search import search_planes
@@ -15,6 +17,7 @@ from plane_detector.segmentation.search.ransac import Search
 
 ROOMS = (3, 7, 11)
 CONFIG = Config()
+SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 # Of the variance of the noise, half is smooth over the image and half is grain.
 PART = np.sqrt(0.5)
 
@@ -51,6 +54,18 @@ def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma):
     assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
     assert not noise.is_exact(model.grid.typical_disparity)
     assert len(regions.coefficients) >= 5
+
+
+@pytest.mark.parametrize('sigma', [0.001, 0.01])
+def test_a_wall_under_smooth_noise_is_one_plane(sigma):
+    """Its first planes are pieces, in whose residuals the smooth part of the noise is missing."""
+    scene = single_wall(SMALL, yaw_deg=0, distance_m=2.0)
+    shares = []
+    for seed in range(6):
+        noisy_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
+        labels = segment_planes(noisy_m, SMALL).labels
+        shares.append(np.mean(labels == 0))
+    assert np.mean(shares) > 0.97
 
 
 @pytest.mark.parametrize('seed', ROOMS)

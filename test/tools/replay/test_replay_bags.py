@@ -95,7 +95,7 @@ def test_wrong_topics_are_reported_with_the_existing_ones(tmp_path, scenes, repl
     assert (code, target.exists()) == (1, False)
     assert told in text
     for topic in (IMAGE, INFO, DEPTH, '/bumper'):
-        assert topic in text.partition('holds')[2]
+        assert topic in text.partition(' has ')[2]
     assert f'{CUSTOM_TYPE}, 1 messages' in text
 
 
@@ -178,7 +178,7 @@ def test_files_that_are_not_bags_are_reported(tmp_path, replay):
 def test_an_empty_bag_is_reported(tmp_path, replay):
     code, _, text = replay(write_bag(tmp_path / 'empty', []))
     assert code == 1
-    assert 'holds no topic' in text
+    assert 'has no topics' in text
 
 
 def test_nothing_is_overwritten(bag, replay, tmp_path):

@@ -211,8 +211,9 @@ def test_a_dangling_link_as_output_is_reported(bag, replay, tmp_path):
 
 
 @pytest.mark.parametrize('topic, told', [
-    (IMAGE, 'no topic for --image was found, and of /cam/image_raw no announced message is there'),
-    (INFO, 'and of /cam/camera_info no announced message is there')])
+    (IMAGE, 'no topic for --image was found, and no message is recorded on '
+            '/cam/image_raw'),
+    (INFO, 'and no message is recorded on /cam/camera_info')])
 def test_announced_but_missing_messages_are_reported(tmp_path, scenes, replay, topic, told):
     source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3')
     (file,) = source.glob('*.db3')
