@@ -28,7 +28,7 @@ def test_the_layout_shows_overlay_cloud_markers_and_state():
     for panel in panels.values():
         shown |= {topic for topic, view in panel.get('topics', {}).items() if view['visible']}
         assert set(panel.get('topics', {})) <= TOPICS
-        shown |= {panel.get('imageMode', {}).get('imageTopic'), panel.get('topicToRender'),
+        shown |= {panel.get('cameraTopic'), panel.get('topicToRender'),
                   panel.get('topicPath', '').partition('.')[0] or None}
     shown.discard(None)
     assert shown <= TOPICS
@@ -36,14 +36,11 @@ def test_the_layout_shows_overlay_cloud_markers_and_state():
                      '/plane_detector/markers'}
 
 
-def test_the_panels_are_of_types_that_lichtblick_has():
-    """The Image panel reads imageMode; older viewers had another panel, ImageViewPanel."""
+def test_the_panels_are_of_types_that_old_and_new_viewers_have():
+    """Newer viewers turn an ImageViewPanel into their Image panel; older ones have no other."""
     layout = json.loads((REPOSITORY / 'config' / 'foxglove_layout.json').read_text('utf-8'))
     assert {name.partition('!')[0] for name in layout['configById']} == {
-        'Image', '3D', 'DiagnosticStatusPanel', 'RawMessages'}
-    image = layout['configById']['Image!overlay']['imageMode']
-    # Without a calibration the image is shown as it is, also of a bag that has no camera_info.
-    assert image == {'imageTopic': '/plane_detector/overlay'}
+        'ImageViewPanel', '3D', 'DiagnosticStatusPanel', 'RawMessages'}
 
 
 def test_the_cloud_has_its_own_colours():
