@@ -73,7 +73,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     graph = RegionGraph.of(cells, regions)
     target = _targets(labels, grid, graph, coefficients)
     target[find_curved(cells, graph, kind)] = -1
-    new = label_pixels(image, cells, regions, noise, config.ransac.inlier_threshold)
+    new = label_pixels(image, cells, graph, noise, config.ransac.inlier_threshold)
     return _overlaid(labels, new, target), np.vstack([coefficients, regions.coefficients])
 
 

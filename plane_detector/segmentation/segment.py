@@ -135,8 +135,9 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     regions = _compete(frame, regions)
     regions = merge_coplanar(cells, regions, None)
     regions = remove_curved(cells, regions, frame.noise.mean_sigma**2)
-    labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
-    return _finish(frame, labels, planes, regions, DepthKind.EXACT)
+    graph = RegionGraph.of(cells, regions)
+    labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
+    return _finish(frame, labels, planes, graph, DepthKind.EXACT)
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -150,8 +151,9 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     if correlation is not None and sees_creases(
             cells.grid, noise, frame.search.config.ransac.inlier_threshold):
         regions = remove_curved(cells, regions, correlation.density)
-    labels, planes = _add_small_planes(frame, _label_pixels(frame, regions), regions)
-    return _finish(frame, labels, planes, regions, DepthKind.MEASURED)
+    graph = RegionGraph.of(cells, regions)
+    labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
+    return _finish(frame, labels, planes, graph, DepthKind.MEASURED)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -159,13 +161,12 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
     regions = _compete(frame, regions)
     regions = merge_coplanar(frame.cells, regions, None)
     regions = merge_bowed_walls(frame.cells, regions)
-    return _label_pixels(frame, regions), regions.coefficients
+    return _label_pixels(frame, RegionGraph.of(frame.cells, regions)), regions.coefficients
 
 
-def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, regions: PlaneRegions,
+def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, graph: RegionGraph,
             kind: DepthKind) -> tuple[np.ndarray, np.ndarray]:
     """Remove curved regions last, so that no plane grows into them, and merge nearly flat ones."""
-    graph = RegionGraph.of(frame.cells, regions)
     curved = find_curved(frame.cells, graph, kind)
     owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)
     index = np.arange(len(planes) + 1, dtype=np.int32)
@@ -180,12 +181,11 @@ def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
                              search.min_pixels, config.dbscan)
 
 
-def _label_pixels(frame: Frame, regions: PlaneRegions) -> np.ndarray:
-    return label_pixels(frame.image, frame.cells, regions, frame.noise,
+def _label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
+    return label_pixels(frame.image, frame.cells, graph, frame.noise,
                         frame.search.config.ransac.inlier_threshold, grows=True)
 
 
 def _add_small_planes(frame: Frame, labels: np.ndarray,
-                      regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    return add_small_planes(frame.image, labels, frame.cells, regions.coefficients, frame.noise,
-                            frame.search)
+                      planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return add_small_planes(frame.image, labels, frame.cells, planes, frame.noise, frame.search)

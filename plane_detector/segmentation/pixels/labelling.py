@@ -18,7 +18,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, N
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, region_moments
+from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.regions.region_graph import RegionGraph
@@ -33,7 +33,7 @@ SWEEPS = 16
 PIXEL_TOLERANCE = 1.3
 
 
-def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions, noise: Noise,
+def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph, noise: Noise,
                  threshold: float, grows: bool = False) -> np.ndarray:
     """
     Label every pixel.
@@ -42,7 +42,8 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
     ----------
     image : DisparityImage
     cells : WeightedCells
-    regions : PlaneRegions
+    graph : RegionGraph
+        Of these cells, none of its regions merged.
     noise : Noise
     threshold : float
         Inlier threshold in standard deviations.
@@ -62,43 +63,25 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, regions: PlaneRegi
     frame = np.array([grid.width_px, *grid.origin, threshold**2,
                       noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2,
                       noise.depth_floor_m**2])
-    planes = np.column_stack([regions.coefficients,
-                              _plane_variances(cells, regions, noise, pixel_sigma)])
-    around, square = regions.labels.astype(np.int16), np.ones((3, 3), np.uint8)
+    planes = np.column_stack([graph.planes, _plane_variances(graph, noise, pixel_sigma)])
+    around, square = graph.labels.astype(np.int16), np.ones((3, 3), np.uint8)
     is_amid = cv2.dilate(around, square) == cv2.erode(around, square)
     is_open = ~(is_amid & (cells.is_planar.reshape(grid.shape) | (around < 0)))
     sweeps = SWEEPS if sees_creases(grid, noise, threshold) else 1
-    labels = np.ascontiguousarray(regions.labels)
-    return _label(values, image.valid, (labels, is_open, sweeps, grows),
-                  (planes, find_intersections(cells, regions)), (grid.size_px, frame))
+    return _label(values, image.valid, (graph.labels, is_open, sweeps, grows),
+                  (planes, graph.intersections()), (grid.size_px, frame))
 
 
-def _plane_variances(cells: WeightedCells, regions: PlaneRegions, noise: Noise,
-                     pixel_sigma: float) -> np.ndarray:
+def _plane_variances(graph: RegionGraph, noise: Noise, pixel_sigma: float) -> np.ndarray:
     """
     Return the variance (K,) of pixels about each plane without the floor of the depth.
 
     A plane whose cells fit better than the noise of the whole image says how far its border may
     lie off it; one that fits worse gets no more than that noise.
     """
-    moments = region_moments(cells, regions.labels, len(regions.coefficients))
-    shown = squared_errors(regions.coefficients, moments) / np.maximum(moments[:, N], 1)
+    shown = squared_errors(graph.planes, graph.pixels) / np.maximum(graph.pixels[:, N], 1)
     smooth = np.clip(shown - noise.pixel_sigma**2, 0, noise.mean_sigma**2)
     return smooth + pixel_sigma**2 + noise.disparity_floor**2
-
-
-def find_intersections(cells: WeightedCells, regions: PlaneRegions) -> np.ndarray:
-    """
-    Find the pairs of touching regions whose planes intersect along their border.
-
-    Returns
-    -------
-    (K, K) int8
-        Entry i, j is the sign of 1/z of plane min(i, j) minus the other plane, on the side of
-        min(i, j); 0 if one is in front of the other or they do not touch.
-
-    """
-    return RegionGraph.of(cells, regions).intersections()
 
 
 @kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], '

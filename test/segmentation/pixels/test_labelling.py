@@ -9,6 +9,7 @@ from cell_helpers import EXACT, cell_model, disparity_image, fold, hand_made, vi
 from plane_detector import CameraIntrinsics
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.pixels.labelling import label_pixels
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 CAMERA = CameraIntrinsics.from_field_of_view(320, 240, 60.0)
 SCENES = {'crease': view(fold(30), intrinsics=CAMERA, angles_deg=(0, 0, 25)),
@@ -25,7 +26,8 @@ def test_pixels_move_a_border_that_is_cells_away(scene, shift):
     true = hand_made(model, cells)
     moved = PlaneRegions(np.roll(cells, shift, axis=1).astype(np.int32), true.coefficients)
     moved.labels[:, :3], moved.labels[:, -3:] = cells[:, :3], cells[:, -3:]
-    labels = label_pixels(disparity_image(scene.depth_m), model, moved, EXACT, 3.0)
+    labels = label_pixels(disparity_image(scene.depth_m), model, RegionGraph.of(model, moved),
+                          EXACT, 3.0)
     assert (labels != scene.labels).mean() < 0.004  # less than one pixel a row
 
 
@@ -37,8 +39,8 @@ def test_a_plane_grows_to_where_the_surface_leaves_it(scene):
     true, is_first = hand_made(model, cells), cells == 0
     is_short = is_first & np.roll(is_first, 3, axis=1) & np.roll(is_first, -3, axis=1)
     short = PlaneRegions(np.where(is_short, 0, -1).astype(np.int32), true.coefficients)
-    image = disparity_image(scene.depth_m)
-    grown = label_pixels(image, model, short, EXACT, 3.0, grows=True)
+    image, graph = disparity_image(scene.depth_m), RegionGraph.of(model, short)
+    grown = label_pixels(image, model, graph, EXACT, 3.0, grows=True)
     assert ((grown == 0) != (scene.labels == 0)).mean() < 0.004  # less than one pixel a row
-    kept = label_pixels(image, model, short, EXACT, 3.0)
+    kept = label_pixels(image, model, graph, EXACT, 3.0)
     assert ((kept == 0) != (scene.labels == 0)).mean() > 0.02
