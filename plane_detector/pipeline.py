@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.compilation import load_once
-from plane_detector.config import Config, TrackingConfig
+from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
 from plane_detector.directions.finder import DirectionFinder, ImageDirections, Surroundings
 from plane_detector.geometry.disparity import to_disparity
@@ -52,7 +52,6 @@ class PlaneDetector:
     config : Config
         May be replaced between two images.
     source : DepthSource
-        Source of the depth.
 
     Examples
     --------
@@ -103,16 +102,17 @@ class PlaneDetector:
             Depth and intrinsics differ in size, or a required depth image is missing.
 
         """
-        return self.find_planes(self.observe(rgb, intrinsics, depth_m, covered), gravity_camera)
+        seen = self.observe(rgb, intrinsics, depth_m, covered)
+        return self.find_planes(seen, self.look(seen, gravity_camera))
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                 depth_m: np.ndarray | None = None,
                 covered: np.ndarray | None = None) -> Observation:
         """
-        Run the first half of :meth:`detect`: the depth of an image.
+        Run the first stage of :meth:`detect`: the depth of an image.
 
-        One thread may run this half on an image while another runs the second half on the image
-        before; each half must process the images one at a time and in order.
+        While it runs on an image, other threads may run the next stages, :meth:`look` and
+        :meth:`find_planes`, on the images before. Each must take the images in order.
         """
         stages = StageTimer()
         with stages('depth'):
@@ -122,39 +122,39 @@ class PlaneDetector:
             check_depth(seen.prediction.values, intrinsics)
         return replace(seen, depth_seconds=stages.seconds['depth'])
 
-    def find_planes(self, seen: Observation, gravity_camera: np.ndarray | None = None,
+    def look(self, seen: Observation, gravity_camera: np.ndarray | None = None) -> Surroundings:
+        """Run the second stage of :meth:`detect`: gravity, and lines of the image if needed."""
+        return self._directions.look(seen.rgb, seen.intrinsics, seen.covered, gravity_camera,
+                                     seen.config, needs_lines=_turns(seen))
+
+    def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
-        """Run the second half of :meth:`detect`: the planes of an image with depth."""
+        """Run the third stage of :meth:`detect`: the planes of an image with depth."""
         config, stages = seen.config.with_camera_height(camera_height_m), StageTimer()
-        stages.seconds['depth'] = seen.depth_seconds
-        with stages('directions'):
-            # 1. Gravity, and the lines of the image if they are needed.
-            turns = config.directions.orient_planes and not seen.is_measured
-            around = self._directions.look(seen.rgb, seen.intrinsics, seen.covered, gravity_camera,
-                                           config, needs_lines=turns)
+        stages.seconds |= {'depth': seen.depth_seconds, 'directions': around.seconds}
         with stages('segmentation'):
-            # 2. The pixels of each plane, in the unit of the prediction.
+            # 1. The pixels of each plane, in the unit of the prediction.
             regions = _segment(seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
                                **_hints(seen, config))
         with stages('scale'):
-            # 3. The scale and shift to metres, smoothed over time.
+            # 2. The scale and shift to metres, smoothed over time.
             self._scale = _update_scale(self._scale, seen, regions, config, around)
             scale = self._scale.estimate
         with stages('measurement'):
-            # 4. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
+            # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
             depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
             regions = _rescaled(regions, scale, seen)
             planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
-                              around.lines if turns and scale.has_true_angles else None)
+                              around.lines if _turns(seen) and scale.has_true_angles else None)
         with stages('shapes'):
-            # 5. Spheres, cylinders and cones where there is no plane, if requested.
+            # 4. Spheres, cylinders and cones where there is no plane, if requested.
             planes, shapes, shape_labels = self._shapes.detect(
                 depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
-            # 6. Floor, ceiling and walls, if angles are true and gravity is known.
+            # 5. Floor, ceiling and walls, if angles are true and gravity is known.
             classes = classify_by_gravity(planes.planes, around.gravity, scale.has_true_angles)
         with stages('tracking'):
-            # 7. Labels that are stable from image to image.
-            planes, track_labels = self._track(planes, config.tracking)
+            # 6. Labels that are stable from image to image.
+            planes, track_labels = self._tracker.update(planes, config.tracking)
         return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
                          scale_event=self._scale.event, classes=classes, shapes=shapes,
@@ -166,25 +166,22 @@ class PlaneDetector:
     def reset(self) -> None:
         """Discard what is kept from earlier images: averages, scale and labels."""
         self.reset_depth()
+        self.reset_directions()
         self.reset_planes()
 
     def reset_depth(self) -> None:
         """Discard the state of :meth:`observe`: the average of the depth."""
         self.source.reset()
 
+    def reset_directions(self) -> None:
+        """Discard the state of :meth:`look`: the average of the directions."""
+        self._directions.reset()
+
     def reset_planes(self) -> None:
-        """Discard the state of :meth:`find_planes`: scale, labels and directions."""
+        """Discard the state of :meth:`find_planes`: scale and labels."""
         self._scale = None
         self._tracker.reset()
         self._shapes.reset()
-        self._directions.reset()
-
-    def _track(self, planes: PlaneSegmentation, config: TrackingConfig
-               ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
-        if not config.enabled:
-            self._tracker.reset()
-            return planes, ()
-        return self._tracker.update(planes, config)
 
 
 @one_blas_thread
@@ -234,6 +231,11 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     regions = _segment(to_disparity(depth_m), intrinsics, config,
                        metric_noise_floor(config, disparity_noise), rng)
     return _measure(regions, intrinsics, config)
+
+
+def _turns(seen: Observation) -> bool:
+    """Return whether planes are to be rotated by the lines of the image."""
+    return seen.config.directions.orient_planes and not seen.is_measured
 
 
 def _noise_floor(seen: Observation, config: Config) -> Noise:

@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -81,11 +82,14 @@ class Surroundings:
         From a sensor, a parameter or the image.
     lines : ImageDirections or None
         Of the image; None if they were not needed.
+    seconds : float
+        Time that finding them took.
 
     """
 
     gravity: Gravity
     lines: ImageDirections | None
+    seconds: float = 0.0
 
     @property
     def level_axes(self) -> np.ndarray:
@@ -130,6 +134,17 @@ class DirectionFinder:
             Whether the lines are needed even if gravity is known.
 
         """
+        start_s = time.perf_counter()
+        found = self._look(rgb, intrinsics, covered, measured_down, config, needs_lines)
+        return replace(found, seconds=time.perf_counter() - start_s)
+
+    def reset(self) -> None:
+        """Discard what is kept from earlier images."""
+        self._tracked = None
+
+    def _look(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, covered: np.ndarray | None,
+              measured_down: np.ndarray | None, config: Config,
+              needs_lines: bool) -> Surroundings:
         choose = partial(choose_gravity, measured_down, config.scale.gravity,
                          config.scale.gravity_tolerance)
         known = choose(None)
@@ -141,7 +156,3 @@ class DirectionFinder:
         lines = ImageDirections(alone.segments, self._tracked.directions)
         return Surroundings(choose(lines.directions) if config.directions.gravity else known,
                             lines)
-
-    def reset(self) -> None:
-        """Discard what is kept from earlier images."""
-        self._tracked = None

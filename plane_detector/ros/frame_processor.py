@@ -13,6 +13,7 @@ import numpy as np
 
 from plane_detector.config import NodeConfig
 from plane_detector.depth.observation import Observation
+from plane_detector.directions.finder import Surroundings
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.inputs.frame_conversion import ConvertedFrame, FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -62,8 +63,10 @@ class ObservedFrame:
         Settings for this frame.
     past : tuple of int
         Frames share their history only if this is equal.
-    start_s, converted_s, end_s : float
-        By time.perf_counter: start of the first stage, end of the conversion, end of the stage.
+    stage_seconds : mapping of str to float
+        Time of the conversion.
+    end_s : float
+        By time.perf_counter: end of the stage.
 
     """
 
@@ -73,15 +76,41 @@ class ObservedFrame:
     seen: Observation
     settings: NodeConfig
     past: tuple[int, int]
-    start_s: float
-    converted_s: float
+    stage_seconds: Mapping[str, float]
     end_s: float
+
+
+@dataclass(frozen=True)
+class OrientedFrame:
+    """
+    A frame with its depth and directions: result of the second stage, input of the third.
+
+    Attributes
+    ----------
+    observed : ObservedFrame
+    around : Surroundings
+    stage_seconds : mapping of str to float
+        Time of the conversion, and time between the stages so far.
+    end_s : float
+        By time.perf_counter: end of the stage.
+
+    """
+
+    observed: ObservedFrame
+    around: Surroundings
+    stage_seconds: Mapping[str, float]
+    end_s: float
+
+    @property
+    def frame(self) -> Frame:
+        """The messages."""
+        return self.observed.frame
 
 
 @dataclass(frozen=True)
 class DetectedFrame:
     """
-    A frame with its planes: result of the second stage, input of the third.
+    A frame with its planes: result of the third stage, input of the fourth.
 
     Attributes
     ----------
@@ -92,7 +121,7 @@ class DetectedFrame:
     stage_seconds : mapping of str to float
         Time of each stage so far.
     end_s : float
-        By time.perf_counter: end of the second stage.
+        By time.perf_counter: end of the stage.
 
     """
 
@@ -104,11 +133,11 @@ class DetectedFrame:
 
 class FrameProcessor:
     """
-    Processes frames for the node and for replay, in three stages.
+    Processes frames for the node and for replay, in four stages.
 
-    While one thread runs :meth:`make` for a frame, another may run :meth:`find_planes` for the
-    next one and a third :meth:`observe` for the one after it. Each of them processes one frame at
-    a time, in order.
+    They are :meth:`observe`, :meth:`look`, :meth:`find_planes` and :meth:`make`. While a thread
+    runs one of them for a frame, another thread may run the stage before it for the next frame.
+    Each of them processes one frame at a time, in order.
 
     Parameters
     ----------
@@ -132,7 +161,7 @@ class FrameProcessor:
         self._shown: frozenset[int] = frozenset()
         self._resets = 0
         self._before: Detection | None = None
-        self._observed_past = self._finished_past = (0, 0)
+        self._observed_past = self._looked_past = self._finished_past = (0, 0)
 
     @property
     def output(self) -> str:
@@ -149,7 +178,7 @@ class FrameProcessor:
             The messages are invalid or do not fit together, or a transform is missing.
 
         """
-        return self.make(self.find_planes(self.observe(frame)), wanted)
+        return self.make(self.find_planes(self.look(self.observe(frame))), wanted)
 
     def observe(self, frame: Frame) -> ObservedFrame:
         """Run the first stage of :meth:`process`: conversion and depth."""
@@ -162,18 +191,27 @@ class FrameProcessor:
         pose = self._transforms.camera_pose(frame.image.header, settings)
         seen = self.detector.observe(converted.rgb, converted.intrinsics, converted.depth_m,
                                      converted.covered)
-        return ObservedFrame(frame, converted, pose, seen, settings, past, start_s, converted_s,
+        return ObservedFrame(frame, converted, pose, seen, settings, past,
+                             {'convert': converted_s - start_s}, time.perf_counter())
+
+    def look(self, observed: ObservedFrame) -> OrientedFrame:
+        """Run the second stage of :meth:`process`: gravity and directions."""
+        waited_s = time.perf_counter() - observed.end_s
+        if observed.past != self._looked_past:
+            self.detector.reset_directions()
+            self._looked_past = observed.past
+        around = self.detector.look(observed.seen, _down(observed.frame, observed.pose))
+        return OrientedFrame(observed, around, {**observed.stage_seconds, 'wait': waited_s},
                              time.perf_counter())
 
-    def find_planes(self, observed: ObservedFrame) -> DetectedFrame:
-        """Run the second stage of :meth:`process`: planes, shapes and their labels."""
-        start_s, seen = time.perf_counter(), observed.seen
-        header, settings = observed.frame.image.header, observed.settings
+    def find_planes(self, oriented: OrientedFrame) -> DetectedFrame:
+        """Run the third stage of :meth:`process`: planes, shapes and their labels."""
+        start_s, observed = time.perf_counter(), oriented.observed
+        seen, header, settings = observed.seen, observed.frame.image.header, observed.settings
         if observed.past != self._finished_past:
             self.detector.reset_planes()
             self._finished_past, self._before = observed.past, None
-        detection = self.detector.find_planes(seen, _down(observed.frame, observed.pose),
-                                              _height_m(observed.pose))
+        detection = self.detector.find_planes(seen, oriented.around, _height_m(observed.pose))
         if detection.gravity_source == 'measured':
             by_imu = observed.frame.gravity_camera is not None
             detection = replace(detection, gravity_source='imu' if by_imu else 'tf')
@@ -185,13 +223,13 @@ class FrameProcessor:
                                 lens=observed.converted.lens, merged=merged)
         end_s, seconds = time.perf_counter(), dict(detection.stage_seconds)
         seconds['tracking'] = seconds.get('tracking', 0.0) + end_s - merging_s
-        return DetectedFrame(observed.frame, result, {
-            'convert': observed.converted_s - observed.start_s, **seconds,
-            'wait': start_s - observed.end_s}, end_s)
+        waited_s = oriented.stage_seconds['wait'] + start_s - oriented.end_s
+        return DetectedFrame(observed.frame, result,
+                             {**oriented.stage_seconds, **seconds, 'wait': waited_s}, end_s)
 
     def make(self, detected: DetectedFrame, wanted: Collection[str] = tuple(OUTPUTS)
              ) -> FrameOutputs:
-        """Run the third stage of :meth:`process`: the messages of the wanted outputs."""
+        """Run the last stage of :meth:`process`: the messages of the wanted outputs."""
         start_s, result = time.perf_counter(), replace(detected.result, shown=self._shown)
         made = {name: msg for name in wanted
                 if (msg := OUTPUTS[name].make(result)) is not None}

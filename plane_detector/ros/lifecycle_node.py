@@ -3,8 +3,8 @@
 """
 The lifecycle node: subscribe, convert, call, publish, log.
 
-The thread of the executor receives messages and answers services; three worker threads process
-frames, see frame_worker.py.
+The thread of the executor receives messages and answers services; worker threads, one per stage,
+process frames, see frame_worker.py.
 """
 
 from __future__ import annotations
@@ -132,9 +132,10 @@ class PlaneDetectorNode(ReloadableNode):
         topics = input_topics(self, self._live.settings.image_transport)
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
                                          self._transforms)
-        # No stage holds the processor: a worker that was stopped must not keep the network.
         self._worker = FrameWorker(*(partial(self._or_skip, stage) for stage in (
-            self._observe, lambda seen: self._processor.find_planes(seen), self._publish)))
+            # Not bound methods: a worker that was stopped must not keep the network.
+            self._observe, lambda frame: self._processor.look(frame),
+            lambda frame: self._processor.find_planes(frame), self._publish)))
         for line in introduction(detector.source.facts, topics,
                                  self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
@@ -143,10 +144,9 @@ class PlaneDetectorNode(ReloadableNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe."""
         try:
-            processor = self._processor
-            self._inputs = Subscriptions(self, processor.detector.config, processor.settings,
-                                  processor.output,
-                                  self._accept, self._statistics.add_unpaired)
+            used = self._processor
+            self._inputs = Subscriptions(self, used.detector.config, used.settings, used.output,
+                                         self._accept, self._statistics.add_unpaired)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
         self._health.failure = ''
@@ -193,7 +193,7 @@ class PlaneDetectorNode(ReloadableNode):
         return self._processor.observe(frame)
 
     def _publish(self, detected: DetectedFrame) -> None:
-        """Make and publish the outputs; called in the third worker thread."""
+        """Make and publish the outputs; called in the last worker thread."""
         processed = self._processor.make(detected, wanted := self._outputs.wanted())
         found, start_s = processed.result.detection, time.perf_counter()
         with current_stop().uncut():

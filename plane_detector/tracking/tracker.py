@@ -107,9 +107,13 @@ class PlaneTracker:
         PlaneSegmentation
             The same planes, with smoothed coefficients if ``config.smoothing`` is above 0.
         tuple of int
-            Label of each plane, above 0 and unique.
+            Label of each plane, above 0 and unique; empty, and the tracker is reset, without
+            ``config.enabled``.
 
         """
+        if not config.enabled:
+            self.reset()
+            return found, ()
         if found.labels.shape != self._shape:
             self.reset()
             self._shape = found.labels.shape

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The two halves of the processing of a frame: their state and its reset."""
+"""The stages of the processing of a frame: their state and its reset."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ def frame(stamp_s, epoch=0):
 
 
 def finish(processor, observed, wanted):
-    return processor.make(processor.find_planes(observed), wanted)
+    return processor.make(processor.find_planes(processor.look(observed)), wanted)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_times_of_all_stages_add_up_to_the_latency(processor):
 @pytest.mark.parametrize('how', ['reset', 'epoch'])
 def test_each_stage_forgets_before_its_own_first_new_frame(processor, how, monkeypatch):
     calls = []
-    for name in ('reset_depth', 'reset_planes'):
+    for name in ('reset_depth', 'reset_directions', 'reset_planes'):
         monkeypatch.setattr(processor.detector, name, lambda name=name: calls.append(name))
     old = processor.observe(frame(1.0))
     if how == 'reset':
@@ -71,9 +71,9 @@ def test_each_stage_forgets_before_its_own_first_new_frame(processor, how, monke
     finish(processor, old, ())
     assert calls == ['reset_depth'], 'an old frame in flight still belongs to the past'
     finish(processor, new, ())
-    assert calls == ['reset_depth', 'reset_planes']
+    assert calls == ['reset_depth', 'reset_directions', 'reset_planes']
     finish(processor, processor.observe(frame(3.0, new.past[0])), ())
-    assert len(calls) == 2
+    assert len(calls) == 3
 
 
 def test_a_frame_keeps_the_settings_that_it_began_with(processor):

@@ -89,7 +89,8 @@ class _Parts:
         _timed(ms, 'conversion', lambda: self._converter.convert(frame, settings))
         observed = _timed(ms, 'depth', lambda: self._processor.observe(frame))
         ms['depth'] -= ms['conversion']
-        result = _timed(ms, 'planes', lambda: self._processor.find_planes(observed)).result
+        looked = _timed(ms, 'directions', lambda: self._processor.look(observed))
+        result = _timed(ms, 'planes', lambda: self._processor.find_planes(looked)).result
         for name, output in OUTPUTS.items():
             msg = _timed(ms, f'making {name}', lambda make=output.make: make(result))
             if msg is not None:
@@ -113,7 +114,7 @@ def _timed(ms: dict[str, float], part: str, work: Callable[[], Any]) -> Any:
 def _emit_parts(name: str, parts: _Parts) -> None:
     ms = {part: float(np.median(values)) for part, values in parts.ms.items()}
     rows = [[part, f'{ms[part]:.2f}', '', '']
-            for part in ('taking the images', 'conversion', 'depth', 'planes')]
+            for part in ('taking the images', 'conversion', 'depth', 'directions', 'planes')]
     rows += [[f'~/{output}', f'{ms[f"making {output}"]:.2f}', f'{ms[f"publishing {output}"]:.2f}',
               f'{size_mb:.3f}'] for output, size_mb in parts.size_mb.items()]
     made, published = (sum(value for part, value in ms.items() if part.startswith(kind))
@@ -122,7 +123,7 @@ def _emit_parts(name: str, parts: _Parts) -> None:
                  f'{sum(parts.size_mb.values()):.3f}'])
     emit(f'### Time on a core by part, {name}, median of {np.median(parts.planes):.0f} planes',
          table(('part', 'time (ms)', 'publishing (ms)', 'size (MB)'), rows),
-         'All threads of one process, medians. Planes: directions, segmentation, scale, '
-         'measurement, tracking. What outputs share, as outlines and the overlay, is in the first '
+         'All threads of one process, medians. Planes: segmentation, scale, measurement, '
+         'tracking. What outputs share, as outlines and the overlay, is in the first '
          'one that needs it. Publishing: the call, and what other threads of the middleware do '
          'meanwhile.')
