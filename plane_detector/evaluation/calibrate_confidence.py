@@ -17,7 +17,7 @@ from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.pipeline import segment_planes
-from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, confidence_features
+from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, MIN_TILT_RAD
 
 SCENES = (random_room, living_room)
 FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(HELD_OUT, HELD_OUT + 50)
@@ -38,8 +38,10 @@ def samples(make_scene: Callable[[np.random.Generator], Scene],
             shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
             matched += list((shared.iou > 0.5).any(axis=0))
             shares = np.array([plane.inlier_count for plane in found.planes]) / found.labels.size
-            covariances = np.array([plane.covariance for plane in found.planes])
-            features.append(confidence_features(shares, covariances.reshape(-1, 4, 4)))
+            deviations_rad = np.array([np.sqrt(np.trace(plane.covariance[:3, :3]))
+                                       for plane in found.planes])
+            features.append(np.stack([np.ones(len(shares)), np.log(shares), np.log(
+                np.maximum(deviations_rad, MIN_TILT_RAD))], axis=1))
     return np.concatenate(features), np.array(matched)
 
 

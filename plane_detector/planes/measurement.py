@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.planes.pixel_sums import sum_over_pixels
-from plane_detector.segmentation.cells.grid import XX, XY, YY, CellGrid, D, N, X, Y
+from plane_detector.segmentation.cells.grid import XX, XY, YY, N, X, Y
 from plane_detector.segmentation.cells.labels import relabel_sequential
-from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
+from plane_detector.segmentation.cells.plane_fit import MIN_WIDTH_SQUARED
 from plane_detector.types import CameraIntrinsics, Plane
 
 # Number of neighbouring cells with the same smooth noise.
@@ -26,9 +26,8 @@ CORRELATED_CELLS = 9.0
 MAX_NOISE_SHARE = 0.125
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
+# tuned: python3 -m plane_detector.evaluation.benchmark confidence, which fits and checks them.
 CONFIDENCE_WEIGHTS = (1.47, 0.56, -0.48)
-# Smaller eigenvalues, relative to the largest, are rounding errors.
-MIN_EIGENVALUE = 1e-15
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
@@ -59,59 +58,101 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     kept = np.argsort(-sums[:, N], kind='stable')
     kept = kept[is_kept[kept]]
     labels = relabel_sequential(regions.labels, kept, len(sums))
-    return _measure(regions, sums[kept], regions.coefficients[kept], intrinsics), labels
+    planes = planes_from_sums(regions, sums[kept], regions.coefficients[kept], intrinsics)
+    return planes, labels
 
 
-def _measure(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,
-             intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
+def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,
+                     intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
     """Measure planes (K, 3) from the sums (K, 15) over their pixels."""
-    jacobian = ray_plane_jacobian(intrinsics)
-    ray_planes = planes @ jacobian.T
-    length = np.linalg.norm(ray_planes, axis=1)
-    normals, offsets_m = -ray_planes / length[:, None], 1 / length
-    pixels, (depth_x, depth_y, depth_m, cubed_m3, square) = sums[:, N], sums[:, 10:].T
-    # x is (u - middle) / width, the ray's X is (u - cx) / fx.
-    width, height = intrinsics.width, intrinsics.height
-    centroids_m = np.stack([
-        (width * depth_x + ((width - 1) / 2 - intrinsics.cx) * depth_m) / intrinsics.fx,
-        (width * depth_y + ((height - 1) / 2 - intrinsics.cy) * depth_m) / intrinsics.fy,
-        depth_m], axis=1) / pixels[:, None]
-    centroids_m -= ((normals * centroids_m).sum(axis=1) + offsets_m)[:, None] * normals
-    areas_m2 = cubed_m3 / (intrinsics.fx * intrinsics.fy * offsets_m)
-    rms_m = offsets_m * np.sqrt(square / pixels)
-    covariances = _covariances(regions.grid, sums.T, regions.noise, ray_planes, jacobian)
-    sure = confidence(pixels / (width * height), covariances)
+    noise, camera = regions.noise, intrinsics
+    smooth = CORRELATED_CELLS * (regions.grid.size_px * noise.mean_sigma) ** 2
+    table = _measured(
+        sums, planes, ray_plane_jacobian(camera),
+        (noise.pixel_sigma**2 + noise.disparity_floor**2 + smooth, noise.depth_floor_m**2),
+        (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     return tuple(
-        Plane(normals[k], float(offsets_m[k]), centroids_m[k], int(round(pixels[k])),
-              float(rms_m[k]), float(areas_m2[k]), covariances[k], float(sure[k]))
-        for k in range(len(planes)))
+        Plane(row[:3], offset_m, row[3:6], round(pixels), rms_m, area_m2, row[10:].reshape(4, 4),
+              sure)
+        for row, (offset_m, rms_m, area_m2, sure), pixels in zip(
+            table, table[:, 6:10].tolist(), sums[:, N].tolist(), strict=True))
 
 
-def confidence(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], '
+        'UniTuple(float64, 2), UniTuple(float64, 6))')
+def _measured(sums, planes, jacobian, variance, camera):
     """
-    Return the probability (K,) that each plane exists in the scene.
+    Return the measurements (K, 26) of planes.
+
+    They are normal, centroid, offset, rms, area, confidence and the covariance (4 x 4). The
+    variance of a pixel is the sum of a constant and a multiple of the fourth power of 1/z.
+    """
+    fx, fy, cx, cy, width, height = camera
+    table, chain, fit = np.zeros((len(sums), 26)), np.empty((4, 3)), np.empty((3, 3))
+    for k in range(len(sums)):
+        row, pixels, length2 = table[k], sums[k, 0], 0.0
+        for i in range(3):
+            for j in range(3):
+                row[i] -= jacobian[i, j] * planes[k, j]
+            length2 += row[i] ** 2
+        row[6] = offset_m = 1 / np.sqrt(length2)
+        # x is (u - middle) / width, the ray's X is (u - cx) / fx.
+        row[3] = (width * sums[k, 10] + ((width - 1) / 2 - cx) * sums[k, 12]) / (fx * pixels)
+        row[4] = (width * sums[k, 11] + ((height - 1) / 2 - cy) * sums[k, 12]) / (fy * pixels)
+        row[5], off_plane = sums[k, 12] / pixels, offset_m
+        for i in range(3):
+            row[i] *= offset_m
+            off_plane += row[i] * row[3 + i]
+        for i in range(3):
+            row[3 + i] -= off_plane * row[i]
+        row[7] = offset_m * np.sqrt(sums[k, 14] / pixels)
+        row[8] = sums[k, 13] / (fx * fy * offset_m)
+        _invert(sums[k], variance[0] + variance[1] * (sums[k, 6] / pixels) ** 4, fit)
+        _differentiate(row, jacobian, chain)
+        for i in range(16):
+            for j in range(9):
+                row[10 + i] += chain[i // 4, j // 3] * fit[j // 3, j % 3] * chain[i % 4, j % 3]
+        row[9] = confidence(pixels / (width * height), np.sqrt(row[10] + row[15] + row[20]))
+    return table
+
+
+@kernel('void(float64[::1], float64, float64[:, ::1])')
+def _invert(m, variance, fit):
+    """Write the covariance (3, 3) of the plane fitted to pixels of moments m and a variance."""
+    x, y = m[1] / m[0], m[2] / m[0]
+    xx, xy, yy = m[3] - m[0] * x * x, m[4] - m[0] * x * y, m[5] - m[0] * y * y
+    scale = variance / max(xx * yy - xy * xy, MIN_WIDTH_SQUARED * (xx + yy) ** 2)
+    fit[0, 0], fit[1, 1] = scale * yy, scale * xx
+    fit[0, 1] = fit[1, 0] = -scale * xy
+    for i in range(2):
+        fit[i, 2] = fit[2, i] = -(fit[i, 0] * x + fit[i, 1] * y)
+    fit[2, 2] = variance / m[0] - fit[0, 2] * x - fit[1, 2] * y
+
+
+@kernel('void(float64[::1], float64[:, ::1], float64[:, ::1])')
+def _differentiate(plane, jacobian, chain):
+    """Write the derivatives (4, 3) of (normal, offset) by (a, b, c)."""
+    offset_m = plane[6]
+    for i in range(4):
+        for j in range(3):
+            chain[i, j] = 0
+            for k in range(3):
+                by_ray = (offset_m * plane[k] if i == 3
+                          else plane[i] * plane[k] - (1.0 if i == k else 0.0))
+                chain[i, j] += offset_m * by_ray * jacobian[k, j]
+
+
+@kernel('float64(float64, float64)')
+def confidence(share, deviation_rad):
+    """
+    Return the probability that a plane exists in the scene.
 
     Logistic in the logarithms of its share of the image and of the standard deviation of its
-    normal, fitted to whether planes of rendered rooms match a true plane:
-    ``python3 -m plane_detector.evaluation.benchmark confidence`` fits and checks it.
-
-    Parameters
-    ----------
-    share : (K,) float64
-        Of the image's pixels.
-    covariance : (K, 4, 4) float64
-        Of (normal, offset).
-
+    normal, fitted to whether planes of rendered rooms match a true plane.
     """
-    features = confidence_features(share, covariance)
-    return 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
-
-
-def confidence_features(share: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return 1 and the logarithms of share and of the normal's deviation in radians, (K, 3)."""
-    deviation_rad = np.sqrt(np.einsum('kii->k', covariance[:, :3, :3]))
-    return np.stack([np.ones(len(share)), np.log(np.maximum(share, 1e-9)),
-                     np.log(np.maximum(deviation_rad, MIN_TILT_RAD))], axis=1)
+    logit = (CONFIDENCE_WEIGHTS[0] + CONFIDENCE_WEIGHTS[1] * np.log(share)
+             + CONFIDENCE_WEIGHTS[2] * np.log(max(deviation_rad, MIN_TILT_RAD)))
+    return 1 / (1 + np.exp(-logit))
 
 
 def ray_plane_jacobian(intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -127,17 +168,3 @@ def normal_matrices(m: np.ndarray) -> np.ndarray:
     """Return the sums of the products of x, y and 1, (K, 3, 3), of moments m (10, K)."""
     return np.array([[m[XX], m[XY], m[X]], [m[XY], m[YY], m[Y]],
                      [m[X], m[Y], m[N]]]).transpose(2, 0, 1)
-
-
-def _covariances(grid: CellGrid, m: np.ndarray, noise: Noise, ray_planes: np.ndarray,
-                 jacobian: np.ndarray) -> np.ndarray:
-    """Propagate the noise of fits with moments m to (normal, offset), (K, 4, 4)."""
-    variance = (noise.pixel_sigma**2 + noise.variance_floor(m[D] / m[N])
-                + CORRELATED_CELLS * grid.size_px**2 * noise.mean_sigma**2)
-    fit = variance[:, None, None] * pseudo_inverse(normal_matrices(m), MIN_EIGENVALUE)
-    length = np.linalg.norm(ray_planes, axis=1)[:, None, None]
-    unit = ray_planes[:, :, None] / length
-    to_normal = (unit * unit.transpose(0, 2, 1) - np.eye(3)) / length
-    to_offset = -unit.transpose(0, 2, 1) / length**2
-    chain = np.concatenate([to_normal, to_offset], axis=1) @ jacobian
-    return chain @ fit @ chain.transpose(0, 2, 1)

@@ -18,7 +18,7 @@ from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.memory import retain_freed_memory
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.labels import map_labels
+from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
@@ -169,10 +169,10 @@ def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, graph: RegionG
     """Remove curved regions last, so that no plane grows into them, and merge nearly flat ones."""
     curved = find_curved(frame.cells, graph, kind)
     owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)
-    index = np.arange(len(planes) + 1, dtype=np.int32)
-    index[:len(owner)] = owner
-    index[-1] = index[curved] = -1
-    return map_labels(labels, index), np.vstack([joined, planes[len(joined):]])
+    names = np.arange(len(planes))
+    names[:len(owner)] = owner
+    names[curved] = -1
+    return rename_labels(labels, names), np.vstack([joined, planes[len(joined):]])
 
 
 def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:

@@ -12,9 +12,15 @@ from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
+from plane_detector.planes.measurement import (
+    CONFIDENCE_WEIGHTS,
+    planes_from_sums,
+    ray_plane_jacobian,
+)
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
-from plane_detector.segmentation.cells.plane_fit import pseudo_inverse
+from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 
 SEEDS = (0, 1, 2)
 
@@ -109,9 +115,32 @@ def test_renumber_more_labels_than_a_byte_holds():
         np.testing.assert_array_equal(found, expected)
 
 
-@pytest.mark.parametrize('rank', [0, 1, 2, 3])
-def test_inverse_is_the_pseudo_inverse(rank):
-    roots = np.random.default_rng(rank).normal(size=(5, 3, rank))
-    matrix = roots @ roots.transpose(0, 2, 1)
-    np.testing.assert_allclose(pseudo_inverse(matrix, 1e-12),
-                               np.linalg.pinv(matrix, rcond=1e-12, hermitian=True), rtol=1e-6)
+def test_covariance_and_confidence_follow_from_the_fit():
+    """The noise of (a, b, c) by the normal equations, carried on by numerical derivatives."""
+    scene, moments = room(0), np.zeros(15)
+    plane = np.array([0.1, -0.3, 0.5])
+    x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.1, 0.2, 30),
+                                                 np.linspace(0.05, 0.3, 20)))
+    design = np.stack([x, y, np.ones(600)])
+    d = plane @ design
+    moments[:10] = [600, x.sum(), y.sum(), x @ x, x @ y, y @ y, d.sum(), x @ d, y @ d, d @ d]
+    moments[10:] = [(x / d).sum(), (y / d).sum(), (1 / d).sum(), (1 / d**3).sum(), 600 * 0.01]
+    grid = build_cell_grid(DisparityImage(np.ones((48, 64), np.float32), np.ones((48, 64), bool)))
+    regions = PixelRegions(np.ones((1, 1)), np.zeros((1, 1), np.int32), plane[None], grid,
+                           Noise(0.0, pixel_sigma=0.02))
+    measured, = planes_from_sums(regions, moments[None], plane[None], scene.intrinsics)
+
+    def equation(coefficients):
+        ray = ray_plane_jacobian(scene.intrinsics) @ coefficients
+        return np.append(-ray, 1) / np.linalg.norm(ray)
+
+    steps = 1e-6 * np.eye(3)
+    chain = np.stack([(equation(plane + step) - equation(plane - step)) / 2e-6 for step in steps])
+    expected = 0.02**2 * chain.T @ np.linalg.inv(design @ design.T) @ chain
+    np.testing.assert_allclose(measured.covariance, expected, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose([*measured.normal, measured.offset_m], equation(plane))
+    assert measured.rms_m == pytest.approx(0.1 * measured.offset_m)
+    pixels = scene.intrinsics.width * scene.intrinsics.height
+    logit = [1, np.log(600 / pixels), np.log(np.trace(expected[:3, :3])) / 2] @ np.array(
+        CONFIDENCE_WEIGHTS)
+    assert measured.confidence == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-4)

@@ -16,28 +16,22 @@ TINY_DISPARITY = 1e-9
 
 def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
     """Return labels in which ``kept`` of ``count`` labels are 0, 1, ..., all others -1."""
-    if len(kept) == count and (kept == np.arange(count)).all():
-        return labels
-    index = np.full(count, -1, np.int32)
-    index[kept] = np.arange(len(kept))
-    return rename_labels(labels, index)
+    names = np.full(count, -1, np.int32)
+    names[kept] = np.arange(len(kept))
+    return rename_labels(labels, names)
 
 
 def rename_labels(labels: np.ndarray, names: np.ndarray) -> np.ndarray:
-    """Return labels in which k is ``names[k]``; -1 stays."""
-    return map_labels(labels, np.append(names, -1).astype(np.int32))
-
-
-def map_labels(labels: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return ``index`` (K + 1,) int32 of labels (H, W) int32; its last entry is that of -1."""
-    if (index[:-1] == np.arange(len(index) - 1)).all() and index[-1] == -1:
+    """Return labels (H, W) int32 in which k is ``names[k]``; -1 stays."""
+    if (names == np.arange(len(names))).all():
         return labels
-    return _renumbered(np.ascontiguousarray(labels, np.int32), np.roll(index, 1))
+    return _renamed(np.ascontiguousarray(labels, np.int32), names.astype(np.int32))
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
-def _renumbered(labels, index):
-    found = np.empty_like(labels)
+def _renamed(labels, names):
+    index, found = np.full(len(names) + 1, np.int32(-1)), np.empty_like(labels)
+    index[1:] = names
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             found[i, j] = index[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check

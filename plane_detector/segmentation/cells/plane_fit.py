@@ -68,19 +68,6 @@ def squared_errors(planes, moments):
     return error
 
 
-def pseudo_inverse(matrix: np.ndarray, min_ratio: float) -> np.ndarray:
-    """
-    Return the pseudo-inverses of symmetric matrices (K, n, n), like numpy's pinv but faster.
-
-    Eigenvalues below ``min_ratio`` times the largest count as zero.
-    """
-    values, vectors = np.linalg.eigh(matrix)
-    size = np.abs(values)
-    large = size > min_ratio * size.max(axis=1, keepdims=True)
-    inverse = np.divide(1, values, out=np.zeros_like(values), where=large)
-    return (vectors * inverse[:, None, :]) @ vectors.transpose(0, 2, 1)
-
-
 @kernel('float64(float64[:, ::1], int64, float64[::1])')
 def solve_least_squares(products, terms, coefficients):
     """
