@@ -38,8 +38,8 @@ class RegionSamples:
         Ascending.
     own_cosine : (N,) float64
         Cosine between ray and normal of the region's own plane, times the length of the ray.
-    count : int
-        Number of regions.
+    image_shares : (K,) float64
+        Share of the image that each region covers.
 
     """
 
@@ -47,7 +47,18 @@ class RegionSamples:
     disparity: np.ndarray
     region: np.ndarray
     own_cosine: np.ndarray
-    count: int
+    image_shares: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of regions."""
+        return len(self.image_shares)
+
+    @property
+    def middles(self) -> np.ndarray:
+        """Mean rays (K, 3) of the regions, times their number of samples."""
+        return np.stack([np.bincount(self.region, self.rays[:, axis], self.count)
+                         for axis in range(3)], axis=1)
 
     def depth_change(self, normals: np.ndarray) -> np.ndarray:
         """
@@ -58,6 +69,16 @@ class RegionSamples:
         """
         return _depth_change(self.rays, self.region, self.own_cosine,
                              np.ascontiguousarray(normals))
+
+    def distances_to_planes(self, normals: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """
+        Return how far regions are from planes (K, J), as root mean square log ratio of depths.
+
+        The planes have normals (J, 3) and offsets (J,); infinite if the offset is not finite.
+        """
+        found = _distances(self.rays, self.disparity, self.region,
+                           np.ascontiguousarray(normals), offsets, self.count)
+        return np.where(np.isfinite(offsets), found, np.inf)
 
     def offsets(self, normals: np.ndarray) -> np.ndarray:
         """Return the median distance (K,) of planes with normals (K, 3); NaN if unknown."""
@@ -70,8 +91,9 @@ class RegionSamples:
         """Return the samples after merging regions: region k becomes ``group[k]``."""
         region = group[self.region]
         order = np.argsort(region, kind='stable')
+        shares = np.bincount(group, self.image_shares, self.count)
         return RegionSamples(self.rays[order], self.disparity[order], region[order],
-                             self.own_cosine[order], self.count)
+                             self.own_cosine[order], shares)
 
 
 def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
@@ -98,8 +120,9 @@ def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
     region = labels[row, column].astype(np.int64)
     rays = np.stack([ray_x[column], ray_y[row], np.ones(len(row))], axis=1)
     normals = np.stack([plane.normal for plane in planes])
+    shares = np.bincount(region, minlength=len(planes)) / labels.size
     return RegionSamples(rays, disparity[row, column].astype(float), region,
-                         -(normals[region] * rays).sum(1), len(planes))
+                         -(normals[region] * rays).sum(1), shares)
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64[:, :, ::1])')
@@ -120,6 +143,20 @@ def _depth_change(rays, region, own_cosine, normals):
         sums[k] /= max(pixels[k], 1.0)
         squares[k] = np.sqrt(np.maximum(squares[k] / max(pixels[k], 1.0) - sums[k] ** 2, 0.0))
     return squares
+
+
+@kernel('float64[:, ::1](float64[:, ::1], float64[::1], int64[::1], float64[:, ::1], '
+        'float64[::1], int64)')
+def _distances(rays, disparity, region, normals, offsets, count):
+    squares, pixels = np.zeros((count, len(normals))), np.zeros((count, 1))
+    for i in range(0, len(rays), SPREAD_STEP):
+        k = region[i]
+        pixels[k] += 1
+        for j in range(len(normals)):
+            n = normals[j]
+            cosine = -(n[0] * rays[i, 0] + n[1] * rays[i, 1] + n[2] * rays[i, 2])
+            squares[k, j] += np.log(offsets[j] * disparity[i] / max(cosine, MIN_COSINE)) ** 2
+    return np.sqrt(squares / np.maximum(pixels, 1.0))
 
 
 def _median(offsets: np.ndarray) -> float:

@@ -15,6 +15,7 @@ from plane_detector.planes.region_samples import RegionSamples
 from plane_detector.types import CameraIntrinsics, Plane
 
 AXES = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, 0.6], [-0.6, 0.0, 0.8]])
+SHARE = 0.06  # of the image
 NOTHING = LineEvidence(AXES, np.zeros((1, 3)))
 
 
@@ -49,12 +50,20 @@ def samples_of(planes, rays):
     rays = np.asarray(rays, float)
     cosine = np.concatenate([-rays @ p.normal for p in planes])
     return RegionSamples(np.tile(rays, (len(planes), 1)), cosine / 2.0,
-                         np.repeat(np.arange(len(planes)), len(rays)), cosine, len(planes))
+                         np.repeat(np.arange(len(planes)), len(rays)), cosine,
+                         np.full(len(planes), SHARE))
+
+
+BAD = tuple(plane(turned(normal, 18, about)) for normal, about in (
+    (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
 
 
 def orient(planes, found, evidence):
-    """Orient planes that are seen in one spot: the depth objects to no turn."""
-    return orient_planes(planes, found, evidence, samples_of(planes, [[0.0, 0.0, 1.0]]))
+    """Orient planes that are each seen in one spot: the depth excludes no rotation."""
+    count = len(planes)
+    spots = RegionSamples(np.stack([-p.normal for p in planes]), np.full(count, 0.5),
+                          np.arange(count), np.ones(count), np.full(count, SHARE))
+    return orient_planes(planes, found, evidence, spots)
 
 
 def test_planes_near_an_axis_are_turned_to_it():
@@ -70,6 +79,31 @@ def test_the_side_of_the_normal_stays():
     assert found.normals[0] @ AXES[0] > 0.99
 
 
+def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
+    below = [[x, y, 1.0] for x in (-0.3, 0.0, 0.3) for y in (0.6, 0.7)]
+    leaning = plane(turned(-AXES[2], 5, AXES[1]))
+    assert leaning.normal @ AXES[0] > 0
+    lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]))
+    pieces = replace(samples_of((leaning,), below), image_shares=np.array([0.01]))
+    found = orient_planes((leaning,), directions(), lines, pieces)
+    assert angle_deg(found.normals[0], -AXES[0]) < 1
+
+
+@pytest.mark.parametrize(('step', 'is_level'), [(1.0, True), (1.6, False)])
+def test_a_small_piece_that_continues_a_larger_one_has_its_normal(step, is_level):
+    below = [[x, y, 1.0] for x in np.linspace(-0.3, 0.3, 6) for y in (0.6, 0.62)]
+    # The network's normal is nearer to a wall.
+    between = plane(turned(turned(-AXES[2], 30, -AXES[1]), 25, AXES[0]))
+    planes = (plane(turned(-AXES[0], 14, AXES[2])), *BAD, between)
+    on_floor = [y / 2.0 for _, y, _ in below]
+    pieces = samples_of(planes, below)
+    disparity = np.concatenate([on_floor, pieces.disparity[12:-12], step * np.array(on_floor)])
+    pieces = replace(pieces, disparity=disparity,
+                     image_shares=np.array([0.3, 0.05, 0.05, 0.05, 0.05, 0.01]))
+    found = orient_planes(planes, directions(), no_lines(6), pieces)
+    assert (angle_deg(found.normals[-1], -AXES[0]) < 1) == is_level
+
+
 def test_an_accurate_network_keeps_a_roof_and_an_open_door():
     roof, door = turned(-AXES[0], 35, AXES[1]), turned(-AXES[2], 30, AXES[0])
     exact = tuple(plane(turned(normal, 0.5, AXES[1]), 0.3)
@@ -82,9 +116,7 @@ def test_an_accurate_network_keeps_a_roof_and_an_open_door():
 
 
 def test_an_inaccurate_network_has_less_weight():
-    off = tuple(plane(turned(normal, 18, about)) for normal, about in (
-        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
-    assert orient(off, directions(), no_lines(4)).sigmas_rad.min() > np.radians(8.0)
+    assert orient(BAD, directions(), no_lines(4)).sigmas_rad.min() > np.radians(8.0)
 
 
 def test_an_upright_plane_without_axes_stands_upright():
@@ -137,9 +169,7 @@ def test_uncertain_axes_do_not_override_an_accurate_network():
 
 def test_a_wall_seen_above_the_horizon_does_not_become_a_floor():
     leaning = turned(-AXES[0], 28, AXES[1])
-    bad = tuple(plane(turned(normal, 18, about)) for normal, about in (
-        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
-    planes = (*bad, plane(leaning))
+    planes = (*BAD, plane(leaning))
     low = [[x, y, 1.0] for x in (-0.3, 0, 0.3) for y in (0.5, 0.6)]
     high = [[x, y, 1.0] for x in (-0.3, 0, 0.3) for y in (0.01, 0.3, 0.6)]
     evidence = no_lines(len(planes))
@@ -150,10 +180,8 @@ def test_a_wall_seen_above_the_horizon_does_not_become_a_floor():
 
 
 def test_flat_regions_in_the_depth_are_not_rotated():
-    bad = tuple(plane(turned(normal, 18, about)) for normal, about in (
-        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
     ramp = turned(-AXES[0], 8, AXES[1])
-    bent, flat = (orient((*bad, plane(ramp, 0.01, rms_m)), directions(), no_lines(5)).normals[-1]
+    bent, flat = (orient((*BAD, plane(ramp, 0.01, rms_m)), directions(), no_lines(5)).normals[-1]
                   for rms_m in (0.05, 0.0002))
     assert angle_deg(bent, -AXES[0]) < 1
     assert angle_deg(flat, ramp) < 0.05

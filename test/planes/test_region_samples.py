@@ -52,3 +52,20 @@ def test_joined_regions_have_one_distance():
     joined = wall_and_floor().joined(np.array([0, 0]))
     offsets = joined.offsets(np.stack([WALL, WALL]))
     assert 2.0 < offsets[0] <= 4.0 and np.isnan(offsets[1])
+
+
+def test_distances_of_regions_to_planes():
+    samples = wall_and_floor()
+    distance = samples.distances_to_planes(np.stack([WALL, FLOOR, WALL]),
+                                           np.array([4.0, 1.5, np.nan]))
+    assert distance[0, 0] == pytest.approx(0, abs=1e-6)
+    assert distance[1, 1] == pytest.approx(0, abs=1e-6)
+    assert distance[0, 1] > 0.5 and np.isinf(distance[:, 2]).all()
+    # A wall twice as far has twice the depth.
+    farther = samples.distances_to_planes(WALL[None], np.array([8.0]))
+    assert farther[0, 0] == pytest.approx(np.log(2))
+
+
+def test_regions_cover_shares_of_the_image():
+    assert wall_and_floor().image_shares == pytest.approx([0.75, 0.25], abs=0.02)
+    assert wall_and_floor().joined(np.array([0, 0])).image_shares == pytest.approx([1, 0])
