@@ -270,9 +270,9 @@ def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRe
                   config: Config, around: Surroundings) -> ScaleState:
     """Return the scale of this image, smoothed with those before."""
     evidence = ScaleEvidence(
-        seen.disparity, ray_planes(regions, seen.intrinsics), seen.output, seen.is_measured,
-        around.gravity.gravity_camera, around.gravity.tolerance_deg, around.level_axes,
-        seen.sensor_depth_m)
+        seen.disparity, lambda: ray_planes(regions, seen.intrinsics), seen.output,
+        seen.is_measured, around.gravity.gravity_camera, around.gravity.tolerance_deg,
+        around.level_axes, seen.sensor_depth_m)
     return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
 
 

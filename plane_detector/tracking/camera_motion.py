@@ -10,6 +10,8 @@ planes do not constrain, such as a rotation about the only visible normal, is as
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,15 +52,21 @@ class PlaneMotion:
 
     def move(self, plane: Plane) -> Plane:
         """Return a plane of the previous camera frame in the present one."""
-        normal = self.rotation @ plane.normal
+        return self.move_all([plane])[0]
+
+    def move_all(self, planes: Sequence[Plane]) -> list[Plane]:
+        """Return planes of the previous camera frame, at least one, in the present one."""
         turn = np.eye(4)
         turn[:3, :3], turn[3, 3] = self.rotation, self.scale
-        return replace(
-            plane, normal=normal,
-            offset_m=float(self.scale * plane.offset_m - normal @ self.translation_m),
-            centroid_m=self.scale * self.rotation @ plane.centroid_m + self.translation_m,
-            area_m2=self.scale ** 2 * plane.area_m2,
-            covariance=turn @ plane.covariance @ turn.T)
+        normals = np.stack([plane.normal for plane in planes]) @ self.rotation.T
+        centroids_m = np.stack([plane.centroid_m for plane in planes]) @ self.rotation.T
+        offsets_m = self.scale * np.array([plane.offset_m for plane in planes])
+        covariances = turn @ np.stack([plane.covariance for plane in planes]) @ turn.T
+        return [replace(plane, normal=normal, offset_m=offset_m, centroid_m=centroid_m,
+                        area_m2=self.scale ** 2 * plane.area_m2, covariance=covariance)
+                for plane, normal, offset_m, centroid_m, covariance in zip(
+                    planes, normals, (offsets_m - normals @ self.translation_m).tolist(),
+                    self.scale * centroids_m + self.translation_m, covariances, strict=True)]
 
 
 NO_MOTION = PlaneMotion(np.eye(3), np.zeros(3), 1.0)
@@ -88,8 +96,8 @@ def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray
     """
     if not before:
         return NO_MOTION
-    weights = weights / [np.trace((b.covariance + a.covariance)[:3, :3]) + _NORMAL_SPREAD_RAD ** 2
-                         for b, a in zip(before, after, strict=True)]
+    weights = weights / (_normal_variances(before) + _normal_variances(after)
+                         + _NORMAL_SPREAD_RAD ** 2)
     weights /= weights.sum()
     normals_before, normals_after = (np.stack([plane.normal for plane in side])
                                      for side in (before, after))
@@ -100,25 +108,30 @@ def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray
         return NO_MOTION
     offsets_before, offsets_after = (np.array([p.offset_m for p in side])[agree]
                                      for side in (before, after))
-    distances_m = np.array([np.linalg.norm(p.centroid_m) for p in after])[agree]
+    distances_m = np.linalg.norm([plane.centroid_m for plane in after], axis=1)[agree]
     translation_m, scale = _translation_and_scale(
         normals_after[agree], offsets_before, offsets_after, distances_m, weights[agree])
     return PlaneMotion(rotation, translation_m, scale)
 
 
+def _normal_variances(planes: list[Plane]) -> np.ndarray:
+    """Return the sum of the variances of each normal, (N,)."""
+    covariances = np.stack([plane.covariance for plane in planes])
+    return covariances[:, :3, :3].trace(axis1=1, axis2=2)
+
+
 def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) that maps the normals (N, 3) before to those after."""
-    rotation = np.eye(3)
+    rotation, prior = np.eye(3), _NO_TURN_WEIGHT * np.eye(3)
     robust, caution = weights, _FIRST_CAUTION
     for _ in range(_ROUNDS):
-        moment = (after * robust[:, None]).T @ before + caution * _NO_TURN_WEIGHT * np.eye(3)
-        left, _, right = np.linalg.svd(moment)
-        left[:, 2] *= np.linalg.det(left) * np.linalg.det(right)
+        left, _, right = np.linalg.svd((after.T * robust) @ before + caution * prior)
+        left[:, 2] *= np.linalg.det(left @ right)
         rotation = left @ right
-        error_rad = np.linalg.norm(before @ rotation.T - after, axis=1)
-        robust = weights * _cauchy(error_rad / _TURN_SPREAD_RAD)
-        turn_rad = np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))
-        caution = _cauchy(turn_rad / _TURN_SPREAD_RAD)
+        error = before @ rotation.T - after
+        robust = weights * _cauchy_of_square((error * error).sum(axis=1) / _TURN_SPREAD_RAD ** 2)
+        turn_rad = math.acos(min(max((rotation.trace() - 1) / 2, -1.0), 1.0))
+        caution = _cauchy_of_square((turn_rad / _TURN_SPREAD_RAD) ** 2)
     return rotation
 
 
@@ -133,13 +146,13 @@ def _translation_and_scale(normals: np.ndarray, before: np.ndarray, after: np.nd
     prior = np.array([_STEP_SPREAD] * 3 + [_SCALE_SPREAD]) ** -2
     robust, caution = weights, np.array([1.0, 1.0, 1.0, _FIRST_CAUTION])
     for _ in range(_ROUNDS):
-        normal_matrix = (system.T * robust) @ system / _OFFSET_SPREAD ** 2
-        unknown = np.linalg.solve(normal_matrix + np.diag(caution * prior),
-                                  system.T @ (robust * change) / _OFFSET_SPREAD ** 2)
-        robust = weights * _cauchy((system @ unknown - change) / _OFFSET_SPREAD)
-        caution = _cauchy(unknown * np.sqrt(prior))
+        weighted = system.T * (robust / _OFFSET_SPREAD ** 2)
+        unknown = np.linalg.solve(weighted @ system + np.diag(caution * prior), weighted @ change)
+        misfit = (system @ unknown - change) / _OFFSET_SPREAD
+        robust = weights * _cauchy_of_square(misfit * misfit)
+        caution = _cauchy_of_square(unknown * unknown * prior)
     return unknown[:3] * typical_m, float(np.clip(1 + unknown[3], 0.01, 100.0))
 
 
-def _cauchy(ratio: np.ndarray) -> np.ndarray:
-    return 1.0 / (1.0 + np.square(ratio))
+def _cauchy_of_square(squared_ratio: np.ndarray | float) -> np.ndarray | float:
+    return 1.0 / (1.0 + squared_ratio)

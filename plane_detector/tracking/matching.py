@@ -34,27 +34,47 @@ class Overlap:
 
 def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> Overlap:
     """Return the overlap of planes; each plane is given by the indices of its pixels."""
-    size = 1 + max((int(pixels.max(initial=0)) for pixels in (*before, *after)), default=0)
-    plane = np.zeros(size, np.intp)
-    for index, pixels in enumerate(after):
-        plane[pixels] = index + 1
-    common = np.array([np.bincount(plane[pixels], minlength=len(after) + 1)[1:]
-                       for pixels in before]).reshape(len(before), len(after))
-    before_size = np.array([len(pixels) for pixels in before], int)[:, None]
-    after_size = np.array([len(pixels) for pixels in after], int)
+    (first, first_size), (second, second_size) = map(_joined, (before, after))
+    width = len(after) + 1
+    plane = np.zeros(1 + max(first.max(initial=0), second.max(initial=0)), np.intp)
+    plane[second] = np.repeat(np.arange(1, width), second_size)
+    pairs = np.repeat(width * np.arange(len(before)), first_size) + plane[first]
+    common = np.bincount(pairs, minlength=width * len(before)).reshape(-1, width)[:, 1:]
+    before_size, after_size = first_size[:, None], second_size
     return Overlap(common / np.maximum(before_size + after_size - common, 1),
                     common / np.maximum(before_size, 1))
 
 
-def places_agree(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap) -> np.ndarray:
-    """
-    Return how well the positions of planes agree, (T, N), 0 to 1.
+def _joined(groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of all groups, and the number in each group."""
+    return (np.concatenate([np.zeros(0, np.intp), *groups]),
+            np.array([len(group) for group in groups], np.intp))
 
-    Measured by shared pixels or, if the camera has turned so far that there are none, by the
-    distance of the centroids relative to the size of the planes.
+
+def likeness(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap,
+             tolerances: tuple[float, float], growth: np.ndarray) -> np.ndarray:
     """
-    shared = (overlap.of_union + overlap.of_known) / 2
-    return np.maximum(shared, _nearness(_stack(before), _stack(after)))
+    Return how well planes agree in position and coefficients, (T, N), 0 to 1.
+
+    The positions agree by shared pixels or, if the camera has turned so far that there are none,
+    by the distance of the centroids relative to the size of the planes.
+
+    Parameters
+    ----------
+    before, after : sequence of Plane
+        T and N planes, in one camera frame.
+    overlap : Overlap
+        Of these planes.
+    tolerances : (float, float)
+        ``angle_deg`` and ``offset_share`` of :func:`squared_deviation`.
+    growth : (T,) float
+        As there.
+
+    """
+    first, second = _stack(before), _stack(after)
+    place = np.maximum((overlap.of_union + overlap.of_known) / 2, _nearness(first, second))
+    return place * np.exp(-0.5 * _squared_deviation(first, second, *tolerances,
+                                                    np.reshape(growth, (-1, 1))))
 
 
 def squared_deviation(before: Sequence[Plane], after: Sequence[Plane], angle_deg: float,

@@ -33,8 +33,8 @@ def room(seed=3):
 
 
 def evidence(scene, disparity, **known):
-    planes = ray_planes(labelled_regions(disparity, scene.labels), scene.intrinsics)
-    return ScaleEvidence(disparity, planes, **known)
+    regions = labelled_regions(disparity, scene.labels)
+    return ScaleEvidence(disparity, lambda: ray_planes(regions, scene.intrinsics), **known)
 
 
 def estimate(scene, noise=0.0, known=None, **settings):
@@ -272,10 +272,18 @@ def test_auto_takes_the_first_that_gives_metres():
 def test_images_without_information_give_relative(disparity):
     planes = ray_planes(labelled_regions(disparity, np.zeros(disparity.shape, int)), SMALL)
     scale = estimate_scale(
-        ScaleEvidence(disparity, planes, gravity_camera=np.array([0.0, 1.0, 0.0]),
+        ScaleEvidence(disparity, lambda: planes, gravity_camera=np.array([0.0, 1.0, 0.0]),
                       sensor_depth_m=disparity), ScaleConfig(camera_height=1.0))
     assert scale.method == 'relative'
     assert apply_scale(disparity, scale).shape == disparity.shape
+
+
+def test_metres_of_a_sensor_or_network_need_no_planes():
+    def find_planes():
+        raise AssertionError('the planes are not needed')
+    for known in ({'is_measured': True}, {}):
+        evidence = ScaleEvidence(np.ones((8, 8)), find_planes, 'metric_depth', **known)
+        assert estimate_scale(evidence).method == 'metric'
 
 
 def test_inputs_are_not_modified():

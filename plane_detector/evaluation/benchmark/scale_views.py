@@ -56,7 +56,7 @@ class View:
     def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
         """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""
         return estimate_scale(ScaleEvidence(
-            self.disparity, ray_planes(self.regions, self.intrinsics), **known), config)
+            self.disparity, lambda: ray_planes(self.regions, self.intrinsics), **known), config)
 
 
 def look(scene: Scene | Frame, gravity_camera: np.ndarray, height_m: float,
