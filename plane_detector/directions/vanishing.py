@@ -62,8 +62,9 @@ MAX_LEAN_DEG, LEAN_STEP_DEG, MIN_LEAN_DEG, MAX_LEAN_SHARE = 14, 2, 3.0, 0.8
 # pair 9, because both are the best of many. tuned: as above; the sum is flat from 15 to 25.
 MIN_VERTICAL_SIGMAS, MIN_PAIR_SIGMAS, MIN_SUM_SIGMAS = 6.0, 6.0, 20.0
 # Closer directions are the same direction; a different one with this share of the score is a
-# rival. tuned: as above, flat from 0.8 to 0.92.
-SAME_DEG, RIVAL_SHARE = 10.0, 0.85
+# rival. tuned: as above with --first-seed 300 and on frames of a Kinect, NYU and a living room; at
+# 0.92 four more of 108 images are answered than at 0.85, and no error is larger.
+SAME_DEG, RIVAL_SHARE = 10.0, 0.92
 # tuned: as MIN_PAIR_SHARE of the line evidence; a third pair does not change any plane.
 MAX_PAIRS = 2
 # Accuracy of building edges and lens calibrations. tuned: as above; on real images nine of ten
