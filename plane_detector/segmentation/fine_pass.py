@@ -67,14 +67,13 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     noise = noise.at_cell_size(coarse.grid.size_px, size)
     cells = weigh_cells(grid, noise)
     regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
-    regions = remove_curved(cells, regions, noise.mean_sigma**2)
-    if not len(regions.coefficients):
+    graph = remove_curved(RegionGraph.of(cells, regions), noise.mean_sigma**2)
+    if not len(graph.planes):
         return labels, coefficients
-    graph = RegionGraph.of(cells, regions)
     target = _targets(labels, grid, graph, coefficients)
-    target[find_curved(cells, graph, kind)] = -1
+    target[find_curved(graph, kind, config.segmentation.flatness_angle)] = -1
     new = label_pixels(image, cells, graph, noise, config.ransac.inlier_threshold)
-    return _overlaid(labels, new, target), np.vstack([coefficients, regions.coefficients])
+    return _overlaid(labels, new, target), np.vstack([coefficients, graph.planes])
 
 
 def _sees_width(cells: WeightedCells, noise: Noise) -> bool:

@@ -131,11 +131,9 @@ class Frame:
 
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
-    cells = frame.cells
-    regions = _compete(frame, regions)
-    regions = merge_coplanar(cells, regions, None)
-    regions = remove_curved(cells, regions, frame.noise.mean_sigma**2)
-    graph = RegionGraph.of(cells, regions)
+    graph = RegionGraph.of(frame.cells, _compete(frame, regions))
+    graph = merge_coplanar(frame.cells, graph, None)
+    graph = remove_curved(graph, frame.noise.mean_sigma**2)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
     return _finish(frame, labels, planes, graph, DepthKind.EXACT)
 
@@ -145,30 +143,30 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     cells, noise = frame.cells, frame.noise
     regions = _compete(frame, regions)
     correlation = Correlation.of(cells, regions, noise)
-    regions = merge_coplanar(cells, regions, correlation)
-    regions = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
+    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
+    regions = split_at_depth_steps(frame.image, cells, graph.regions(), noise, correlation,
                                    frame.search.min_pixels)
+    graph = RegionGraph.of(cells, regions)
     if correlation is not None and sees_creases(
             cells.grid, noise, frame.search.config.ransac.inlier_threshold):
-        regions = remove_curved(cells, regions, correlation.density)
-    graph = RegionGraph.of(cells, regions)
+        graph = remove_curved(graph, correlation.density)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
     return _finish(frame, labels, planes, graph, DepthKind.MEASURED)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
-    regions = _compete(frame, regions)
-    regions = merge_coplanar(frame.cells, regions, None)
-    regions = merge_bowed_walls(frame.cells, regions)
-    return _label_pixels(frame, RegionGraph.of(frame.cells, regions)), regions.coefficients
+    graph = RegionGraph.of(frame.cells, _compete(frame, regions))
+    graph = merge_bowed_walls(merge_coplanar(frame.cells, graph, None))
+    return _label_pixels(frame, graph), graph.planes
 
 
 def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, graph: RegionGraph,
             kind: DepthKind) -> tuple[np.ndarray, np.ndarray]:
     """Remove curved regions last, so that no plane grows into them, and merge nearly flat ones."""
-    curved = find_curved(frame.cells, graph, kind)
-    owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)
+    config = frame.search.config.segmentation
+    curved = find_curved(graph, kind, config.flatness_angle)
+    owner, joined = join_nearly_flat(graph, curved, config)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1

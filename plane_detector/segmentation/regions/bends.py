@@ -15,13 +15,8 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
-from plane_detector.segmentation.regions.curved import (
-    fit_pair,
-    plane_error,
-    quadric_products,
-)
+from plane_detector.segmentation.regions.curved import fit_quadric
 from plane_detector.segmentation.regions.merging import (
     MAX_BULGE_STEP_DEVIATIONS,
     normals_differ,
@@ -43,19 +38,15 @@ MAX_BOW_DEG, MAX_BOW_GAP_DEVIATIONS = 35.0, 4.0
 MAX_BOW_RATIO, MIN_NOISE_SHARE = 3.0, 0.1
 
 
-def merge_bowed_walls(cells: WeightedCells, regions: PlaneRegions) -> PlaneRegions:
+def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
     """Merge adjacent regions that one slightly bent quadric fits as well as their planes do."""
-    def misfit(graph: RegionGraph) -> np.ndarray:
-        return _bow_misfit(graph.planes, graph.sums, graph.borders,
-                           quadric_products(cells, graph.labels, len(graph.planes))[0])
-
-    graph = RegionGraph.of(cells, regions)
-    return merge_pairs(graph, misfit, lambda graph, i, j: False).regions()
+    merged = merge_pairs(graph, lambda graph: _bow_misfit(graph.planes, graph.sums, graph.borders),
+                         lambda graph, i, j: False)
+    return merged.without_merged()
 
 
-@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
-        'float64[:, :, ::1])')
-def _bow_misfit(planes, sums, borders, products):
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1])')
+def _bow_misfit(planes, sums, borders):
     count = len(planes)
     misfit = np.full((count, count), np.inf)
     for i in range(count):
@@ -64,10 +55,7 @@ def _bow_misfit(planes, sums, borders, products):
                 continue
             fold_deg, gap = fold(planes, sums, borders, i, j)
             if fold_deg < MAX_BOW_DEG and gap < MAX_BOW_GAP_DEVIATIONS:
-                _, _, of_first, of_second = fit_pair(products[i], products[j])
-                own_first = max(plane_error(products[i]), MIN_NOISE_SHARE * sums[i, 10])
-                own_second = max(plane_error(products[j]), MIN_NOISE_SHARE * sums[j, 10])
-                misfit[i, j] = max(of_first / own_first, of_second / own_second) / MAX_BOW_RATIO
+                misfit[i, j] = fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)[2] / MAX_BOW_RATIO
     return misfit
 
 

@@ -21,7 +21,7 @@ from functools import partial
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, has_no_depth
+from plane_detector.segmentation.cells.model import WeightedCells, has_no_depth
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_RAD
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
@@ -52,21 +52,21 @@ SIGHT_LINES = 24
 MAX_SEEN_THROUGH = 0.2
 
 
-def merge_coplanar(cells: WeightedCells, regions: PlaneRegions,
-                   correlation: Correlation | None) -> PlaneRegions:
+def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
+                   correlation: Correlation | None) -> RegionGraph:
     """
     Merge pairs of regions, best fit first, until no pair fits.
 
     Parameters
     ----------
     cells : WeightedCells
-    regions : PlaneRegions
+    graph : RegionGraph
     correlation : Correlation or None
         Of the noise, for model selection; if None, all pairs that fit are merged.
 
     Returns
     -------
-    PlaneRegions
+    RegionGraph
         Planes refitted to all their cells.
 
     """
@@ -76,10 +76,9 @@ def merge_coplanar(cells: WeightedCells, regions: PlaneRegions,
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
-    graph = RegionGraph.of(cells, regions)
     for least_pairs in (MIN_BORDER_PAIRS, 0):  # neighbours first
         graph = merge_pairs(graph, partial(coplanar_misfit, least_pairs=least_pairs), is_apart)
-    return graph.regions()
+    return graph.without_merged()
 
 
 def coplanar_misfit(graph: RegionGraph, least_pairs: int = 0) -> np.ndarray:

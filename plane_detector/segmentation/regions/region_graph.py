@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import fit_plane
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
@@ -26,6 +27,10 @@ BORDER_REACH_CELLS = MIN_BORDER_PAIRS = 2
 MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
+# RegionGraph.sums: the columns of the sums of the products of two of 1, x, y, xx, xy, yy and d.
+PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 16, 17, 18, 7], [2, 4, 5, 17, 18, 19, 8],
+                     [3, 16, 17, 20, 21, 22, 25], [4, 17, 18, 21, 22, 23, 26],
+                     [5, 18, 19, 22, 23, 24, 27], [6, 7, 8, 25, 26, 27, 9]])
 
 
 @dataclass(frozen=True)
@@ -43,9 +48,10 @@ class RegionGraph:
         Fitted to all pixels of the cells.
     pixels : (K, 10) float64
         Moments of these pixels.
-    sums : (K, 16) float64
+    sums : (K, 28) float64
         Moments of the means of the cells, each as one pixel (10), and sums of their variances; of
-        the cells with normals their number, two slopes, the squares of these, and disparity.
+        the cells with normals their number, two slopes, the squares of these, and disparity; xxx,
+        xxy, xyy, yyy, xxxx, xxxy, xxyy, xyyy, yyyy, xxd, xyd, yyd of the means.
     borders : (K, K, 4) float64
         Entry i, j: pairs of cells along the border of i and j, sums of x, y, d of those in i.
 
@@ -87,12 +93,21 @@ class RegionGraph:
         return _intersections(self.planes, self.borders)
 
     def regions(self) -> PlaneRegions:
-        """Return the remaining regions with consecutive labels."""
-        kept = self.owner == np.arange(len(self.owner))
-        if kept.all():
-            return PlaneRegions(self.labels, self.planes)
-        index = np.append(np.cumsum(kept) - 1, -1).astype(np.int32)
-        return PlaneRegions(index[self.labels], self.planes[kept])
+        """Return labels and planes."""
+        return PlaneRegions(self.labels, self.planes)
+
+    def without_merged(self) -> RegionGraph:
+        """Return the graph of the regions that were not merged into others."""
+        return self.only(self.owner == np.arange(len(self.owner)))
+
+    def only(self, is_kept: np.ndarray) -> RegionGraph:
+        """Return the graph of some regions, ``is_kept`` (K,) bool, with consecutive labels."""
+        if is_kept.all():
+            return self
+        kept = np.flatnonzero(is_kept)
+        return RegionGraph(relabel_sequential(self.labels, kept, len(self.planes)),
+                           np.arange(len(kept)), self.planes[kept], self.pixels[kept],
+                           self.sums[kept], self.borders[np.ix_(kept, kept)])
 
 
 def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
@@ -131,7 +146,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
         '(int32[:, ::1], UniTuple(float64[:, ::1], 3), boolean[::1], int64)')
 def _sum_up(labels, values, is_planar, count):
     (table, moments, slope), (rows, columns) = values, labels.shape
-    pixels, sums = np.zeros((count, 10)), np.zeros((count, 16))
+    pixels, sums = np.zeros((count, 10)), np.zeros((count, 28))
     borders = np.zeros((count, count, 4))
     for row in range(rows):
         for column in range(columns):
@@ -169,6 +184,19 @@ def _add_cell(cell, slope, sums):
     sums[8] += y * d
     sums[9] += d * d
     sums[10] += 1 / cell[5]
+    xx, xy, yy = x * x, x * y, y * y
+    sums[16] += xx * x
+    sums[17] += xx * y
+    sums[18] += yy * x
+    sums[19] += yy * y
+    sums[20] += xx * xx
+    sums[21] += xx * xy
+    sums[22] += xx * yy
+    sums[23] += xy * yy
+    sums[24] += yy * yy
+    sums[25] += xx * d
+    sums[26] += xy * d
+    sums[27] += yy * d
     if np.isfinite(slope[0]):
         sums[11] += 1
         sums[12] += slope[0]
@@ -190,7 +218,7 @@ def _merge(labels, owner, parts, borders, pair):
             owner[k] = target
     for k in range(10):
         pixels[target, k] += pixels[source, k]
-    for k in range(16):
+    for k in range(sums.shape[1]):
         sums[target, k] += sums[source, k]
         sums[source, k] = 0
     for other in range(len(owner)):

@@ -10,7 +10,8 @@ from plane_detector import segment_planes
 from plane_detector.config import Config
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.regions.bends import merge_bowed_walls
+from plane_detector.segmentation.regions import bends
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 KNOWN = 0.008
 NETWORK = Noise(Config().ransac.noise_floor, source_sigma=KNOWN, mean_sigma=KNOWN,
@@ -29,6 +30,10 @@ def halves(depth_m, noise=NETWORK):
     labels = np.zeros(model.grid.shape, int)
     labels[:, labels.shape[1] // 2:] = 1
     return model, hand_made(model, labels)
+
+
+def merge_bowed_walls(model, regions):
+    return bends.merge_bowed_walls(RegionGraph.of(model, regions)).regions()
 
 
 def test_the_halves_of_a_bowed_wall_are_one():

@@ -49,6 +49,10 @@ def correlation_of(model, regions, sigma):
     return Correlation.of(model, regions, noise_of(sigma)) if sigma else None
 
 
+def merged_regions(model, regions, correlation):
+    return merge_coplanar(model, RegionGraph.of(model, regions), correlation).regions()
+
+
 def two_walls(step_m):
     return view([wall(2, right_m=0), wall(2 + step_m, 0)])
 
@@ -58,7 +62,7 @@ def two_walls(step_m):
 def test_stripes_of_one_wall_become_one(sigma, count):
     model = noisy_model(view([wall(2.5)], angles_deg=(30, 0, 0)), sigma)
     regions = hand_made(model, stripes(model.grid.shape, count))
-    result = merge_coplanar(model, regions, correlation_of(model, regions, sigma))
+    result = merged_regions(model, regions, correlation_of(model, regions, sigma))
     assert (result.labels == 0).all()
     whole = hand_made(model, np.zeros(model.grid.shape, int)).coefficients
     np.testing.assert_allclose(result.coefficients, whole, rtol=1e-9, atol=1e-12)
@@ -71,7 +75,7 @@ def test_stripes_of_two_walls_become_two(step_m, sigma, turned):
     labels = stripes(model.grid.shape, 8)
     # The numbers say nothing: neighbours need not be neighbours in number.
     labels = np.array([5, 2, 7, 0, 3, 6, 1, 4])[labels] if turned else labels
-    result = merge_coplanar(model, regions := hand_made(model, labels),
+    result = merged_regions(model, regions := hand_made(model, labels),
                             correlation_of(model, regions, sigma))
     assert len(result.coefficients) == 2
     left, right = result.labels[:, :40], result.labels[:, 40:]
@@ -97,14 +101,14 @@ def test_a_low_small_bulge_without_a_step_is_part_of_the_wall(height, width_px, 
     regions = hand_made(model, (off_px < radius_px).astype(int))
     far = replace(graph := RegionGraph.of(model, regions), borders=0 * graph.borders)
     assert coplanar_misfit(far)[0, 1] > 1
-    assert len(merge_coplanar(model, regions, None).coefficients) == count
+    assert len(merged_regions(model, regions, None).coefficients) == count
 
 
 @pytest.mark.parametrize(('bend', 'count'), [(0.01, 1), (0.04, 3), (0.15, 5), (0.4, 8)])
 def test_of_what_bends_only_neighbours_merge_and_fit_what_they_hold(bend, count):
     disparity = np.tile(0.4 + bend * np.linspace(-0.5, 0.5, 640) ** 2, (480, 1))
     model = cell_model((1 / disparity).astype(np.float32), replace(WEIGHED, mean_sigma=0.001))
-    result = merge_coplanar(model, hand_made(model, stripes(model.grid.shape, 8)), None)
+    result = merged_regions(model, hand_made(model, stripes(model.grid.shape, 8)), None)
     assert len(result.coefficients) == count
     assert np.count_nonzero(np.diff(result.labels[0])) == count - 1
     refitted = hand_made(model, result.labels).coefficients
@@ -121,7 +125,7 @@ def test_pieces_are_one_plane_unless_something_farther_is_seen_between(distance_
     model = cell_model(scene.depth_m)
     labels = np.full(model.grid.shape, -1)
     labels[:, :40 - width // 2], labels[:, 40 + (width + 1) // 2:] = 0, 1
-    assert len(merge_coplanar(model, hand_made(model, labels), None).coefficients) == count
+    assert len(merged_regions(model, hand_made(model, labels), None).coefficients) == count
 
 
 @pytest.mark.parametrize('length', [1, 2])
@@ -152,7 +156,7 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
     np.testing.assert_allclose(result.borders[np.ix_(left, left)],
                                expected.borders[np.ix_(left, left)], rtol=1e-9, atol=1e-9)
     assert (result.sums[[0, 1, 7]] == 0).all()
-    merged = result.regions()
+    merged = result.without_merged().regions()
     np.testing.assert_array_equal(merged.labels, np.array([0, 0, 0, 1, 2, 3, 4, 2])[labels])
     refitted = hand_made(model, merged.labels).coefficients
     np.testing.assert_allclose(merged.coefficients[[0, 2]], refitted[[0, 2]], rtol=1e-9)
