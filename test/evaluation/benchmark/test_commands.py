@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from plane_detector.evaluation.benchmark import __main__ as program
@@ -85,4 +86,5 @@ def test_a_run_names_its_command_machine_and_commit_first(monkeypatch, capsys):
 def test_the_provenance_of_a_result_is_stated():
     text = program.provenance(['scale', 'with space'])
     assert text.startswith(f"`python3 -m {MODULE} scale 'with space'`\n\n")
-    assert all(part in text for part in ('cores, Python 3.', 'numpy 2', '; commit '))
+    for part in ('cores, Python 3.', f'numpy {np.__version__}', '; commit '):
+        assert part in text
