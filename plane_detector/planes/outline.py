@@ -151,11 +151,16 @@ def _bounding_boxes(labels, count):
     boxes = np.zeros((count, 4), np.int64)
     boxes[:, 0], boxes[:, 2] = height, width
     for v in range(height):
+        first = 0  # of a run of equal labels
         for u in range(width):
-            if 0 <= labels[v, u] < count:
-                box = boxes[labels[v, u]]
+            label = labels[v, u]
+            if u + 1 < width and labels[v, u + 1] == label:
+                continue
+            if 0 <= label < count:
+                box = boxes[label]
                 box[0], box[1] = min(box[0], v), v + 1
-                box[2], box[3] = min(box[2], u), max(box[3], u + 1)
+                box[2], box[3] = min(box[2], first), max(box[3], u + 1)
+            first = u + 1
     return boxes
 
 

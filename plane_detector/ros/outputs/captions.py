@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -54,8 +55,7 @@ class Caption:
 
 def arrow_length_m(plane: Plane) -> float:
     """Return the length of the arrow along the normal."""
-    return min(_ARROW_LENGTH * float(np.linalg.norm(plane.centroid_m)),
-               _LARGEST_ARROW * float(np.sqrt(plane.area_m2)))
+    return min(_ARROW_LENGTH * _distance_m(plane), _LARGEST_ARROW * math.sqrt(plane.area_m2))
 
 
 def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: CameraIntrinsics,
@@ -79,49 +79,61 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
 
     """
     captions: list[Caption] = []
-    boxes: list[np.ndarray] = []
+    boxes: list[_Box] = []
     min_pixels = _MIN_SHARE * detection.labels.size
     order = sorted(range(len(detection.planes)), key=lambda k: -detection.planes[k].inlier_count)
     for index in order:
         plane, text = detection.planes[index], f'{labels[index]}: {_description(detection, index)}'
-        height = _height_m(plane) / float(np.linalg.norm(plane.centroid_m))
-        middle = _middle(plane, places.get(labels[index]), intrinsics)
-        box = middle + _BOX * height / 2 * np.outer([-1, 1], [_ADVANCE * len(text), 1.0])
+        height = _height_m(plane) / _distance_m(plane)
+        x, y = _middle(plane, places.get(labels[index]), intrinsics)
+        half_width, half_height = _BOX * height / 2 * _ADVANCE * len(text), _BOX * height / 2
+        box = x - half_width, y - half_height, x + half_width, y + half_height
         is_shown = plane.inlier_count >= min_pixels and not any(
             _overlap(box, other) for other in boxes)
         if is_shown:
             boxes.append(box)
         z_m = _before_m(plane, box)
-        captions.append(Caption(text, z_m * np.append(middle, 1.0), z_m * height, is_shown))
+        captions.append(Caption(text, z_m * np.array([x, y, 1.0]), z_m * height, is_shown))
     return tuple(captions[order.index(index)] for index in range(len(order)))
 
 
+# Left, top, right, bottom as x / z and y / z.
+_Box = tuple[float, float, float, float]
+
+
+def _distance_m(plane: Plane) -> float:
+    return math.hypot(*plane.centroid_m)
+
+
 def _height_m(plane: Plane) -> float:
-    return min(_HEIGHT * float(np.linalg.norm(plane.centroid_m)),
-               _LARGEST_HEIGHT * float(np.sqrt(plane.area_m2)))
+    return min(_HEIGHT * _distance_m(plane), _LARGEST_HEIGHT * math.sqrt(plane.area_m2))
 
 
-def _middle(plane: Plane, place: LabelPlace | None, intrinsics: CameraIntrinsics) -> np.ndarray:
+def _middle(plane: Plane, place: LabelPlace | None,
+            intrinsics: CameraIntrinsics) -> tuple[float, float]:
     """Return x / z and y / z of the position of a text."""
     if place is None:
-        return plane.centroid_m[:2] / plane.centroid_m[2]
-    return np.array([(place.column - intrinsics.cx) / intrinsics.fx,
-                     (place.row - intrinsics.cy) / intrinsics.fy])
+        x_m, y_m, z_m = plane.centroid_m.tolist()
+        return x_m / z_m, y_m / z_m
+    return ((place.column - intrinsics.cx) / intrinsics.fx,
+            (place.row - intrinsics.cy) / intrinsics.fy)
 
 
-def _before_m(plane: Plane, box: np.ndarray) -> float:
+def _before_m(plane: Plane, box: _Box) -> float:
     """Return the z at which a text with this box is in front of the plane."""
-    corners = np.array([[x, y, 1.0] for x in box[:, 0] for y in box[:, 1]])
-    nearness = -corners @ plane.normal  # 1 / z times the offset
-    at_middle, at_nearest = float(nearness.mean()), float(nearness.max())
+    left, top, right, bottom = box
+    a, b, c = plane.normal.tolist()
+    nearness = [-(a * x + b * y + c) for x in (left, right) for y in (top, bottom)]
+    at_middle, at_nearest = sum(nearness) / 4, max(nearness)  # 1 / z times the offset
     if at_middle <= 0:  # the centre is beyond the plane's horizon
         return float(plane.centroid_m[2])
     middle_m = plane.offset_m / at_middle
     return max(_BEFORE_PLANE * plane.offset_m / at_nearest, _NEAREST * middle_m)
 
 
-def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
-    return bool((first[0] < second[1]).all() and (second[0] < first[1]).all())
+def _overlap(first: _Box, second: _Box) -> bool:
+    return (first[0] < second[2] and second[0] < first[2]
+            and first[1] < second[3] and second[1] < first[3])
 
 
 def _description(detection: Detection, index: int) -> str:

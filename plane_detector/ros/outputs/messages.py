@@ -10,15 +10,16 @@ the image. Labels in messages are above 0; 0 is no plane.
 from __future__ import annotations
 
 import array
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
+from geometry_msgs.msg import Point, Pose, PoseArray
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
+from plane_detector.compilation import kernel
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 FIRST_SHAPE_LABEL = 32768
@@ -36,6 +37,7 @@ class Lens(NamedTuple):
     coefficients: tuple[float, ...]
 
 
+_ORIGIN, _NO_POSE = Point(), Pose()
 NO_LENS = Lens('plumb_bob', (0.0,) * 5)
 
 
@@ -130,7 +132,37 @@ def label_names(detection: Detection) -> np.ndarray:
 
 def pixel_labels(detection: Detection) -> np.ndarray:
     """Return the label of each pixel, (H, W) uint16, 0 for no plane and no shape."""
-    return np.take(label_names(detection).astype(np.uint16), detection.labels)
+    return _named(label_names(detection).astype(np.uint16), detection.labels)
+
+
+@kernel("uint16[:, ::1](uint16[::1], Array(int32, 2, 'A', readonly=True))")
+def _named(names, labels):
+    result = np.empty(labels.shape, np.uint16)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            result[v, u] = names[labels[v, u]]  # -1 is the last entry
+    return result
+
+
+def new_like(message: Any) -> Any:
+    """Return a copy that shares the fields; the constructor takes ten times as long."""
+    made = type(message).__new__(type(message))
+    for slot in message.__slots__:
+        setattr(made, slot, getattr(message, slot))
+    return made
+
+
+def points_to_msgs(points_m: np.ndarray) -> list[Point]:
+    """Return points (N, 3) as messages, sooner than their constructor does."""
+    slots = [(slot, getattr(_ORIGIN, slot)) for slot in Point.__slots__]
+    points = []
+    for x, y, z in points_m.tolist():
+        point = Point.__new__(Point)
+        for slot, value in slots:
+            setattr(point, slot, value)
+        point.x, point.y, point.z = x, y, z
+        points.append(point)
+    return points
 
 
 def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
@@ -147,10 +179,10 @@ def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
     x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
     axes = np.stack([x_axes, np.cross(z_axes, x_axes), z_axes], axis=2)
     quaternions = Rotation.from_matrix(axes).as_quat()
+    positions = points_to_msgs(np.stack([plane.centroid_m for plane in planes]))
     return PoseArray(header=header, poses=[
-        Pose(position=Point(**_named('xyz', plane.centroid_m)),
-             orientation=Quaternion(**_named('xyzw', quaternion)))
-        for plane, quaternion in zip(planes, quaternions, strict=True)])
+        _pose(position, *quaternion)
+        for position, quaternion in zip(positions, quaternions.tolist(), strict=True)])
 
 
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
@@ -175,8 +207,11 @@ def jpeg_to_msg(header: Header, rgb: np.ndarray) -> CompressedImage:
                            data=array.array('B', data.tobytes()))
 
 
-def _named(names: str, values: np.ndarray) -> dict[str, float]:
-    return dict(zip(names, values.tolist(), strict=True))
+def _pose(position: Point, x: float, y: float, z: float, w: float) -> Pose:
+    pose, turn = new_like(_NO_POSE), new_like(_NO_POSE.orientation)
+    turn.x, turn.y, turn.z, turn.w = x, y, z, w
+    pose.position, pose.orientation = position, turn
+    return pose
 
 
 def cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,

@@ -81,20 +81,19 @@ def boundaries_to_msg(header: Header, labels: Iterable[int],
         Of each plane.
 
     """
-    tables = [np.zeros(0, CORNER_DTYPE)]
-    for label, outlines in zip(labels, polygons, strict=True):
-        for polygon in outlines:
-            closed_m = np.vstack([polygon.corners_m, polygon.corners_m[:1]])
-            table = np.zeros(len(closed_m), CORNER_DTYPE)
-            table['x'], table['y'], table['z'] = closed_m.T
-            table['label'], table['hole'] = label, polygon.is_hole
-            table['polygon'] = len(tables) - 1
-            tables.append(table)
-    # Joined field by field: np.concatenate leaves the padding between them uninitialised.
-    joined = np.zeros(sum(map(len, tables)), CORNER_DTYPE)
-    for name in CORNER_DTYPE.names:
-        joined[name] = np.concatenate([table[name] for table in tables])
-    return _table_msg(header, joined)
+    outlines = [(label, polygon) for label, of_plane in zip(labels, polygons, strict=True)
+                for polygon in of_plane]
+    closed_m = [np.zeros((0, 3))]
+    for _, polygon in outlines:
+        closed_m += polygon.corners_m, polygon.corners_m[:1]
+    counts = [len(polygon.corners_m) + 1 for _, polygon in outlines]
+    table = np.zeros(sum(counts), CORNER_DTYPE)
+    table['x'], table['y'], table['z'] = np.concatenate(closed_m).T
+    for name, values in (('label', [label for label, _ in outlines]),
+                         ('hole', [polygon.is_hole for _, polygon in outlines]),
+                         ('polygon', range(len(outlines)))):
+        table[name] = np.repeat(np.array(values, CORNER_DTYPE[name]), counts)
+    return _table_msg(header, table)
 
 
 def _set(table: np.ndarray, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
