@@ -11,7 +11,7 @@ import numpy as np
 from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
-from plane_detector.directions.finder import DirectionFinder, ImageDirections, Surroundings
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Surroundings
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import classify_by_gravity
@@ -124,8 +124,9 @@ class PlaneDetector:
 
     def look(self, seen: Observation, gravity_camera: np.ndarray | None = None) -> Surroundings:
         """Run the second stage of :meth:`detect`: gravity, and lines of the image if needed."""
-        return self._directions.look(seen.rgb, seen.intrinsics, seen.covered, gravity_camera,
-                                     seen.config, needs_lines=_turns(seen))
+        given = None if seen.is_measured or seen.output == 'relative_disparity' else seen.disparity
+        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
+        return self._directions.look(image, gravity_camera, seen.config, needs_lines=_turns(seen))
 
     def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
@@ -145,7 +146,7 @@ class PlaneDetector:
             depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
             regions = _rescaled(regions, scale, seen)
             planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
-                              around.lines if _turns(seen) and scale.has_true_angles else None)
+                              around if _turns(seen) and scale.has_true_angles else None)
         with stages('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             planes, shapes, shape_labels = self._shapes.detect(
@@ -286,15 +287,14 @@ def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -
 def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
     """Return the regions in the unit of the scale, rotated by the network's normals if any."""
     regions = regions.rescaled(scale.scale, scale.shift)
-    if not scale.has_true_angles:
-        return regions
-    return turned_by_normals(regions, seen.prediction, seen.intrinsics)
+    return (turned_by_normals(regions, seen.prediction, seen.intrinsics)
+            if scale.has_true_angles else regions)
 
 
 @one_blas_thread
 def _measure(regions: PixelRegions, intrinsics: CameraIntrinsics,
-             config: Config, lines: ImageDirections | None = None) -> PlaneSegmentation:
+             config: Config, around: Surroundings | None = None) -> PlaneSegmentation:
     """Measure the planes that are large enough, rotated by the lines of the image if given."""
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
-    planes, labels = measure_turned(regions, intrinsics, min_pixels, lines)
-    return PlaneSegmentation(planes, labels, regions.noise.mean_sigma)
+    turned = measure_turned(regions, intrinsics, min_pixels, around and around.lines)
+    return PlaneSegmentation(*turned, regions.noise.mean_sigma)

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from plane_detector.config import Config
+from plane_detector.directions.floor_evidence import surface_normals
 from plane_detector.directions.gravity_choice import Gravity, choose_gravity
 from plane_detector.directions.line_segments import LineSegments, detect_line_segments
 from plane_detector.directions.temporal_filter import TrackedDirections, track_directions
@@ -48,27 +49,47 @@ class ImageDirections:
         return np.vstack([self.axes, *(pair.axes for pair in self.directions.pairs[1:])])
 
 
-def find_in_image(rgb: np.ndarray, intrinsics: CameraIntrinsics, rng: np.random.Generator,
-                  coarse_down: np.ndarray | None = None,
-                  covered: np.ndarray | None = None) -> ImageDirections:
+@dataclass(frozen=True)
+class CameraImage:
     """
-    Find the lines of an image and the directions common to them.
+    An image and what is known of its pixels.
 
-    Parameters
+    Attributes
     ----------
     rgb : (H, W, 3) uint8
         Rectified.
     intrinsics : CameraIntrinsics
         Of that image.
+    covered : (H, W) bool or None
+        Pixels that the image covers after rectification; None: all.
+    disparity : (H, W) float32 or None
+        1/z of a network, without a shift; NaN invalid. Its floor may confirm the vertical.
+
+    """
+
+    rgb: np.ndarray
+    intrinsics: CameraIntrinsics
+    covered: np.ndarray | None = None
+    disparity: np.ndarray | None = None
+
+
+def find_in_image(image: CameraImage, rng: np.random.Generator,
+                  coarse_down: np.ndarray | None = None) -> ImageDirections:
+    """
+    Find the lines of an image and the directions common to them.
+
+    Parameters
+    ----------
+    image : CameraImage
     rng : numpy.random.Generator
     coarse_down : (3,) floating, optional
         Approximate unit direction of gravity; default: that of an upright camera.
-    covered : (H, W) bool, optional
-        Pixels that the image covers after rectification.
 
     """
-    segments = detect_line_segments(rgb, intrinsics, covered)
-    return ImageDirections(segments, find_directions(segments, rng, coarse_down))
+    segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
+    surface = (None if image.disparity is None
+               else surface_normals(image.disparity, image.intrinsics))
+    return ImageDirections(segments, find_directions(segments, rng, coarse_down, surface))
 
 
 @dataclass(frozen=True)
@@ -112,20 +133,14 @@ class DirectionFinder:
         self._seed = seed
         self._tracked: TrackedDirections | None = None
 
-    def look(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, covered: np.ndarray | None,
-             measured_down: np.ndarray | None, config: Config, *,
+    def look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config, *,
              needs_lines: bool) -> Surroundings:
         """
         Determine gravity, and find the lines of the image if they are needed.
 
         Parameters
         ----------
-        rgb : (H, W, 3) uint8
-            Rectified.
-        intrinsics : CameraIntrinsics
-            Of that image.
-        covered : (H, W) bool or None
-            Pixels that the image covers after rectification.
+        image : CameraImage
         measured_down : (3,) floating or None
             Direction of gravity from a sensor.
         config : Config
@@ -135,23 +150,21 @@ class DirectionFinder:
 
         """
         start_s = time.perf_counter()
-        found = self._look(rgb, intrinsics, covered, measured_down, config, needs_lines)
+        found = self._look(image, measured_down, config, needs_lines)
         return replace(found, seconds=time.perf_counter() - start_s)
 
     def reset(self) -> None:
         """Discard what is kept from earlier images."""
         self._tracked = None
 
-    def _look(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, covered: np.ndarray | None,
-              measured_down: np.ndarray | None, config: Config,
+    def _look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
               needs_lines: bool) -> Surroundings:
         choose = partial(choose_gravity, measured_down, config.scale.gravity,
                          config.scale.gravity_tolerance)
         known = choose(None)
         if not needs_lines and (known.is_sure or not config.directions.gravity):
             return Surroundings(known, None)
-        alone = find_in_image(rgb, intrinsics, np.random.default_rng(self._seed),
-                              known.gravity_camera, covered)
+        alone = find_in_image(image, np.random.default_rng(self._seed), known.gravity_camera)
         self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
         lines = ImageDirections(alone.segments, self._tracked.directions)
         return Surroundings(choose(lines.directions) if config.directions.gravity else known,

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from plane_detector.directions.floor_evidence import shows_floor, surface_normals
 from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
 from plane_detector.directions.vanishing import find_directions
 from plane_detector.evaluation.scenes.rendering import VGA
@@ -69,6 +70,26 @@ def test_one_direction_alone_is_refused(rng):
     found = find_directions(lines_along(tilted_frame()[:1], 40, rng), rng)
     assert found.gravity_camera is None and not found.pairs
     assert 'perpendicular' in found.refusal or 'upright' in found.refusal
+
+
+@pytest.mark.parametrize(('floor_deg', 'is_found'), [(3, True), (25, False)])
+def test_one_direction_is_the_vertical_if_a_floor_is_perpendicular_to_it(rng, floor_deg, is_found):
+    down, x, _ = tilted_frame()
+    floor = np.cos(np.radians(floor_deg)) * down + np.sin(np.radians(floor_deg)) * x
+    surface = np.vstack([np.tile(floor, (100, 1)), np.tile(x, (900, 1))])
+    found = find_directions(lines_along(down[None], 40, rng), rng, surface=surface)
+    assert (found.gravity_camera is not None) == is_found
+    if is_found:
+        assert angle_deg(found.gravity_camera, down) < 0.5 and not found.pairs
+
+
+def test_normals_of_a_floor_in_the_depth():
+    y = ((np.arange(VGA.height) - VGA.cy) / VGA.fy)[:, None]
+    disparity = np.broadcast_to(np.where(y > 0.1, y / 1.5, np.nan), (VGA.height, VGA.width))
+    normals = surface_normals(disparity, VGA)
+    assert np.mean(normals @ [0, 1, 0] > 0.999) > 0.25
+    assert shows_floor(normals, np.array([0.0, 1, 0]))
+    assert not shows_floor(normals, np.array([0.0, 0.9, 0.44]))
 
 
 def test_few_lines_are_refused(rng):

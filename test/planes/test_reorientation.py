@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.directions.finder import ImageDirections, find_in_image
+from plane_detector.directions.finder import CameraImage, ImageDirections, find_in_image
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import AxisPair, SceneDirections
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -44,7 +44,7 @@ def before_and_after(make, seed, sigma):
     regions = segment(1 / depth_m, metric_noise_floor(CONFIG, 0.004), CONFIG,
                       np.random.default_rng(0))
     planes, labels = measure_planes(regions, scene.intrinsics, 1000)
-    lines = find_in_image(scene.rgb, scene.intrinsics, np.random.default_rng(0))
+    lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics), np.random.default_rng(0))
     turned = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
     return scene, (planes, labels), measure_planes(turned, scene.intrinsics, 1000)
 

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config, DirectionsConfig, RansacConfig
-from plane_detector.directions.finder import find_in_image
+from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.orientation_figure import write_figure
@@ -99,7 +99,7 @@ def report_gravity(name: str, found: Sequence[Frame]) -> None:
 
 
 def _directions(rgb: np.ndarray, intrinsics) -> SceneDirections:
-    return find_in_image(rgb, intrinsics, np.random.default_rng(0)).directions
+    return find_in_image(CameraImage(rgb, intrinsics), np.random.default_rng(0)).directions
 
 
 def _summary(errors: Sequence[float], asked: int) -> str:

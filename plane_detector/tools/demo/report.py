@@ -13,7 +13,7 @@ import numpy as np
 
 from plane_detector import drawing
 from plane_detector.directions.drawing import draw_directions
-from plane_detector.directions.finder import find_in_image
+from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.tools.demo.node_client import Received, Timing
 from plane_detector.tools.demo.photographs import Photograph
@@ -141,7 +141,7 @@ def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
 
 
 def _directions(photograph: Photograph) -> SceneDirections:
-    return find_in_image(photograph.rgb, photograph.intrinsics,
+    return find_in_image(CameraImage(photograph.rgb, photograph.intrinsics),
                          np.random.default_rng(0)).directions
 
 
