@@ -11,7 +11,7 @@ import numpy as np
 from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
-from plane_detector.directions.finder import CameraImage, DirectionFinder, Surroundings
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import classify_by_gravity
@@ -111,8 +111,7 @@ class PlaneDetector:
         """
         Run the first stage of :meth:`detect`: the depth of an image.
 
-        While it runs on an image, other threads may run the next stages, :meth:`look` and
-        :meth:`find_planes`, on the images before. Each must take the images in order.
+        Other threads may run the next stages on the images before; each takes them in order.
         """
         stages = StageTimer()
         with stages('depth'):
@@ -122,11 +121,13 @@ class PlaneDetector:
             check_depth(seen.prediction.values, intrinsics)
         return replace(seen, depth_seconds=stages.seconds['depth'])
 
-    def look(self, seen: Observation, gravity_camera: np.ndarray | None = None) -> Surroundings:
-        """Run the second stage of :meth:`detect`: gravity, and lines of the image if needed."""
+    def look(self, seen: Observation, gravity_camera: np.ndarray | None = None,
+             may_hold: bool = False) -> Surroundings:
+        """Run the second stage: gravity and lines, those of the image before if allowed."""
         given = None if seen.is_measured or seen.output == 'relative_disparity' else seen.disparity
         image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
-        return self._directions.look(image, gravity_camera, seen.config, needs_lines=_turns(seen))
+        need = Need.PLANES if _turns(seen) else Need.GRAVITY_HELD if may_hold else Need.GRAVITY
+        return self._directions.look(image, gravity_camera, seen.config, need)
 
     def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
@@ -166,9 +167,8 @@ class PlaneDetector:
 
     def reset(self) -> None:
         """Discard what is kept from earlier images: averages, scale and labels."""
-        self.reset_depth()
-        self.reset_directions()
-        self.reset_planes()
+        for reset in (self.reset_depth, self.reset_directions, self.reset_planes):
+            reset()
 
     def reset_depth(self) -> None:
         """Discard the state of :meth:`observe`: the average of the depth."""

@@ -5,7 +5,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from enum import Enum, auto
 from functools import partial
 
 import numpy as np
@@ -92,6 +93,17 @@ def find_in_image(image: CameraImage, rng: np.random.Generator,
     return ImageDirections(segments, find_directions(segments, rng, coarse_down, surface))
 
 
+class Need(Enum):
+    """What the lines of an image are needed for."""
+
+    PLANES = auto()
+    """For the planes; found in every image, even if gravity is known."""
+    GRAVITY = auto()
+    """Only for gravity, if it is not known otherwise."""
+    GRAVITY_HELD = auto()
+    """As GRAVITY; those found last are accurate enough."""
+
+
 @dataclass(frozen=True)
 class Surroundings:
     """
@@ -133,8 +145,8 @@ class DirectionFinder:
         self._seed = seed
         self._tracked: TrackedDirections | None = None
 
-    def look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config, *,
-             needs_lines: bool) -> Surroundings:
+    def look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
+             need: Need = Need.GRAVITY) -> Surroundings:
         """
         Determine gravity, and find the lines of the image if they are needed.
 
@@ -145,27 +157,23 @@ class DirectionFinder:
             Direction of gravity from a sensor.
         config : Config
             Its ``scale`` and ``directions`` are used.
-        needs_lines : bool
-            Whether the lines are needed even if gravity is known.
+        need : Need
+            What the lines are needed for.
 
         """
         start_s = time.perf_counter()
-        found = self._look(image, measured_down, config, needs_lines)
-        return replace(found, seconds=time.perf_counter() - start_s)
+        choose = partial(choose_gravity, measured_down, config.scale.gravity,
+                         config.scale.gravity_tolerance)
+        known = choose(None)
+        if need != Need.PLANES and (known.is_sure or not config.directions.gravity):
+            return Surroundings(known, None, time.perf_counter() - start_s)
+        if self._tracked is None or need != Need.GRAVITY_HELD:
+            alone = find_in_image(image, np.random.default_rng(self._seed), known.gravity_camera)
+            self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
+        lines = ImageDirections(self._tracked.segments, self._tracked.directions)
+        return Surroundings(choose(lines.directions) if config.directions.gravity else known,
+                            lines, time.perf_counter() - start_s)
 
     def reset(self) -> None:
         """Discard what is kept from earlier images."""
         self._tracked = None
-
-    def _look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
-              needs_lines: bool) -> Surroundings:
-        choose = partial(choose_gravity, measured_down, config.scale.gravity,
-                         config.scale.gravity_tolerance)
-        known = choose(None)
-        if not needs_lines and (known.is_sure or not config.directions.gravity):
-            return Surroundings(known, None)
-        alone = find_in_image(image, np.random.default_rng(self._seed), known.gravity_camera)
-        self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
-        lines = ImageDirections(alone.segments, self._tracked.directions)
-        return Surroundings(choose(lines.directions) if config.directions.gravity else known,
-                            lines)

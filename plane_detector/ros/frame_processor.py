@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -161,6 +162,7 @@ class FrameProcessor:
         self._shown: frozenset[int] = frozenset()
         self._resets = 0
         self._before: Detection | None = None
+        self._looked_s = -math.inf
         self._observed_past = self._looked_past = self._finished_past = (0, 0)
 
     @property
@@ -199,8 +201,13 @@ class FrameProcessor:
         waited_s = time.perf_counter() - observed.end_s
         if observed.past != self._looked_past:
             self.detector.reset_directions()
-            self._looked_past = observed.past
-        around = self.detector.look(observed.seen, _down(observed.frame, observed.pose))
+            self._looked_past, self._looked_s = observed.past, -math.inf
+        down, stamp_s = _down(observed.frame, observed.pose), _stamp_s(observed.frame)
+        seen, age_s = observed.seen, stamp_s - self._looked_s
+        may_hold = seen.is_measured and 0 < age_s < seen.config.directions.hold_time
+        around = self.detector.look(seen, down, may_hold)
+        if not may_hold:
+            self._looked_s = stamp_s
         return OrientedFrame(observed, around, {**observed.stage_seconds, 'wait': waited_s},
                              time.perf_counter())
 
@@ -246,6 +253,11 @@ class FrameProcessor:
         if 'markers' in made:
             self._shown = frozenset([*messages.plane_labels(detection).tolist(),
                                      *messages.shape_labels(detection).tolist()])
+
+
+def _stamp_s(frame: Frame) -> float:
+    stamp = frame.image.header.stamp
+    return stamp.sec + 1e-9 * stamp.nanosec
 
 
 def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:

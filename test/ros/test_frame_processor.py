@@ -12,7 +12,8 @@ pytest.importorskip('rclpy')
 from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector import Config, PlaneDetector
-from plane_detector.config import DepthConfig, NodeConfig
+from plane_detector.config import DepthConfig, DirectionsConfig, NodeConfig
+from plane_detector.directions import finder
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -20,6 +21,7 @@ from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 ROOM = random_room(np.random.default_rng(3), CAMERA)
+STAMPS = [1.0, 1.03, 1.09, 1.2, 1.1, 1.1, 1.21, 1.25]
 
 
 def frame(stamp_s, epoch=0):
@@ -56,6 +58,26 @@ def test_times_of_all_stages_add_up_to_the_latency(processor):
     seconds = finish(processor, observed, ('planes',)).stage_seconds
     assert {'convert', 'depth', 'wait', 'segmentation', 'messages'} <= set(seconds)
     assert all(value >= 0 for value in seconds.values())
+
+
+@pytest.mark.parametrize(('source', 'hold_time', 'expected'), [
+    ('topic', 0.1, [1.0, 1.2, 1.1, 1.1, 1.21]), ('topic', 0.0, STAMPS), ('model', 0.1, STAMPS)])
+def test_with_measured_depth_gravity_is_kept_for_a_short_time(source, hold_time, expected,
+                                                             monkeypatch):
+    depth_msg = image_msg(ROOM.depth_m.astype(np.float32), '32FC1', 1.0)
+    config = replace(Config(), depth=DepthConfig(source=source),
+                     directions=DirectionsConfig(hold_time=hold_time))
+    model = (lambda rgb: ROOM.depth_m) if source == 'model' else None
+    processor, looked = FrameProcessor(PlaneDetector(config, model), NodeConfig(), 'image'), []
+    find = finder.find_in_image
+    monkeypatch.setattr(finder, 'find_in_image',
+                        lambda *args: looked.append(stamp) or find(*args))
+    gravity = []
+    for stamp in STAMPS:
+        one = replace(frame(stamp), depth=depth_msg if source == 'topic' else None)
+        gravity.append(processor.look(processor.observe(one)).around.gravity)
+    assert looked == expected
+    assert all(one.source == gravity[0].source for one in gravity)
 
 
 @pytest.mark.parametrize('how', ['reset', 'epoch'])

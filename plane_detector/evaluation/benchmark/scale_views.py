@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
-from plane_detector.directions.finder import CameraImage, DirectionFinder, Surroundings
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import Scene
@@ -51,7 +51,7 @@ class View:
     def around(self) -> Surroundings:
         """Gravity and horizontal axes from the lines of the image, if any."""
         return DirectionFinder().look(CameraImage(self.rgb, self.intrinsics), None, Config(),
-                                      needs_lines=True)
+                                      Need.PLANES)
 
     def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
         """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""
