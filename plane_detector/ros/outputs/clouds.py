@@ -124,37 +124,48 @@ _DEPTH, _LABELS, _RGB = (f"Array({kind}, 'A', readonly=True)"
 _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 
 
+@kernel('UniTuple(UniTuple(float32, 4), 3)(float32[:, ::1])')
+def _rows(m):
+    return ((m[0, 0], m[0, 1], m[0, 2], m[0, 3]), (m[1, 0], m[1, 1], m[1, 2], m[1, 3]),
+            (m[2, 0], m[2, 1], m[2, 2], m[2, 3]))
+
+
 @kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, uint32[::1], float32[:, :, ::1], '
         'uint32[:, :, ::1])')
 def _pack_points(geometry, rgb, labels, names, numbers, bits):
     """Fill (H, W, 5), viewed as floats and as bits: x y z, 0x00RRGGBB, label."""
     depth_m, ray_x, ray_y, moved = geometry
+    # In variables: read from the array for every pixel, they take as long as all the rest.
+    (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             z = depth_m[v, u]
             if not (z >= MIN_DEPTH_M and z < np.inf):
                 z = np.float32(np.nan)
             x, y = z * ray_x[u], z * ray_y[v]
-            for k in range(3):
-                numbers[v, u, k] = (moved[k, 0] * x + moved[k, 1] * y + moved[k, 2] * z
-                                    + moved[k, 3])
-            bits[v, u, 3] = ((np.uint32(rgb[v, u, 0]) << 16) | (np.uint32(rgb[v, u, 1]) << 8)
-                             | np.uint32(rgb[v, u, 2]))
-            bits[v, u, 4] = names[labels[v, u]]  # -1 is the last entry
+            numbers[v, u, 0] = a * x + b * y + c * z + d
+            numbers[v, u, 1] = e * x + f * y + g * z + h
+            numbers[v, u, 2] = i * x + j * y + k * z + m
+            bits[v, u, 3] = ((np.uint32(rgb[v, u, 0]) << np.uint32(16))
+                             | (np.uint32(rgb[v, u, 1]) << np.uint32(8)) | np.uint32(rgb[v, u, 2]))
+            label = labels[v, u]
+            bits[v, u, 4] = names[label if label >= 0 else len(names) - 1]
 
 
 @kernel(f'int64({_GEOMETRY}, {_LABELS}, boolean[::1], float32[:, ::1])')
 def _pack_obstacles(geometry, labels, is_left_out, xyz_m):
     """Fill the first rows of (N, 3); return their number."""
     depth_m, ray_x, ray_y, moved = geometry
+    (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
     count = 0
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
-            z = depth_m[v, u]
-            if z >= MIN_DEPTH_M and z < np.inf and not is_left_out[labels[v, u]]:
+            z, label = depth_m[v, u], labels[v, u]
+            if (z >= MIN_DEPTH_M and z < np.inf
+                    and not is_left_out[label if label >= 0 else len(is_left_out) - 1]):
                 x, y = z * ray_x[u], z * ray_y[v]
-                for k in range(3):
-                    xyz_m[count, k] = (moved[k, 0] * x + moved[k, 1] * y + moved[k, 2] * z
-                                       + moved[k, 3])
+                xyz_m[count, 0] = a * x + b * y + c * z + d
+                xyz_m[count, 1] = e * x + f * y + g * z + h
+                xyz_m[count, 2] = i * x + j * y + k * z + m
                 count += 1
     return count
