@@ -10,6 +10,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -82,7 +83,7 @@ class RegionSamples:
 
     def offsets(self, normals: np.ndarray) -> np.ndarray:
         """Return the median distance (K,) of planes with normals (K, 3); NaN if unknown."""
-        cosine = -(normals[self.region] * self.rays).sum(1)
+        cosine = -np.einsum('ij,ij->i', normals[self.region], self.rays)
         offset = np.where(cosine > MIN_COSINE, cosine / self.disparity, np.nan)
         pieces = np.split(offset, np.searchsorted(self.region, np.arange(1, self.count)))
         return np.array([_median(piece) for piece in pieces])
@@ -122,7 +123,7 @@ def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
     normals = np.stack([plane.normal for plane in planes])
     shares = np.bincount(region, minlength=len(planes)) / labels.size
     return RegionSamples(rays, disparity[row, column].astype(float), region,
-                         -(normals[region] * rays).sum(1), shares)
+                         -np.einsum('ij,ij->i', normals[region], rays), shares)
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64[:, :, ::1])')
@@ -163,4 +164,4 @@ def _median(offsets: np.ndarray) -> float:
     possible = offsets[np.isfinite(offsets)]
     if len(possible) < max(MIN_SAMPLES, MIN_POSSIBLE_SHARE * len(offsets)):
         return np.nan
-    return float(np.median(possible))
+    return median(possible)

@@ -63,6 +63,21 @@ def test_near_low_small_or_textured_regions_are_not_sky():
     assert find_sky(rough.astype(np.uint8), disparity) is None
 
 
+def test_an_overexposed_overcast_sky_is_found():
+    rgb, disparity = landscape(top=(255, 255, 255), horizon=(255, 255, 255))
+    sky = find_sky(rgb, disparity)
+    assert sky[:HORIZON - 4].all() and not sky[HORIZON + 4:].any()
+
+
+@pytest.mark.parametrize('share', [0.95, 1.0])
+def test_a_white_wall_is_not_sky(share):
+    rgb, disparity = landscape(top=(255, 255, 255), horizon=(255, 255, 255))
+    behind = share * np.median(disparity[HORIZON:])
+    assert find_sky(rgb, np.where(np.arange(len(rgb))[:, None] < HORIZON, behind,
+                                  disparity)) is None
+    assert find_sky(np.full_like(rgb, 255), np.full_like(disparity, 0.5)) is None
+
+
 def test_a_disparity_within_its_noise_of_zero_determines_no_distance():
     rgb = np.zeros((1, 4, 3), np.uint8)
     disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
