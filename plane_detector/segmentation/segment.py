@@ -27,11 +27,14 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.bends import join_nearly_flat, merge_bowed_walls
 from plane_detector.segmentation.regions.curved import find_curved, remove_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.icm import compete_for_cells
-from plane_detector.segmentation.regions.merging import merge_coplanar
+from plane_detector.segmentation.regions.merging import (
+    join_nearly_flat,
+    merge_bowed_walls,
+    merge_coplanar,
+)
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 from plane_detector.segmentation.search.ransac import Search
@@ -144,9 +147,10 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     regions = _compete(frame, regions)
     correlation = Correlation.of(cells, regions, noise)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    regions = split_at_depth_steps(frame.image, cells, graph.regions(), noise, correlation,
-                                   frame.search.min_pixels)
-    graph = RegionGraph.of(cells, regions)
+    regions = graph.regions()
+    split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
+                                 frame.search.min_pixels)
+    graph = graph if split is regions else RegionGraph.of(cells, split)
     if correlation is not None and sees_creases(
             cells.grid, noise, frame.search.config.ransac.inlier_threshold):
         graph = remove_curved(graph, correlation.density)

@@ -67,8 +67,8 @@ def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: fl
 def _compete(given, model, threshold2):
     """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
     labels, (rows, columns) = given.copy(), given.shape
-    near, votes = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
-    is_open, is_settled = np.ones(labels.shape, np.bool_), False
+    work = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
+    is_open, is_settled = _at_borders(labels), False
     while not is_settled:
         is_settled = True
         for row in range(rows):
@@ -76,32 +76,34 @@ def _compete(given, model, threshold2):
                 if not is_open[row, column]:
                     continue
                 is_open[row, column] = False
-                if _is_amid(labels, row, column):
-                    continue
-                best = _best_label(labels, row, column, (near, votes), model, threshold2)
-                if best == labels[row, column]:
-                    continue
-                labels[row, column], is_settled = best, False
-                for r in range(max(row - 1, 0), min(row + 2, rows)):
-                    for c in range(max(column - 1, 0), min(column + 2, columns)):
-                        is_open[r, c] = True
+                best = _best_label(labels, row, column, work, model, threshold2)
+                if best != labels[row, column]:
+                    labels[row, column], is_settled = best, False
+                    is_open[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True
     return labels
 
 
-@kernel('boolean(int32[:, ::1], int64, int64)')
-def _is_amid(labels, row, column):
-    """Return whether all neighbours of a cell have its label."""
-    for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
-        for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
-            if labels[r, c] != labels[row, column]:
-                return False
-    return True
+@kernel('boolean[:, ::1](int32[:, ::1])')
+def _at_borders(labels):
+    """Return which cells have a neighbour with another label; row by row it is vectorised."""
+    (rows, columns), found = labels.shape, np.zeros(labels.shape, np.bool_)
+    for down in range(-1, 2):
+        for right in range(-1, 2):
+            for row in range(max(-down, 0), min(rows - down, rows)):
+                here, there, marks = labels[row], labels[row + down], found[row]
+                for column in range(max(-right, 0), min(columns - right, columns)):
+                    marks[column] |= here[column] != there[column + right]
+    return found
 
 
 @kernel('int32(int32[:, ::1], int64, int64, Tuple((int32[::1], int64[::1])), '
         'Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), float64)')
 def _best_label(labels, row, column, work, model, threshold2):
-    """Return the label of lowest energy of a cell, given the others; ``votes`` of it stay -1."""
+    """
+    Return the label of lowest energy of a cell, given the others; ``votes`` of it stay -1.
+
+    A cell whose neighbours all have its label keeps it.
+    """
     (planes, table, is_planar), (near, votes), (rows, columns) = model, work, labels.shape
     i, count = row * columns + column, 0
     for down in range(-1, 2):
@@ -114,6 +116,8 @@ def _best_label(labels, row, column, work, model, threshold2):
             votes[label] += 1
     best, lowest = np.int32(-1), OUTLIER_COST * threshold2 if is_planar[i] else 0.0
     lowest -= POTTS_WEIGHT * max(votes[-1], 0)
+    if count == 1:
+        best, lowest = near[0], -np.inf
     for k in range(count):
         cost, label = 0.0, near[k]
         if label >= 0 and is_planar[i]:  # a cell on an edge goes with its neighbours

@@ -1,12 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Merging of regions that are coplanar within the noise.
+Merging of regions that are one plane.
 
-Two regions are merged if a joint plane fits both within the noise, or if the smaller one is a
-bulge of the larger: near its plane and without a step along the border. A step keeps parallel
-planes apart, since smooth noise does not jump from cell to cell. Regions whose normals differ are
-two planes, however well one plane fits their depth.
+Two regions are merged if one surface fits both, and where the test asks for it, if their planes
+meet at the border without a step and at a small angle. Four tests differ in surface and limits:
+
+- coplanar: a joint plane fits both within the noise;
+- a bulge: the smaller region is near the plane of the larger and has no step to it. A step keeps
+  parallel planes apart, since smooth noise does not jump from cell to cell;
+- flat within the settings: a concrete floor that dips by a degree or two is several planes in
+  exact depth; a joint plane fits it within a tolerance in metres and one in degrees;
+- bowed: networks bend walls; a slightly bent quadric fits as well as the two planes.
+
+Regions whose normals differ are two planes, however well one plane fits their depth.
 
 Pieces that do not touch are one plane if a nearer object separates them: a floor continues behind
 a box, two tables of one height do not continue over the floor between them. The depth between them
@@ -17,34 +24,73 @@ ends.
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.config import SegmentationConfig
 from plane_detector.segmentation.cells.model import WeightedCells, has_no_depth
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_RAD
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
+from plane_detector.segmentation.regions.curved import fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
     MIN_BORDER_PAIRS,
     PLANE_TERMS,
     RegionGraph,
+    fold,
     merge_pairs,
 )
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
+# What is fitted to a pair, and the unit of its misfit: a joint plane (to a bulge, that of the
+# larger region), variances; a joint plane, metres; a quadric, errors of the regions' own planes.
+PLANE, PLANE_M, QUADRIC = range(3)
+
+
+class OnePlane(NamedTuple):
+    """
+    When two regions are one plane.
+
+    Attributes
+    ----------
+    surface : int
+        What is fitted to both.
+    tolerance : float
+        Largest misfit in either region.
+    max_gap : float
+        Largest gap between their planes at the border, in deviations.
+    max_fold_deg : float
+        Largest angle between them.
+    least_pairs : int
+        Pairs of cells along their border, at least.
+
+    """
+
+    surface: int
+    tolerance: float
+    max_gap: float = np.inf
+    max_fold_deg: float = np.inf
+    least_pairs: int = MIN_BORDER_PAIRS
+
+
 # The mean of chi-squared of either piece about a joint plane is 1 if they are coplanar.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MAX_JOINT_VARIANCES = 2.0
-# Largest distance of the cells of a bulge from the plane, in deviations; a step is smaller.
-# tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.123.
-MAX_BULGE_DEVIATIONS = 3.5
+# Smooth noise changes from cell to cell by less than its deviation times this; a step does not.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.018.
-MAX_BULGE_STEP_DEVIATIONS = 2.0
+MAX_GAP_DEVIATIONS = 2.0
+# Largest mean square of the cells of a bulge about the plane, in variances: 3.5 deviations.
+# tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.123.
+MAX_BULGE_VARIANCES = 3.5**2
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MAX_BULGE_SHARE = 0.35
+# If the shift of the disparity is unknown, the angle is approximate.
+# tuned: benchmark segmentation --only real; the range was not swept.
+BOWED, MIN_BOW_NOISE_SHARE = OnePlane(QUADRIC, 3.0, 4.0, 35.0), 0.1
 # derived: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
 # Of the cells between two pieces no more than this share may be farther than their plane.
@@ -77,50 +123,107 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
     for least_pairs in (MIN_BORDER_PAIRS, 0):  # neighbours first
-        graph = merge_pairs(graph, partial(coplanar_misfit, least_pairs=least_pairs), is_apart)
+        test = OnePlane(PLANE, MAX_JOINT_VARIANCES, least_pairs=least_pairs)
+        graph = merge_pairs(graph, partial(misfits, test=test), is_apart)
     return graph.without_merged()
 
 
-def coplanar_misfit(graph: RegionGraph, least_pairs: int = 0) -> np.ndarray:
+def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
+    """Merge adjacent regions that one slightly bent quadric fits as well as their planes do."""
+    return merge_pairs(graph, partial(misfits, test=BOWED),
+                       lambda graph, i, j: False).without_merged()
+
+
+def join_nearly_flat(graph: RegionGraph, removed: np.ndarray,
+                     config: SegmentationConfig) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return the misfit of one plane to each pair of regions.
+    Merge adjacent regions that are flat within the settings, flattest pair first.
 
     Parameters
     ----------
     graph : RegionGraph
-    least_pairs : int
-        Pairs of cells along their border, at least.
+        Of 1/z in 1/metres.
+    removed : (n,) int
+        Regions that are not joined to others.
+    config : SegmentationConfig
+        Its ``flatness_distance`` and ``flatness_angle`` are used.
 
     Returns
     -------
-    (K, K) float64
-        For pairs i < j, up to 1 for a fit; infinity elsewhere.
+    owner : (K,) int
+        The region that each is part of, itself if it is not joined.
+    coefficients : (K, 3) float64
+        Refitted for regions that others joined.
 
     """
-    return _misfits(graph.planes, graph.sums, graph.borders, least_pairs)
+    if config.flatness_distance > 0:
+        flat = OnePlane(PLANE_M, config.flatness_distance, MAX_GAP_DEVIATIONS,
+                        max(config.flatness_angle, 1e-9))
+        graph = merge_pairs(graph, partial(misfits, test=flat),
+                            lambda graph, i, j: i in removed or j in removed)
+    return graph.owner, graph.planes
 
 
-@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64)')
-def _misfits(planes, sums, borders, least_pairs):
-    count, joint = len(planes), np.empty(10)
-    misfit = np.full((count, count), np.inf)
-    for i in range(count):
-        for j in range(i + 1, count):
-            if (sums[i, 0] == 0 or sums[j, 0] == 0 or borders[i, j, 0] < least_pairs
+def misfits(graph: RegionGraph, test: OnePlane) -> np.ndarray:
+    """Return the misfit (K, K) of pairs i < j, up to 1 for one plane; infinity elsewhere."""
+    return _misfits(graph.planes, graph.sums, graph.borders, tuple(test))
+
+
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
+        'Tuple((int64, float64, float64, float64, int64)))')
+def _misfits(planes, sums, borders, test):
+    surface, tolerance, max_gap, max_fold_deg, least_pairs = test
+    misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
+    for i in range(len(planes)):
+        for j in range(i + 1, len(planes)):
+            if (borders[i, j, 0] < least_pairs or sums[i, 0] == 0 or sums[j, 0] == 0
                     or normals_differ(sums[i], sums[j])):
                 continue
-            for k in range(10):
-                joint[k] = sums[i, k] + sums[j, k]
-            a, b, c = fit_plane(joint)
-            worst = max(squared_error(a, b, c, sums[i]) / sums[i, 10],
-                        squared_error(a, b, c, sums[j]) / sums[j, 10])
-            if not np.isnan(worst):
-                misfit[i, j] = worst / MAX_JOINT_VARIANCES
-            if borders[i, j, 0] >= MIN_BORDER_PAIRS:
+            fold_deg, gap = 0.0, 0.0
+            if np.isfinite(max_gap):
+                fold_deg, gap = fold(planes, sums, borders, i, j)
+            if gap < max_gap and fold_deg <= max_fold_deg:
+                misfit[i, j] = _joint_misfit(sums[i], sums[j], joint, surface) / tolerance
+            if fold_deg > 0:
+                misfit[i, j] = max(misfit[i, j], fold_deg / max_fold_deg)
+            if surface == PLANE and borders[i, j, 0] >= MIN_BORDER_PAIRS:
                 large, small = (i, j) if sums[i, 0] >= sums[j, 0] else (j, i)
                 misfit[i, j] = min(misfit[i, j], _bulge_misfit(planes[large], sums, borders,
                                                                large, small))
     return misfit
+
+
+@kernel('float64(float64[::1], float64[::1], float64[::1], int64)')
+def _joint_misfit(first, second, joint, surface):
+    """Return the misfit of a surface to the worse of two regions, by their sums."""
+    if surface == QUADRIC:
+        return fit_quadric(first, second, MIN_BOW_NOISE_SHARE)[2]
+    for k in range(len(joint)):
+        joint[k] = first[k] + second[k]
+    a, b, c = fit_plane(joint)
+    if np.isnan(a):
+        return np.inf
+    worst, offset_m = -np.inf, 1 / np.sqrt(TYPICAL_FOCAL_SHARE**2 * (a * a + b * b) + c * c)
+    for sums in (first, second):
+        square = squared_error(a, b, c, sums)
+        if surface == PLANE:
+            worst = max(worst, square / sums[10])
+        else:  # a point at 1/z is off the plane by offset_m times its relative residual
+            worst = max(worst, offset_m * np.sqrt(max(square, 0.0) * sums[0]) / sums[6])
+    return worst
+
+
+@kernel('float64(float64[::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
+def _bulge_misfit(plane, sums, borders, large, small):
+    """Return the misfit of the smaller region as a bulge of the larger, up to 1 for a fit."""
+    if sums[small, 0] > MAX_BULGE_SHARE * sums[large, 0]:
+        return np.inf
+    here, there = borders[large, small], borders[small, large]
+    step = (here[3] - there[3] - plane[0] * (here[1] - there[1])
+            - plane[1] * (here[2] - there[2])) / here[0]
+    square = max(squared_error(plane[0], plane[1], plane[2], sums[small]), 0.0)
+    return max(square / sums[small, 10] / MAX_BULGE_VARIANCES,
+               step**2 * sums[large, 0] / sums[large, 10] / MAX_GAP_DEVIATIONS**2)
 
 
 @kernel('boolean(float64[::1], float64[::1])')
@@ -141,19 +244,6 @@ def normals_differ(first, second):
         spread = sums[14] / n - (sums[12] / n) ** 2 - (sums[13] / n) ** 2
         variance += max(spread, 0.0) / 2 + least**2
     return apart > MAX_DEVIATIONS**2 * variance
-
-
-@kernel('float64(float64[::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
-def _bulge_misfit(plane, sums, borders, large, small):
-    """Return the misfit of the smaller region as a bulge of the larger, up to 1 for a fit."""
-    if sums[small, 0] > MAX_BULGE_SHARE * sums[large, 0]:
-        return np.inf
-    here, there, number = borders[large, small], borders[small, large], borders[large, small, 0]
-    square = max(squared_error(plane[0], plane[1], plane[2], sums[small]), 0.0) / sums[small, 10]
-    step = abs(here[3] - there[3] - plane[0] * (here[1] - there[1])
-               - plane[1] * (here[2] - there[2])) / number
-    steps = step**2 * sums[large, 0] / sums[large, 10]
-    return max(square / MAX_BULGE_DEVIATIONS**2, steps / MAX_BULGE_STEP_DEVIATIONS**2)
 
 
 @kernel('boolean(int32[:, ::1], float64[:, ::1], boolean[::1], float64[:, ::1], '

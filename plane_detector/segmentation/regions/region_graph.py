@@ -72,13 +72,6 @@ class RegionGraph:
                        cells.is_planar, count)
         return cls(labels, np.arange(count), regions.coefficients, *sums)
 
-    def merged(self, target: int, source: int) -> RegionGraph:
-        """Return the graph with one region merged into another, whose plane is refitted."""
-        graph = RegionGraph(*(part.copy() for part in vars(self).values()))
-        _merge(graph.labels, graph.owner, (graph.planes, graph.pixels, graph.sums), graph.borders,
-               (target, source))
-        return graph
-
     def intersections(self) -> np.ndarray:
         """
         Find the pairs of touching regions whose planes intersect along their border.
@@ -128,7 +121,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     RegionGraph
 
     """
-    count = len(graph.planes)
+    graph, count = RegionGraph(*(part.copy() for part in vars(graph).values())), len(graph.planes)
     refused, cost = np.zeros((count, count), bool), misfit(graph) if count > 1 else np.ones((0, 0))
     while cost.size:
         i, j = divmod(int(cost.argmin()), count)
@@ -136,7 +129,9 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
             break
         refused[i, j] = is_apart(graph, i, j)
         if not refused[i, j]:
-            graph, refused[[i, j]], refused[:, [i, j]] = graph.merged(i, j), False, False
+            _merge(graph.labels, graph.owner, (graph.planes, graph.pixels, graph.sums),
+                   graph.borders, (i, j))
+            refused[[i, j]], refused[:, [i, j]] = False, False
             cost = misfit(graph)
         cost[refused] = np.inf
     return graph

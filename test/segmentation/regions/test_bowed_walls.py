@@ -10,7 +10,7 @@ from plane_detector import segment_planes
 from plane_detector.config import Config
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.regions import bends
+from plane_detector.segmentation.regions import merging
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 KNOWN = 0.008
@@ -33,7 +33,7 @@ def halves(depth_m, noise=NETWORK):
 
 
 def merge_bowed_walls(model, regions):
-    return bends.merge_bowed_walls(RegionGraph.of(model, regions)).regions()
+    return merging.merge_bowed_walls(RegionGraph.of(model, regions)).regions()
 
 
 def test_the_halves_of_a_bowed_wall_are_one():

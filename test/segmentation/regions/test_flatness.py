@@ -9,7 +9,7 @@ import pytest
 from cell_helpers import cell_model, fold, hand_made, view, wall
 
 from plane_detector import CameraIntrinsics, Config, segment_planes
-from plane_detector.segmentation.regions.bends import join_nearly_flat
+from plane_detector.segmentation.regions.merging import join_nearly_flat
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 NONE = np.zeros(0, int)

@@ -3,6 +3,7 @@
 """Hand-made regions: which become one, and that merging them is exact."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -12,16 +13,20 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.merging import (
     MAX_JOINT_VARIANCES,
-    coplanar_misfit,
+    PLANE,
+    OnePlane,
     merge_coplanar,
+    misfits,
 )
 from plane_detector.segmentation.regions.region_graph import (
     BORDER_REACH_CELLS,
     MIN_BORDER_PAIRS,
     RegionGraph,
+    merge_pairs,
 )
 
 SIGMAS = (0.0, 0.004, 0.01)
+JOINT = OnePlane(PLANE, MAX_JOINT_VARIANCES, least_pairs=0)
 WEIGHED = replace(EXACT, mean_sigma=0.005, slope_sigma=0.2, pixel_sigma=0.005)
 
 
@@ -100,7 +105,7 @@ def test_a_low_small_bulge_without_a_step_is_part_of_the_wall(height, width_px, 
     model, off_px = bulging_wall(height, width_px, is_box)
     regions = hand_made(model, (off_px < radius_px).astype(int))
     far = replace(graph := RegionGraph.of(model, regions), borders=0 * graph.borders)
-    assert coplanar_misfit(far)[0, 1] > 1
+    assert misfits(far, JOINT)[0, 1] > 1
     assert len(merged_regions(model, regions, None).coefficients) == count
 
 
@@ -136,7 +141,8 @@ def test_a_border_needs_more_than_one_pair_of_cells(length):
     labels[20 - length:20, 20] = 0
     assert RegionGraph.of(model, hand_made(model, labels)).borders[0, 1, 0] == length
     graph = RegionGraph.of(model, hand_made(model, labels))
-    assert np.isfinite(coplanar_misfit(graph, MIN_BORDER_PAIRS)[0, 1]) == (length == 2)
+    near = JOINT._replace(least_pairs=MIN_BORDER_PAIRS)
+    assert np.isfinite(misfits(graph, near)[0, 1]) == (length == 2)
 
 
 def test_merged_regions_have_the_sums_of_all_their_cells():
@@ -144,18 +150,26 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
     regions = hand_made(model, labels := stripes(model.grid.shape, 8))
     graph = RegionGraph.of(model, regions)
     given = [part.copy() for part in vars(graph).values()]
-    result = graph.merged(0, 1).merged(4, 7).merged(2, 0)
+    pairs = iter([(0, 1), (4, 7), (0, 2)])
+
+    def misfit(graph):
+        cost = np.full((8, 8), np.inf)
+        for pair in islice(pairs, 1):
+            cost[pair] = 0
+        return cost
+
+    result = merge_pairs(graph, misfit, lambda graph, i, j: False)
     for part, before in zip(vars(graph).values(), given, strict=True):
         np.testing.assert_array_equal(part, before)
-    np.testing.assert_array_equal(result.owner, [2, 2, 2, 3, 4, 5, 6, 4])
-    expected = RegionGraph.of(model, hand_made(model, np.array([2, 2, 2, 3, 4, 5, 6, 4])[labels]))
-    left = [2, 3, 4, 5, 6]
+    np.testing.assert_array_equal(result.owner, [0, 0, 0, 3, 4, 5, 6, 4])
+    expected = RegionGraph.of(model, hand_made(model, np.array([0, 0, 0, 3, 4, 5, 6, 4])[labels]))
+    left = [0, 3, 4, 5, 6]
     for name in ('pixels', 'sums'):
         np.testing.assert_allclose(getattr(result, name)[left], getattr(expected, name)[left],
                                    rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(result.borders[np.ix_(left, left)],
                                expected.borders[np.ix_(left, left)], rtol=1e-9, atol=1e-9)
-    assert (result.sums[[0, 1, 7]] == 0).all()
+    assert (result.sums[[1, 2, 7]] == 0).all()
     merged = result.without_merged().regions()
     np.testing.assert_array_equal(merged.labels, np.array([0, 0, 0, 1, 2, 3, 4, 2])[labels])
     refitted = hand_made(model, merged.labels).coefficients
@@ -174,7 +188,7 @@ def test_joint_misfit_by_hand():
     label = regions.labels.ravel()[model.is_planar]
     variance = 1 / model.table[model.is_planar, 5]
     worse = max(np.mean(error[label == k]**2) / variance[label == k].mean() for k in (0, 1))
-    misfit = coplanar_misfit(RegionGraph.of(model, regions))
+    misfit = misfits(RegionGraph.of(model, regions), JOINT)
     assert misfit[0, 1] == pytest.approx(worse / MAX_JOINT_VARIANCES, rel=1e-3)
     assert np.isinf(misfit[[0, 1, 1], [0, 1, 0]]).all()
 
