@@ -11,7 +11,7 @@ read no pixels until the labels return to full resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -97,7 +97,7 @@ class CellGrid:
 
 def cell_size(shape: tuple[int, int]) -> int:
     """Return the side of the cells of an image in pixels."""
-    return max(1, round(np.sqrt(shape[0] * shape[1] / CELLS_PER_IMAGE)))
+    return max(1, round((shape[0] * shape[1] / CELLS_PER_IMAGE) ** 0.5))
 
 
 def image_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -125,19 +125,25 @@ def build_cell_grid(image: DisparityImage, size: int = 0,
     CellGrid
 
     """
-    size, width = size or cell_size(image.valid.shape), image.valid.shape[1]
-    x, y = image_coordinates(image.valid.shape)
-    origin = float(x[0]), float(y[0])
-    shape = tuple(-(-side // size) for side in image.valid.shape)
+    height, width = image.valid.shape
+    size = size or cell_size((height, width))
+    origin = (1 - width) / 2 / width, (1 - height) / 2 / width
+    shape = -(-height // size), -(-width // size)
     if wanted is None:
         wanted = np.ones(shape[0] * shape[1], bool)
-    sums = _sum_up(image.values, image.valid, size, np.array([width, *origin]), wanted)
-    no_slope = np.full((shape[0] * shape[1], 2), np.nan)
-    return CellGrid(size, width, origin, shape, *sums, no_slope)
+    sums = _sum_up(image.values, image.valid, size, (width, *origin), wanted)
+    return CellGrid(size, width, origin, shape, *sums, _no_slopes(shape[0] * shape[1]))
+
+
+@lru_cache(maxsize=4)
+def _no_slopes(count: int) -> np.ndarray:
+    """Return the normal slopes of cells without normals, one array for all images of a size."""
+    return np.full((count, 2), np.nan)
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '
-        'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, float64[::1], boolean[::1])')
+        'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, UniTuple(float64, 3), '
+        'boolean[::1])')
 def _sum_up(disparity, valid, size, frame, wanted):
     """Return the fields of the cells from ``moments`` to ``sparsity``."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
@@ -200,11 +206,14 @@ def _sum_up_columns(disparity, valid, band, reference, sums):
     """
     top, size, first, last = band
     bottom, end = min(top + size, disparity.shape[0]), min((last + 1) * size, disparity.shape[1])
-    reference[first * size:(last + 1) * size], sums[:, first * size:(last + 1) * size] = 0, 0
+    middle = (top + bottom) // 2
+    sums[:, first * size:(last + 1) * size] = 0
     for left in range(first * size, end, size):
-        for u in range(left, min(left + size, end)):
-            if valid[(top + bottom) // 2, u]:
-                reference[left:left + size] = disparity[(top + bottom) // 2, u]
+        u = left
+        while u < min(left + size, end) - 1 and not valid[middle, u]:
+            u += 1
+        for k in range(left, left + size):
+            reference[k] = disparity[middle, u]
     n, d = np.empty(end - first * size, np.float32), np.empty(end - first * size, np.float32)
     here = reference[first * size:end]
     for v in range(top, bottom):
@@ -234,20 +243,22 @@ def _add_powers(n, d, y, sums, first):
 @kernel('boolean(float32[:, ::1], int64, int64, float64[::1])')
 def _sum_up_cell(sums, left, size, m):
     """Write the moments of a cell about its centre, in pixels; return whether it has any."""
-    m[:] = 0.0
+    n = m_x = m_y = xx = xy = yy = d = xd = yd = dd = np.float32(0)
     for u in range(left, left + size):
-        x = u - left - (size - 1) / 2
-        m[0] += sums[0, u]
-        m[1] += sums[0, u] * x
-        m[2] += sums[1, u]
-        m[3] += sums[0, u] * x * x
-        m[4] += sums[1, u] * x
-        m[5] += sums[2, u]
-        m[6] += sums[3, u]
-        m[7] += sums[3, u] * x
-        m[8] += sums[4, u]
-        m[9] += sums[5, u]
-    return m[0] > 0
+        x = np.float32(u - left - (size - 1) / 2)
+        n += sums[0, u]
+        m_x += sums[0, u] * x
+        m_y += sums[1, u]
+        xx += sums[0, u] * (x * x)
+        xy += sums[1, u] * x
+        yy += sums[2, u]
+        d += sums[3, u]
+        xd += sums[3, u] * x
+        yd += sums[4, u]
+        dd += sums[5, u]
+    m[0], m[1], m[2], m[3], m[4], m[5] = n, m_x, m_y, xx, xy, yy
+    m[6], m[7], m[8], m[9] = d, xd, yd, dd
+    return n > 0
 
 
 @kernel('void(float64[::1], float64, float64, float64, float64, float64[::1])')

@@ -13,14 +13,13 @@ on no plane lies where the surface leaves the plane's own noise.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage, N
+from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.plane_fit import squared_errors
+from plane_detector.segmentation.cells.plane_fit import squared_error
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
 
@@ -60,65 +59,100 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph
     grid, values, pixel_sigma = cells.grid, image.values, noise.pixel_sigma
     if pixel_sigma**2 > noise.variance_floor(grid.typical_disparity):
         values, pixel_sigma = image.smoothed, MEDIAN_NOISE_SHARE * pixel_sigma
-    frame = np.array([grid.width_px, *grid.origin, threshold**2,
-                      noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2,
-                      noise.depth_floor_m**2])
-    planes = np.column_stack([graph.planes, _plane_variances(graph, noise, pixel_sigma)])
-    around, square = graph.labels.astype(np.int16), np.ones((3, 3), np.uint8)
-    is_amid = cv2.dilate(around, square) == cv2.erode(around, square)
-    is_open = ~(is_amid & (cells.is_planar.reshape(grid.shape) | (around < 0)))
+    variances = (noise.mean_sigma**2, noise.pixel_sigma**2,
+                 pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2)
     sweeps = SWEEPS if sees_creases(grid, noise, threshold) else 1
-    return _label(values, image.valid, (graph.labels, is_open, sweeps, grows),
-                  (planes, graph.intersections()), (grid.size_px, frame))
+    return _label((values, image.valid, grid.size_px), (graph.labels, cells.is_planar),
+                  (_local_planes(graph.planes, graph.pixels, (grid.width_px, *grid.origin),
+                                 variances), graph.intersections()),
+                  (threshold**2, variances[0] + variances[2], variances[3]), (sweeps, grows))
 
 
-def _plane_variances(graph: RegionGraph, noise: Noise, pixel_sigma: float) -> np.ndarray:
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], UniTuple(float64, 3), '
+        'UniTuple(float64, 4))')
+def _local_planes(planes, pixels, frame, variances):
     """
-    Return the variance (K,) of pixels about each plane without the floor of the depth.
+    Return planes in pixels of the image, and the variance of pixels about each one, (K, 4).
 
     A plane whose cells fit better than the noise of the whole image says how far its border may
-    lie off it; one that fits worse gets no more than that noise.
+    lie off it; one that fits worse gets no more than that noise. The variance does not include
+    the floor of the depth.
     """
-    shown = squared_errors(graph.planes, graph.pixels) / np.maximum(graph.pixels[:, N], 1)
-    smooth = np.clip(shown - noise.pixel_sigma**2, 0, noise.mean_sigma**2)
-    return smooth + pixel_sigma**2 + noise.disparity_floor**2
+    local = np.empty((len(planes), 4))
+    for k in range(len(planes)):
+        a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
+        local[k, 0], local[k, 1] = a / frame[0], b / frame[0]
+        local[k, 2] = a * frame[1] + b * frame[2] + c
+        shown = squared_error(a, b, c, pixels[k]) / max(pixels[k, 0], 1.0)
+        local[k, 3] = min(max(shown - variances[1], 0.0), variances[0]) + variances[2]
+    return local
 
 
-@kernel('int32[:, ::1](float32[:, ::1], boolean[:, ::1], '
-        'Tuple((int32[:, ::1], boolean[:, ::1], int64, boolean)), '
-        'Tuple((float64[:, ::1], int8[:, ::1])), Tuple((int64, float64[::1])))')
-def _label(disparity, valid, cells, planes, geometry):
-    """Return the label of every pixel, given labels of cells and where pixels choose."""
-    (coefficients, signs), (size, frame) = planes, geometry
-    labels, is_open, sweeps, grows = cells
+@kernel('int32[:, ::1](Tuple((float32[:, ::1], boolean[:, ::1], int64)), '
+        'Tuple((int32[:, ::1], boolean[::1])), Tuple((float64[:, ::1], int8[:, ::1])), '
+        'UniTuple(float64, 3), Tuple((int64, boolean)))')
+def _label(image, cells, planes, tolerance, growth):
+    """Return the label of every pixel, given labels of cells and which cells are planar."""
+    (disparity, valid, size), (labels, is_planar), (sweeps, grows) = image, cells, growth
+    (height, width), columns, extent = disparity.shape, labels.shape[1], (0, 0)
     found, near = np.empty(disparity.shape, np.int32), np.full(10, np.int32(-1))
-    local, pixels = np.empty((9, 4), np.float32), np.zeros((5, size**2), np.float32)
-    chosen, columns = np.empty(size**2, np.int32), labels.shape[1]
-    for p in range(size**2):
-        pixels[0, p], pixels[1, p] = p % size, p // size
+    local, pixels = np.empty((9, 4), np.float32), np.empty((5, size**2), np.float32)
+    chosen, offset = np.empty(size**2, np.int32), np.empty(size**2, np.uint64)
+    values, is_valid, out = disparity.reshape(-1), valid.reshape(-1), found.reshape(-1)
+    is_open = _open_cells(labels, is_planar)
     _fill_cells(found, valid, labels, is_open, size)
     for _ in range(sweeps):
-        settled, is_next, is_settled = labels.copy(), np.zeros(labels.shape, np.bool_), True
+        changed, is_next, is_changed = labels.copy(), np.zeros(labels.shape, np.bool_), False
         for cell in np.flatnonzero(is_open):
             row, column = cell // columns, cell % columns
             if not _find_labels_around(labels, row, column, near):
                 continue
-            corner, label = (row * size, column * size, size), labels[row, column]
-            _load(disparity, corner, pixels)
-            _move_planes(coefficients, near, corner, frame, local)
-            _choose_nearest(pixels, chosen, near, local, frame)
-            _choose_sides(pixels, chosen, near, local, signs, frame)
-            _store(found, valid, corner, chosen)
+            top, left, label = row * size, column * size, labels[row, column]
+            if extent != (min(size, height - top), min(size, width - left)):
+                extent = (min(size, height - top), min(size, width - left))
+                _lay_out(extent, width, offset, pixels)
+                chosen = np.empty(extent[0] * extent[1], np.int32)
+            first = np.uint64(top * width + left)  # unsigned: no wrap-around check
+            for p in range(len(chosen)):
+                pixels[2, p] = values[first + offset[p]]
+            _move_planes(planes[0], near, (top, left), local)
+            _choose_nearest(pixels, chosen, near, local, tolerance)
+            _choose_sides(pixels, chosen, near, local, planes[1], tolerance)
+            for p in range(len(chosen)):
+                out[first + offset[p]] = chosen[p] if is_valid[first + offset[p]] else np.int32(-1)
             winner = _majority(chosen, near) if sweeps > 1 and (grows or label >= 0) else label
             if winner >= 0 and winner != label:
-                settled[row, column], is_settled = winner, False
+                changed[row, column], is_changed = winner, True
                 for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
                     for c in range(max(column - 1, 0), min(column + 2, columns)):
                         is_next[r, c] |= label >= 0 or labels[r, c] < 0
-        labels, is_open = settled, is_next
-        if is_settled:
+        labels, is_open = changed, is_next
+        if not is_changed:
             break
     return found
+
+
+@kernel('boolean[:, ::1](int32[:, ::1], boolean[::1])')
+def _open_cells(labels, is_planar):
+    """Return cells with another label around them, and labelled ones that are not planar."""
+    is_open = np.empty(labels.shape, np.bool_)
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            label = labels[row, column]
+            is_same = label < 0 or is_planar[row * labels.shape[1] + column]
+            for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
+                for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
+                    is_same &= labels[r, c] == label
+            is_open[row, column] = not is_same
+    return is_open
+
+
+@kernel('void(UniTuple(int64, 2), int64, uint64[::1], float32[:, ::1])')
+def _lay_out(extent, width, offset, pixels):
+    """Write the pixels of a cell: their distance from its corner in the image, their u and v."""
+    for p in range(extent[0] * extent[1]):
+        v, u = p // extent[1], p % extent[1]
+        offset[p], pixels[0, p], pixels[1, p] = v * width + u, u, v
 
 
 @kernel('void(int32[:, ::1], boolean[:, ::1], int32[:, ::1], boolean[:, ::1], int64)')
@@ -153,25 +187,6 @@ def _find_labels_around(labels, row, column, near):
     return count > 0
 
 
-@kernel('void(float32[:, ::1], UniTuple(int64, 3), float32[:, ::1])')
-def _load(disparity, corner, pixels):
-    """Copy the disparity of a cell to the third row of its pixels, behind their u and v."""
-    top, left, size = corner
-    for i in range(min(size, disparity.shape[0] - top)):
-        for j in range(min(size, disparity.shape[1] - left)):
-            pixels[2, i * size + j] = disparity[top + i, left + j]
-
-
-@kernel('void(int32[:, ::1], boolean[:, ::1], UniTuple(int64, 3), int32[::1])')
-def _store(found, valid, corner, chosen):
-    """Write the labels of a cell's pixels."""
-    top, left, size = corner
-    for i in range(min(size, found.shape[0] - top)):
-        for j in range(min(size, found.shape[1] - left)):
-            found[top + i, left + j] = (chosen[i * size + j] if valid[top + i, left + j]
-                                        else np.int32(-1))
-
-
 @kernel('int32(int32[::1], int32[::1])')
 def _majority(chosen, near):
     """Return the label that most of a cell's pixels have, or -1."""
@@ -184,24 +199,22 @@ def _majority(chosen, near):
     return label
 
 
-@kernel('void(float64[:, ::1], int32[::1], UniTuple(int64, 3), float64[::1], float32[:, ::1])')
-def _move_planes(coefficients, near, corner, frame, local):
+@kernel('void(float64[:, ::1], int32[::1], UniTuple(int64, 2), float32[:, ::1])')
+def _move_planes(planes, near, corner, local):
     """Write the planes in pixels from the corner of a cell."""
     for k, label in enumerate(near):
         if label < 0:
             break
-        a, b, c = coefficients[label, 0], coefficients[label, 1], coefficients[label, 2]
-        local[k, 0], local[k, 1] = a / frame[0], b / frame[0]
-        local[k, 2] = (a * (frame[1] + corner[1] / frame[0])
-                       + b * (frame[2] + corner[0] / frame[0]) + c)
-        local[k, 3] = coefficients[label, 3]
+        a, b = planes[label, 0], planes[label, 1]
+        local[k, 0], local[k, 1], local[k, 3] = a, b, planes[label, 3]
+        local[k, 2] = a * corner[1] + b * corner[0] + planes[label, 2]
 
 
-@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], float64[::1])')
-def _choose_nearest(pixels, chosen, near, local, frame):
+@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], UniTuple(float64, 3))')
+def _choose_nearest(pixels, chosen, near, local, tolerance):
     """Write the plane of smallest residual of each pixel, -1 where all are too far."""
-    tolerance2 = np.float32(frame[3] * PIXEL_TOLERANCE**2)
-    depth_floor2 = np.float32(frame[5])
+    tolerance2 = np.float32(tolerance[0] * PIXEL_TOLERANCE**2)
+    depth_floor2 = np.float32(tolerance[2])
     for p in range(len(chosen)):
         square = pixels[2, p] * pixels[2, p]
         pixels[3, p], pixels[4, p] = depth_floor2 * square * square, np.float32(np.inf)
@@ -219,11 +232,11 @@ def _choose_nearest(pixels, chosen, near, local, frame):
 
 
 @kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], int8[:, ::1], '
-        'float64[::1])')
-def _choose_sides(pixels, chosen, near, local, signs, frame):
+        'UniTuple(float64, 3))')
+def _choose_sides(pixels, chosen, near, local, signs, tolerance):
     """Relabel the pixels close to an intersection, where residuals are alike, by their side."""
-    threshold2, variance = np.float32(frame[3]), np.float32(frame[4])
-    depth_floor2, count = np.float32(frame[5]), 0
+    threshold2, variance = np.float32(tolerance[0]), np.float32(tolerance[1])
+    depth_floor2, count = np.float32(tolerance[2]), 0
     while near[count] >= 0:
         count += 1
     for k in range(count):
