@@ -88,7 +88,7 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
         intrinsics.cy - (intrinsics.height - 1) / 2, grid.width_px, grid.size_px])
     sigmas = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
                        noise.depth_floor_m])
-    cells = np.column_stack([grid.mean, grid.slope, grid.inner_rms, grid.moments[:, N]])
+    cells = np.column_stack([grid.mean, grid.slope, grid.residual_rms, grid.moments[:, N]])
     table, usable = surfel_table(cells, grid.usable, camera, sigmas)
     return Surfels(grid.shape, table, usable)
 

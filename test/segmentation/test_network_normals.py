@@ -56,7 +56,7 @@ def grid_of(disparity):
 def test_the_slopes_of_exact_normals_are_those_of_exact_depth():
     scene = walls(25)
     grid = grid_of(to_disparity(scene.depth_m))
-    whole = grid.usable & (grid.inner_rms < 1e-6)
+    whole = grid.usable & (grid.residual_rms < 1e-6)
     np.testing.assert_allclose(slopes_of(grid, normals_of(scene))[whole], grid.slope[whole],
                                atol=1e-4)
     assert whole.mean() > 0.9

@@ -65,7 +65,7 @@ class CellGrid:
         Mean x, y and d of the valid pixels.
     slope : (R * C, 2) float64
         dd/dx and dd/dy of the cell's own least-squares plane.
-    inner_rms : (R * C,) float64
+    residual_rms : (R * C,) float64
         Root mean square of d about that plane.
     usable : (R * C,) bool
         The valid pixels are enough, and spread well enough, to determine the cell's own plane.
@@ -84,7 +84,7 @@ class CellGrid:
     moments: np.ndarray
     mean: np.ndarray
     slope: np.ndarray
-    inner_rms: np.ndarray
+    residual_rms: np.ndarray
     usable: np.ndarray
     sparsity: np.ndarray
     normal_slope: np.ndarray

@@ -15,7 +15,7 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
-MAX_INNER_VARIANCES = 4.0
+MAX_PIXEL_VARIANCES = 4.0
 # derived: avoids division by 0 for cells without depth; any positive number works.
 MIN_VARIANCE = 1e-30
 # Rounding error of float32 sums, as a share of the variance that the slope causes in a cell.
@@ -77,14 +77,14 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
                         noise.depth_floor_m, noise.disparity_floor,
                         noise.disparity_floor / size]) ** 2
     table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
-                              grid.inner_rms, grid.usable, squares,
+                              grid.residual_rms, grid.usable, squares,
                               (size**2 / 12, 12 / (grid.size_px * size) ** 2))
     return WeightedCells(grid, is_planar, table)
 
 
 @kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), float64[::1], '
         'boolean[::1], float64[::1], UniTuple(float64, 2))')
-def _weigh(cells, inner_rms, usable, squares, per_slope):
+def _weigh(cells, residual_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
     table, is_planar = np.empty((len(usable), 8)), np.zeros(len(usable), np.bool_)
@@ -105,7 +105,7 @@ def _weigh(cells, inner_rms, usable, squares, per_slope):
         of_pixel = squares[2] + floor + ROUNDING * per_slope[0] * slope2
         table[i, 5], table[i, 6] = 1 / max(of_mean, MIN_VARIANCE), 1 / max(of_slope, MIN_VARIANCE)
         table[i, 7] = (of_mean + of_pixel) * moments[i, 0]
-        is_planar[i] = usable[i] and inner_rms[i] ** 2 < MAX_INNER_VARIANCES * of_pixel
+        is_planar[i] = usable[i] and residual_rms[i] ** 2 < MAX_PIXEL_VARIANCES * of_pixel
     return table, is_planar
 
 

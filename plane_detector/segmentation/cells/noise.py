@@ -21,6 +21,8 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
+# derived: every third of 4800 cells determines a quantile to 2 %.
+SAMPLE_STEP = 3
 # Distance of the cells of a second difference: smooth noise is correlated in nearer cells.
 # derived: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
 LAG_CELLS = 4
@@ -28,11 +30,11 @@ LAG_CELLS = 4
 QUANTILE = 0.25
 # derived: that quantile of the modulus of a normal deviate, and of chi-squared with 2 degrees.
 NORMAL_QUANTILE, CHI_SQUARED_QUANTILE = 0.3186, 0.5754
-# Disparity counts as quantised if it takes few, evenly spaced values that neighbours share.
-# tuned: on rooms rounded to 0.003 1/m; the ranges were not swept there.
-ROUNDING_LINES = 4
-# tuned: as above.
-MIN_VALUES, MAX_VALUES_SHARE, MIN_EVEN_SHARE, MIN_EQUAL_SHARE = 8, 0.3, 0.5, 0.2
+# Disparity counts as quantised if it takes several values on the sampled lines, and this share of
+# the neighbours is equal and of the steps between values even.
+# tuned: walls and rooms rounded to .001 to .01 1/m beside exact, millimetre and sensor depth: flat
+# from 1 to 4 lines, 4 to 11 values, shares from .25 to .4.
+ROUNDING_LINES, MIN_VALUES, MIN_SHARE = 2, 6, 0.35
 # Noise specified for a network tilts cells by about this much per unit of image width.
 # tuned: on networks; the range was not swept there.
 SLOPE_PER_NOISE = 8.0
@@ -171,9 +173,9 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     slope_sigma = (_quantile(bend) / CHI_SQUARED_QUANTILE / 2) ** 0.5
     # Smooth noise changes by at most its slopes times the distance of the cells; a step does not.
     mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
-    pixel_sigma = _quantile(grid.inner_rms[grid.usable]) / _inner_rms_quantile(grid.size_px**2 - 3)
-    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma),
-                                  grid.sparsity[grid.usable])
+    sample = np.flatnonzero(grid.usable)[::SAMPLE_STEP]
+    pixel_sigma = _quantile(grid.residual_rms[sample]) / _rms_quantile(grid.size_px**2 - 3)
+    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), grid.sparsity[sample])
 
 
 def _quantile(values: np.ndarray) -> float:
@@ -181,7 +183,7 @@ def _quantile(values: np.ndarray) -> float:
     return float(np.partition(values, rank)[rank])
 
 
-def _inner_rms_quantile(freedom: int) -> float:
+def _rms_quantile(freedom: int) -> float:
     """Return QUANTILE of the rms about a fitted plane, over the deviation (Wilson-Hilferty)."""
     freedom = max(freedom, 1)
     spread = 2 / (9 * freedom)
@@ -192,9 +194,9 @@ def _inner_rms_quantile(freedom: int) -> float:
 def _differences(mean, slope, usable, columns, lag):
     """Return moduli of second differences of means, and squared differences of slopes."""
     rows = len(usable) // columns
-    curvatures, bends = np.empty(2 * len(usable)), np.empty(2 * len(usable))
+    curvatures, bends = np.empty(len(usable) + 2), np.empty(len(usable) + 2)
     curved, bent = 0, 0
-    for i in range(len(usable)):
+    for i in range(0, len(usable), SAMPLE_STEP):
         for stride, left in ((1, columns - 1 - i % columns), (columns, rows - 1 - i // columns)):
             j, k = i + lag * stride, i + 2 * lag * stride
             if lag > left or not usable[i] or not usable[j]:
@@ -221,7 +223,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     image : DisparityImage
 
     """
-    disparity, valid = image.values, image.valid
+    disparity = image.values
     if min(disparity.shape) < 2:
         return noise_floor
     # Whole rows and columns are sampled, so that no value of a slope is missed.
@@ -230,16 +232,15 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     lines = disparity[rows], disparity[:, columns].T
     # A vertical wall has equal values along its columns even without quantisation, but not along
     # its rows.
-    if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_EQUAL_SHARE for line in lines):
+    if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_SHARE for line in lines):
         return noise_floor
-    sample = np.concatenate([lines[0][valid[rows]], lines[1][valid[:, columns].T]])
-    values = np.unique(sample)
-    if not MIN_VALUES <= len(values) < MAX_VALUES_SHARE * len(sample):
+    values = np.unique(np.concatenate([line.ravel() for line in lines])).astype(float)
+    values = values[values != 0]  # invalid pixels
+    if len(values) < MIN_VALUES:
         return noise_floor
-    gaps = np.diff(values.astype(float))
-    step = float(np.median(gaps))
-    sigma = np.sqrt(noise_floor.variance_floor(float(np.median(values))))
-    if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE or step / 2 < 2 * sigma:
+    gaps = np.diff(values)
+    step, sigma = median(gaps), noise_floor.variance_floor(median(values)) ** 0.5
+    if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_SHARE or step / 2 < 2 * sigma:
         return noise_floor
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),

@@ -70,4 +70,4 @@ def _rescaled_grid(grid: CellGrid, scale: float, shift: float) -> CellGrid:
     moments[:, DD] = scale * (scale * dd + 2 * shift * d) + shift**2 * n
     mean[:, 2] = moments[:, D] / np.maximum(n, 1)
     return replace(grid, moments=moments, mean=mean, slope=scale * grid.slope,
-                   inner_rms=scale * grid.inner_rms, normal_slope=scale * grid.normal_slope)
+                   residual_rms=scale * grid.residual_rms, normal_slope=scale * grid.normal_slope)

@@ -85,7 +85,7 @@ def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise
     residual = table[members, 2] - (plane[:, :2] * table[members, :2]).sum(axis=1) - plane[:, 2]
     sigmas = (SIGMA_PER_MEDIAN * median(np.abs(residual)),
               SIGMA_PER_MEDIAN * median(np.abs(table[members, 3:5] - plane[:, :2]).ravel()),
-              median(cells.grid.inner_rms[members]))
+              median(cells.grid.residual_rms[members]))
     return noise.from_cells(sigmas, cells.grid.sparsity[members])
 
 

@@ -57,13 +57,13 @@ def test_moments_equal_loops_over_pixels(holes):
                                atol=1e-3)
 
 
-def test_inner_rms_is_the_misfit_of_the_cells_own_plane():
+def test_residual_rms_is_the_misfit_of_the_cells_own_plane():
     disparity, valid = disparity_image(np.random.default_rng(2))
     grid = cells.build_cell_grid(cells.DisparityImage(disparity, valid))
     own = fit_planes(grid.moments)
     usable = np.flatnonzero(grid.usable)
     expected = np.sqrt(squared_errors(own, grid.moments)[usable] / grid.moments[usable, 0])
-    np.testing.assert_allclose(grid.inner_rms[usable], expected, rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(grid.residual_rms[usable], expected, rtol=1e-3, atol=1e-6)
 
 
 def test_cells_that_are_nearly_all_holes_are_not_usable():

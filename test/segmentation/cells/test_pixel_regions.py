@@ -29,7 +29,7 @@ def test_the_grid_is_that_of_the_rescaled_disparity(regions, scale, shift):
     rescaled = np.where(valid, scale * regions.disparity.astype(float) + shift, 0)
     expected = build_cell_grid(DisparityImage(rescaled.astype(np.float32), valid))
     found = regions.rescaled(scale, shift).grid
-    for name in ('moments', 'mean', 'slope', 'inner_rms'):
+    for name in ('moments', 'mean', 'slope', 'residual_rms'):
         values = getattr(expected, name)
         # The rms within a cell is a small difference of float32 sums.
         np.testing.assert_allclose(getattr(found, name), values, rtol=1e-4,
