@@ -21,7 +21,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
-# derived: every third of 4800 cells determines a quantile to 2 %.
+# derived: every third of 4800 cells determines a quantile of their own noise to 1 %.
 SAMPLE_STEP = 3
 # Distance of the cells of a second difference: smooth noise is correlated in nearer cells.
 # derived: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
@@ -30,11 +30,11 @@ LAG_CELLS = 4
 QUANTILE = 0.25
 # derived: that quantile of the modulus of a normal deviate, and of chi-squared with 2 degrees.
 NORMAL_QUANTILE, CHI_SQUARED_QUANTILE = 0.3186, 0.5754
-# Disparity counts as quantised if it takes several values on the sampled lines, and this share of
-# the neighbours is equal and of the steps between values even.
-# tuned: walls and rooms rounded to .001 to .01 1/m beside exact, millimetre and sensor depth: flat
-# from 1 to 4 lines, 4 to 11 values, shares from .25 to .4.
-ROUNDING_LINES, MIN_VALUES, MIN_SHARE = 2, 6, 0.35
+# Disparity counts as quantised if it takes several values on the sampled lines, and these shares
+# of the neighbours are equal and of the steps between values even.
+# tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
+# that are not: flat from 3 to 4 lines, 6 to 8 values, .07 to .4 and .6 to .7.
+ROUNDING_LINES, MIN_VALUES, MIN_EQUAL_SHARE, MIN_EVEN_SHARE = 4, 8, 0.2, 0.6
 # Noise specified for a network tilts cells by about this much per unit of image width.
 # tuned: on networks; the range was not swept there.
 SLOPE_PER_NOISE = 8.0
@@ -194,9 +194,9 @@ def _rms_quantile(freedom: int) -> float:
 def _differences(mean, slope, usable, columns, lag):
     """Return moduli of second differences of means, and squared differences of slopes."""
     rows = len(usable) // columns
-    curvatures, bends = np.empty(len(usable) + 2), np.empty(len(usable) + 2)
+    curvatures, bends = np.empty(2 * len(usable)), np.empty(2 * len(usable))
     curved, bent = 0, 0
-    for i in range(0, len(usable), SAMPLE_STEP):
+    for i in range(len(usable)):
         for stride, left in ((1, columns - 1 - i % columns), (columns, rows - 1 - i // columns)):
             j, k = i + lag * stride, i + 2 * lag * stride
             if lag > left or not usable[i] or not usable[j]:
@@ -232,7 +232,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     lines = disparity[rows], disparity[:, columns].T
     # A vertical wall has equal values along its columns even without quantisation, but not along
     # its rows.
-    if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_SHARE for line in lines):
+    if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_EQUAL_SHARE for line in lines):
         return noise_floor
     values = np.unique(np.concatenate([line.ravel() for line in lines])).astype(float)
     values = values[values != 0]  # invalid pixels
@@ -240,7 +240,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
         return noise_floor
     gaps = np.diff(values)
     step, sigma = median(gaps), noise_floor.variance_floor(median(values)) ** 0.5
-    if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_SHARE or step / 2 < 2 * sigma:
+    if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE or step / 2 < 2 * sigma:
         return noise_floor
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
