@@ -100,12 +100,16 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
 
 
 def _is_bright(rgb: np.ndarray, least_grey: float, least_blue_minus_red: float) -> np.ndarray:
-    return ((rgb.mean(axis=-1) > least_grey)
-            & (rgb[..., 2] - rgb[..., 0] >= least_blue_minus_red))
+    return (_grey(rgb) > least_grey) & (rgb[..., 2] - rgb[..., 0] >= least_blue_minus_red)
+
+
+def _grey(rgb: np.ndarray) -> np.ndarray:
+    """Return the mean of the channels of a float32 image, a tenth of the time of its method."""
+    return (rgb[..., 0] + rgb[..., 1] + rgb[..., 2]) / np.float32(3)
 
 
 def _is_even(small: np.ndarray) -> np.ndarray:
-    grey, window = small.mean(axis=-1), (_TEXTURE_WINDOW_PX,) * 2
+    grey, window = _grey(small), (_TEXTURE_WINDOW_PX,) * 2
     mean = cv2.blur(grey, window)
     return cv2.blur(grey * grey, window) - mean * mean < _MOST_TEXTURE**2
 
@@ -136,8 +140,10 @@ def _at_the_top(candidates: np.ndarray) -> np.ndarray:
 def _touching(candidates: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Return the candidates that are connected to a seed."""
     _, parts = cv2.connectedComponents((candidates | seeds).astype(np.uint8), connectivity=4)
-    found = np.unique(parts[seeds])
-    return np.isin(parts, found[found > 0])
+    is_found = np.zeros(parts.max() + 1, bool)
+    is_found[parts[seeds]] = True
+    is_found[0] = False
+    return is_found[parts]
 
 
 def _whitens_downwards(small: np.ndarray, region: np.ndarray) -> bool:

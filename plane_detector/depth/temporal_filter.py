@@ -95,6 +95,8 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
     """Return the average with a new image; None if something moved or the scale is uncertain."""
     disparity, grey = alone.disparity, alone.grey
     changed = _has_changed(previous.grey, grey)
+    if changed.mean() > _GREY_MOVING:
+        return None
     known = np.isfinite(disparity) & np.isfinite(previous.disparity)
     expected = previous.disparity
     if not same_scale:
@@ -102,7 +104,7 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
         if expected is None:
             return None
     differs = _differs(disparity, expected, known)
-    if changed.mean() > _GREY_MOVING or differs.mean() > _DEPTH_MOVING:
+    if differs.mean() > _DEPTH_MOVING:
         return None
     still = ~_spread(changed | differs)
     weight = np.float32(min(keep, previous.image_count / (previous.image_count + 1)))

@@ -13,6 +13,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from plane_detector.ros import spinning
+
 # The signal comes from the thread itself: one from os.kill may reach another thread, and so come
 # at a later line.
 PROGRAM = """
@@ -128,3 +130,13 @@ def test_the_shared_memory_of_the_middleware_is_released():
     segments = set(done.stdout.split()) - others
     assert segments
     assert not [name for name in segments if os.path.exists(name)]
+
+
+def test_stages_of_the_node_wait_at_most_a_millisecond_for_the_interpreter(monkeypatch):
+    monkeypatch.setattr(spinning, 'retain_freed_memory', lambda: True)
+    before_s = sys.getswitchinterval()
+    try:
+        spinning.prepare_process()
+        assert sys.getswitchinterval() == pytest.approx(0.001)
+    finally:
+        sys.setswitchinterval(before_s)
