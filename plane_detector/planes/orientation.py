@@ -135,7 +135,8 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
 
 def _variances(planes: tuple[Plane, ...]) -> np.ndarray:
     """Return the variance (S, K) of the network's normals, rad^2, for each of SIGMAS_RAD."""
-    fit = np.array([np.trace(plane.covariance[:3, :3]) / 2 for plane in planes])
+    covariances = np.stack([plane.covariance[:3, :3] for plane in planes])
+    fit = np.trace(covariances, axis1=1, axis2=2) / 2
     bend = np.array([plane.rms_m / np.sqrt(plane.area_m2) for plane in planes])
     limit = np.maximum(TILT_PER_BEND * bend, 1e-6)
     return fit + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / limit**2)
