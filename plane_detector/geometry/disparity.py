@@ -61,10 +61,10 @@ def to_disparity(depth_m: np.ndarray) -> np.ndarray:
 
 @kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True))")
 def _inverse(depth_m):
-    disparity, least = np.empty(depth_m.shape, np.float32), np.float32(MIN_DEPTH_M)
+    disparity, nearest = np.empty(depth_m.shape, np.float32), np.float32(MIN_DEPTH_M)
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
-            is_valid = (depth_m[v, u] >= least) & (depth_m[v, u] < np.float32(np.inf))
+            is_valid = (depth_m[v, u] >= nearest) & (depth_m[v, u] < np.float32(np.inf))
             disparity[v, u] = (np.float32(1) / depth_m[v, u] if is_valid
                                else np.float32(np.nan))
     return disparity

@@ -80,6 +80,6 @@ def _whole_cells(regions: PixelRegions) -> tuple[np.ndarray, np.ndarray]:
 def _variances(regions: PixelRegions, moments: np.ndarray) -> np.ndarray:
     """Return the variance (K,) of the pixels about their planes, at least that of the noise."""
     noise, count = regions.noise, np.maximum(moments[:, N], 1)
-    least = (noise.pixel_sigma**2 + noise.mean_sigma**2
+    floor = (noise.pixel_sigma**2 + noise.mean_sigma**2
              + noise.variance_floor(moments[:, D] / count))
-    return np.maximum(squared_errors(regions.coefficients, moments) / count, least)
+    return np.maximum(squared_errors(regions.coefficients, moments) / count, floor)

@@ -101,10 +101,14 @@ class Noise:
             return DepthKind.NETWORK
         return DepthKind.EXACT if self.is_exact(disparity) else DepthKind.MEASURED
 
-    def with_smooth_part(self, mean_sigma: float, slope_sigma: float) -> Noise:
-        """Return the noise with this smooth part, bounded below by that of the source."""
-        return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
-                       slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
+    def with_smooth_part(self, mean_sigma: float, slope_sigma: float,
+                         pixel_sigma: float | None = None) -> Noise:
+        """Return the noise with these deviations, bounded below by those of the source."""
+        if pixel_sigma is None:
+            pixel_sigma = self.pixel_sigma
+        return Noise(self.depth_floor_m, self.disparity_floor, self.source_sigma,
+                     max(float(mean_sigma), self.source_sigma),
+                     max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma), pixel_sigma)
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
@@ -121,11 +125,11 @@ class Noise:
         """
         mean_sigma, slope_sigma, pixel_sigma = deviations
         pixel_sigma = max(pixel_sigma, GRAIN_PER_NOISE * self.source_sigma)
-        if sparsity.any():
+        if 2 * np.count_nonzero(sparsity[:, 0]) >= len(sparsity):  # else the median is 0
             mean_sigma, slope_sigma = (
                 max(sigma**2 - pixel_sigma**2 * median(added), 0.0) ** 0.5
                 for sigma, added in zip((mean_sigma, slope_sigma), sparsity.T, strict=True))
-        return replace(self, pixel_sigma=pixel_sigma).with_smooth_part(mean_sigma, slope_sigma)
+        return self.with_smooth_part(mean_sigma, slope_sigma, pixel_sigma)
 
     def rescaled(self, scale: float) -> Noise:
         """

@@ -86,8 +86,8 @@ def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> Cel
     is_usable = grid.usable & np.isfinite(slope).all(axis=1)
     measured = _neighbour_variance(grid, grid.slope, grid.usable)
     of_depth = max(measured, (SLOPE_PER_NOISE * source_sigma) ** 2)
-    least = MIN_ANGLE_RAD * grid.mean[:, 2] * grid.width_px / normals.intrinsics.fx
-    of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + least**2,
+    min_slope = MIN_ANGLE_RAD * grid.mean[:, 2] * grid.width_px / normals.intrinsics.fx
+    of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + min_slope**2,
                             _disagreement(grid, slope, is_usable) - measured)
     share = np.where(is_usable, of_depth / np.maximum(of_depth + of_normals, 1e-30), 0)[:, None]
     fused = (1 - share) * grid.slope + share * np.nan_to_num(slope)

@@ -145,12 +145,12 @@ def find_curved(graph: RegionGraph, kind: DepthKind, flatness_deg: float) -> np.
         Their indices.
 
     """
-    least_deg = MIN_TURN_DEG if kind is DepthKind.EXACT else max(flatness_deg, MIN_TURN_DEG)
-    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders, least_deg)))
+    min_deg = MIN_TURN_DEG if kind is DepthKind.EXACT else max(flatness_deg, MIN_TURN_DEG)
+    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders, min_deg)))
 
 
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64)')
-def _bends(planes, sums, borders, least_deg):
+def _bends(planes, sums, borders, min_deg):
     """Return 2 for pairs of regions that are clearly bent, 1 for weak bends, 0 for others."""
     count = len(planes)
     bends = np.zeros((count, count), np.int8)
@@ -160,7 +160,7 @@ def _bends(planes, sums, borders, least_deg):
                     or min(sums[i, 0], sums[j, 0]) <= PLANE_TERMS):
                 continue
             fold_deg, gap = fold(planes, sums, borders, i, j)
-            if gap >= MAX_DEVIATIONS or not least_deg < fold_deg < MAX_FOLD_DEG:
+            if gap >= MAX_DEVIATIONS or not min_deg < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
             if gain > LOW_THRESHOLD and worst < MAX_RATIO:

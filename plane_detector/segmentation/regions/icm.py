@@ -68,9 +68,9 @@ def _compete(given, model, threshold2):
     """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
     labels, (rows, columns) = given.copy(), given.shape
     work = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
-    is_open, is_settled = _at_borders(labels), False
-    while not is_settled:
-        is_settled = True
+    is_open, has_converged = _at_borders(labels), False
+    while not has_converged:
+        has_converged = True
         for row in range(rows):
             for column in range(columns):
                 if not is_open[row, column]:
@@ -78,7 +78,7 @@ def _compete(given, model, threshold2):
                 is_open[row, column] = False
                 best = _best_label(labels, row, column, work, model, threshold2)
                 if best != labels[row, column]:
-                    labels[row, column], is_settled = best, False
+                    labels[row, column], has_converged = best, False
                     is_open[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True
     return labels
 

@@ -65,7 +65,7 @@ class OnePlane(NamedTuple):
         Largest gap between their planes at the border, in deviations.
     max_fold_deg : float
         Largest angle between them.
-    least_pairs : int
+    min_pairs : int
         Pairs of cells along their border, at least.
 
     """
@@ -74,7 +74,7 @@ class OnePlane(NamedTuple):
     tolerance: float
     max_gap: float = np.inf
     max_fold_deg: float = np.inf
-    least_pairs: int = MIN_BORDER_PAIRS
+    min_pairs: int = MIN_BORDER_PAIRS
 
 
 # The mean of chi-squared of either piece about a joint plane is 1 if they are coplanar.
@@ -122,8 +122,8 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
-    for least_pairs in (MIN_BORDER_PAIRS, 0):  # neighbours first
-        test = OnePlane(PLANE, MAX_JOINT_VARIANCES, least_pairs=least_pairs)
+    for min_pairs in (MIN_BORDER_PAIRS, 0):  # neighbours first
+        test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs)
         graph = merge_pairs(graph, partial(misfits, test=test), is_apart)
     return graph.without_merged()
 
@@ -172,11 +172,11 @@ def misfits(graph: RegionGraph, test: OnePlane) -> np.ndarray:
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
         'Tuple((int64, float64, float64, float64, int64)))')
 def _misfits(planes, sums, borders, test):
-    surface, tolerance, max_gap, max_fold_deg, least_pairs = test
+    surface, tolerance, max_gap, max_fold_deg, min_pairs = test
     misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
-            if (borders[i, j, 0] < least_pairs or sums[i, 0] == 0 or sums[j, 0] == 0
+            if (borders[i, j, 0] < min_pairs or sums[i, 0] == 0 or sums[j, 0] == 0
                     or normals_differ(sums[i], sums[j])):
                 continue
             fold_deg, gap = 0.0, 0.0
@@ -240,9 +240,9 @@ def normals_differ(first, second):
     for k in range(2):
         apart += (first[12 + k] / first[11] - second[12 + k] / second[11]) ** 2
     for sums in (first, second):
-        n, least = sums[11], MIN_ANGLE_RAD * sums[15] / sums[11] / TYPICAL_FOCAL_SHARE
+        n, min_slope = sums[11], MIN_ANGLE_RAD * sums[15] / sums[11] / TYPICAL_FOCAL_SHARE
         spread = sums[14] / n - (sums[12] / n) ** 2 - (sums[13] / n) ** 2
-        variance += max(spread, 0.0) / 2 + least**2
+        variance += max(spread, 0.0) / 2 + min_slope**2
     return apart > MAX_DEVIATIONS**2 * variance
 
 

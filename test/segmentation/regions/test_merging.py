@@ -26,7 +26,7 @@ from plane_detector.segmentation.regions.region_graph import (
 )
 
 SIGMAS = (0.0, 0.004, 0.01)
-JOINT = OnePlane(PLANE, MAX_JOINT_VARIANCES, least_pairs=0)
+JOINT = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=0)
 WEIGHED = replace(EXACT, mean_sigma=0.005, slope_sigma=0.2, pixel_sigma=0.005)
 
 
@@ -141,7 +141,7 @@ def test_a_border_needs_more_than_one_pair_of_cells(length):
     labels[20 - length:20, 20] = 0
     assert RegionGraph.of(model, hand_made(model, labels)).borders[0, 1, 0] == length
     graph = RegionGraph.of(model, hand_made(model, labels))
-    near = JOINT._replace(least_pairs=MIN_BORDER_PAIRS)
+    near = JOINT._replace(min_pairs=MIN_BORDER_PAIRS)
     assert np.isfinite(misfits(graph, near)[0, 1]) == (length == 2)
 
 
