@@ -150,7 +150,7 @@ def _sum_up(labels, values, is_planar, count):
                 continue
             for k in range(10):
                 pixels[one, k] += moments[i, k]
-            _add_cell(table[i], slope[i], sums[one])
+            _add_cell(table, slope, sums, i, one)
             for step in range(1, BORDER_REACH_CELLS + 1):
                 for r, c in ((row + step, column), (row, column + step)):
                     if r >= rows or c >= columns or labels[r, c] < 0 or labels[r, c] == one:
@@ -165,39 +165,40 @@ def _sum_up(labels, values, is_planar, count):
     return pixels, sums, borders
 
 
-@kernel('void(float64[::1], float64[::1], float64[::1])')
-def _add_cell(cell, slope, sums):
-    x, y, d = cell[0], cell[1], cell[2]
-    sums[0] += 1
-    sums[1] += x
-    sums[2] += y
-    sums[3] += x * x
-    sums[4] += x * y
-    sums[5] += y * y
-    sums[6] += d
-    sums[7] += x * d
-    sums[8] += y * d
-    sums[9] += d * d
-    sums[10] += 1 / cell[5]
+@kernel('void(float64[:, ::1], float64[:, ::1], float64[:, ::1], int64, int64)')
+def _add_cell(table, slope, sums, i, k):
+    """Add cell i to the sums of region k: numba takes longer to pass rows than to add them up."""
+    x, y, d = table[i, 0], table[i, 1], table[i, 2]
     xx, xy, yy = x * x, x * y, y * y
-    sums[16] += xx * x
-    sums[17] += xx * y
-    sums[18] += yy * x
-    sums[19] += yy * y
-    sums[20] += xx * xx
-    sums[21] += xx * xy
-    sums[22] += xx * yy
-    sums[23] += xy * yy
-    sums[24] += yy * yy
-    sums[25] += xx * d
-    sums[26] += xy * d
-    sums[27] += yy * d
-    if np.isfinite(slope[0]):
-        sums[11] += 1
-        sums[12] += slope[0]
-        sums[13] += slope[1]
-        sums[14] += slope[0] ** 2 + slope[1] ** 2
-        sums[15] += d
+    sums[k, 0] += 1
+    sums[k, 1] += x
+    sums[k, 2] += y
+    sums[k, 3] += xx
+    sums[k, 4] += xy
+    sums[k, 5] += yy
+    sums[k, 6] += d
+    sums[k, 7] += x * d
+    sums[k, 8] += y * d
+    sums[k, 9] += d * d
+    sums[k, 10] += 1 / table[i, 5]
+    if np.isfinite(slope[i, 0]):
+        sums[k, 11] += 1
+        sums[k, 12] += slope[i, 0]
+        sums[k, 13] += slope[i, 1]
+        sums[k, 14] += slope[i, 0] ** 2 + slope[i, 1] ** 2
+        sums[k, 15] += d
+    sums[k, 16] += xx * x
+    sums[k, 17] += xx * y
+    sums[k, 18] += yy * x
+    sums[k, 19] += yy * y
+    sums[k, 20] += xx * xx
+    sums[k, 21] += xx * xy
+    sums[k, 22] += xx * yy
+    sums[k, 23] += xy * yy
+    sums[k, 24] += yy * yy
+    sums[k, 25] += xx * d
+    sums[k, 26] += xy * d
+    sums[k, 27] += yy * d
 
 
 @kernel('void(int32[:, ::1], int64[::1], UniTuple(float64[:, ::1], 3), float64[:, :, ::1], '

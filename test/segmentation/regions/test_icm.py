@@ -72,12 +72,11 @@ def test_no_planes_are_no_planes():
 def energy(model, labels, planes):
     """Return what each plane, and last none, costs each cell."""
     table = model.table
-    count = len(planes)
-    cost = np.array([[icm.TRUNCATION * 9] * count + [icm.OUTLIER_COST * 9]] * labels.size)
+    cost = np.full((labels.size, len(planes) + 1), icm.OUTLIER_COST * 9)
     for k, (a, b, c) in enumerate(planes):
         residual = table[:, 2] - (a * table[:, 0] + b * table[:, 1] + c)
         tilt = (table[:, 3] - a) ** 2 + (table[:, 4] - b) ** 2
-        cost[:, k] = np.minimum(residual**2 * table[:, 5] + tilt * table[:, 6], cost[:, k])
+        cost[:, k] = residual**2 * table[:, 5] + tilt * table[:, 6]
     cost[~model.is_planar] = 0
     return cost
 
