@@ -62,3 +62,53 @@ def _count(labels, size, count):
                 if labels[v, u] >= 0:
                     counts[cell, labels[v, u]] += 1
     return counts
+
+
+def connected_pieces(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Find the connected components of equal labels, by shared sides.
+
+    Parameters
+    ----------
+    labels : (R, C) int32
+        -1 none.
+
+    Returns
+    -------
+    pieces : (R, C) int32
+        -1 where there is no label.
+    label, size : (n,) int64
+        Of each piece.
+
+    """
+    return _pieces(np.ascontiguousarray(labels))
+
+
+@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1]))(int32[:, ::1])')
+def _pieces(labels):
+    rows, columns = labels.shape
+    pieces, count = np.full((rows, columns), np.int32(-1)), 0
+    first, queue = np.empty(labels.size + 1, np.int64), np.empty((labels.size, 2), np.int64)
+    head = tail = 0
+    for row in range(rows):
+        for column in range(columns):
+            label = labels[row, column]
+            if label < 0 or pieces[row, column] >= 0:
+                continue
+            pieces[row, column], first[count] = count, tail
+            queue[tail, 0], queue[tail, 1] = row, column
+            tail += 1
+            while head < tail:
+                i, j = queue[head, 0], queue[head, 1]
+                head += 1
+                for r, c in ((i - 1, j), (i, j - 1), (i, j + 1), (i + 1, j)):
+                    if (0 <= r < rows and 0 <= c < columns and labels[r, c] == label
+                            and pieces[r, c] < 0):
+                        pieces[r, c], queue[tail, 0], queue[tail, 1] = count, r, c
+                        tail += 1
+            count += 1
+    first[count] = tail
+    label = np.empty(count, np.int64)
+    for k in range(count):
+        label[k] = labels[queue[first[k], 0], queue[first[k], 1]]
+    return pieces, label, np.diff(first[:count + 1])

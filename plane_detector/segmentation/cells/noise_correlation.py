@@ -14,19 +14,16 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 
 # The planes of smaller regions fit the noise itself.
-# tuned: on rooms below seed 9000; compiled in, so the range was not swept.
+# tuned: on rooms and lived-in rooms below seed 9000; flat from 70 to 140.
 MIN_REGION_CELLS = 100
-# Residuals are cut off at this many deviations.
-# after: the usual three deviations of a normal distribution.
-MAX_RESIDUAL = 3.0
-# derived: bound of the share that is independent from cell to cell, and of the smooth share.
-MIN_SHARE = 1e-3
-# derived: bounds of the correlation of neighbouring cells.
-CORRELATION_RANGE = (0.02, 0.98)
+# derived: bounds of the share that is independent from cell to cell, and of the correlation of
+# neighbouring cells.
+MIN_SHARE = 0.01
 # derived: about 1, exponential, and 2, Gaussian.
 POWER_RANGE = (0.5, 2.0)
 # derived: errors correlated over a larger distance are a bend, not noise.
@@ -62,13 +59,14 @@ class Correlation:
 
         None if no region is large enough.
         """
-        square, *at_lags = _covariances(model, regions, MAX_RESIDUAL * noise.mean_sigma)
+        square, *at_lags = _covariances(np.ascontiguousarray(regions.labels),
+                                        regions.coefficients, model.table, model.is_planar)
         if square <= 0:
             return None
         own = square * np.clip((noise.pixel_sigma / model.grid.size_px) ** 2 / square,
                                MIN_SHARE, 1 - MIN_SHARE)
         smooth = square - own
-        decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, *CORRELATION_RANGE))
+        decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, MIN_SHARE, 1 - MIN_SHARE))
         power = np.clip(np.log2(at_two / decay), *POWER_RANGE)
         return cls(float(smooth), float(own), float(decay), float(power))
 
@@ -93,24 +91,28 @@ def _table(correlation: Correlation, shape: tuple[int, int]) -> np.ndarray:
     return correlation.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
 
 
-def _covariances(model: WeightedCells, regions: PlaneRegions, limit: float) -> list[float]:
-    """Return the mean product of the residuals of cells of a region 0, 1 and 2 cells apart."""
-    labels, planes, table = regions.labels, regions.coefficients, model.table
-    size = np.bincount(labels.ravel() + 1, minlength=len(planes) + 1)[1:]
-    used = (np.append(size > MIN_REGION_CELLS, False)[labels]
-            & model.is_planar.reshape(labels.shape))
-    if not used.any():
-        return [0.0, 0.0, 0.0]
-    a, b, c = planes[labels].transpose(2, 0, 1)
-    x, y, d = table[:, :3].T.reshape(3, *labels.shape)
-    residual = np.clip(d - (a * x + b * y + c), -limit, limit)
-    means = []
-    for lag in range(3):
-        total = count = 0
-        for near, far in ((np.s_[:, :labels.shape[1] - lag], np.s_[:, lag:]),
-                          (np.s_[:labels.shape[0] - lag], np.s_[lag:])):
-            both = used[near] & used[far] & (labels[near] == labels[far])
-            total += (residual[near] * residual[far])[both].sum()
-            count += both.sum()
-        means.append(float(total / max(count, 1)))
-    return means
+@kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])')
+def _covariances(labels, planes, table, is_planar):
+    """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
+    (rows, columns), size = labels.shape, np.zeros(len(planes), np.int64)
+    residual, total, count = np.full((rows, columns), np.nan), np.zeros(3), np.zeros(3)
+    for row in range(rows):
+        for column in range(columns):
+            if labels[row, column] >= 0:
+                size[labels[row, column]] += 1
+    for i in range(labels.size):
+        row, column = i // columns, i % columns
+        k = labels[row, column]
+        if k >= 0 and is_planar[i] and size[k] > MIN_REGION_CELLS:
+            residual[row, column] = table[i, 2] - (planes[k, 0] * table[i, 0]
+                                                   + planes[k, 1] * table[i, 1] + planes[k, 2])
+    for row in range(rows):
+        for column in range(columns):
+            for lag in range(3):
+                for r, c in ((row + lag, column), (row, column + lag)):
+                    if r < rows and c < columns and labels[r, c] == labels[row, column]:
+                        product = residual[r, c] * residual[row, column]
+                        if not np.isnan(product):
+                            total[lag] += product
+                            count[lag] += 1
+    return total / np.maximum(count, 1)
