@@ -76,13 +76,9 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
         return regions
     pieces, label, blocks = connected_pieces(np.where(_steps(residual, owner[SAMPLE] >= 0),
                                                       np.int32(-1), owner))
-    order = np.argsort(blocks, kind='stable')
-    largest = np.zeros(len(regions.coefficients), int)
-    largest[label[order]] = order
-    mean = _sums(pieces, residual, len(blocks)) / blocks
-    offset = np.abs(mean - mean[largest[label]])
+    offset = _offsets(residual, pieces, label, blocks)
     is_large = blocks >= min_pixels * (BLOCKS / grid.size_px) ** 2
-    for piece in order[::-1]:
+    for piece in np.argsort(-blocks, kind='stable'):
         if is_large[piece] and offset[piece] > MIN_OFFSET_DEVIATIONS * noise.mean_sigma:
             regions = _cut_off(cells, regions, pieces, piece, label[piece], correlation)
     return regions
@@ -128,6 +124,15 @@ def _add_row(pixels, planes, y, sums):
         n = np.float32(valid[u])
         total[u] += n * (disparity[u] - plane[u] - y * slope[u])
         count[u] += n
+
+
+def _offsets(residual: np.ndarray, pieces: np.ndarray, label: np.ndarray,
+             blocks: np.ndarray) -> np.ndarray:
+    """Return how far the mean residual of each piece (n,) is from its region's largest piece's."""
+    mean, order = _sums(pieces, residual, len(blocks)) / blocks, np.argsort(blocks, kind='stable')
+    largest = np.zeros(label.max(initial=0) + 1, int)
+    largest[label[order]] = order
+    return np.abs(mean - mean[largest[label]])
 
 
 @kernel('float64[::1](int32[:, ::1], float32[:, ::1], int64)')
