@@ -171,7 +171,8 @@ def _cut_off(cells: WeightedCells, regions: PlaneRegions, pieces: np.ndarray, pi
     """Split off the cells that a piece and half the step around it fill, if they are a plane."""
     new, around = len(regions.coefficients), np.ones((BLOCKS + 1, BLOCKS + 1), np.uint8)
     filled = cv2.dilate(cv2.compare(pieces, int(piece), cv2.CMP_EQ), around)
-    filled = cv2.resize(filled, cells.grid.shape[::-1], interpolation=cv2.INTER_AREA) > 126
+    filled = cv2.resize(filled, cells.grid.shape[::-1], interpolation=cv2.INTER_AREA)
+    filled = filled > 126  # the mean of blocks of 0 or 255: at least half of them
     labels = np.where(filled & (regions.labels == label), np.int32(new), regions.labels)
     fitted = fit_planes(region_moments(cells, labels, new + 1))[[label, new]]
     if not np.isfinite(fitted).all() or not prefer_two_planes(cells, labels, correlation, label,
