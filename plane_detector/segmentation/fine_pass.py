@@ -85,13 +85,17 @@ def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
 @kernel('boolean[::1](boolean[:, ::1], int64, float64)')
 def _large_pieces(left, size, min_pixels):
     """Return the cells in connected pieces with enough pixels; cells are at least half full."""
-    rows, columns = -(-left.shape[0] // size), -(-left.shape[1] // size)
-    pixels = np.zeros(rows * columns, np.int64)
-    for v in range(left.shape[0]):
-        row, first = left[v], v // size * columns
+    height, width = left.shape
+    rows, columns = -(-height // size), -(-width // size)
+    pixels, of_columns = np.zeros(rows * columns, np.int64), np.empty(width, np.int32)
+    for row in range(rows):
+        of_columns[:] = 0
+        for v in range(row * size, min(row * size + size, height)):
+            for u in range(width):
+                of_columns[u] += np.int32(left[v, u])
         for column in range(columns):
-            for u in range(column * size, min(column * size + size, len(row))):
-                pixels[first + column] += row[u]
+            for u in range(column * size, min(column * size + size, width)):
+                pixels[row * columns + column] += of_columns[u]
     is_open, is_wanted = 2 * pixels >= size**2, np.zeros(rows * columns, np.bool_)
     queue = np.empty(rows * columns, np.int64)
     for seed in range(rows * columns):
@@ -115,11 +119,12 @@ def _large_pieces(left, size, min_pixels):
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int32[::1])')
 def _overlaid(labels, new, target):
     """Return labels in which a pixel without one and of new label k has label target[k]."""
-    result = labels.copy()
+    result, index = np.empty_like(labels), np.full(len(target) + 1, np.int32(-1))
+    index[1:] = target
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            if labels[v, u] < 0 and new[v, u] >= 0:
-                result[v, u] = target[new[v, u]]
+            other = index[np.uint32(new[v, u] + 1)]  # unsigned: no wrap-around check
+            result[v, u] = labels[v, u] if labels[v, u] >= 0 else other
     return result
 
 
