@@ -10,6 +10,7 @@ the image. Labels in messages are above 0; 0 is no plane.
 from __future__ import annotations
 
 import array
+from functools import cache
 from typing import Any, NamedTuple
 
 import cv2
@@ -217,14 +218,20 @@ def _pose(position: Point, x: float, y: float, z: float, w: float) -> Pose:
 def cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
               width: int) -> PointCloud2:
     """Return a cloud whose points are rows of a structured type; the data is not copied."""
-    fields = [PointField(name=name, offset=offset, count=1, datatype=_FIELD_TYPES[kind.str[1:]])
-              for name, (kind, offset) in dtype.fields.items()]
-    msg = PointCloud2(header=header, height=height, width=width, fields=fields,
+    msg = PointCloud2(header=header, height=height, width=width, fields=list(_fields(dtype)),
                       is_bigendian=False, point_step=dtype.itemsize,
                       row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE,
                       check_fields=True)
     msg.data = data  # not copied, unlike in the constructor and the checking setter
     return msg
+
+
+@cache
+def _fields(dtype: np.dtype) -> tuple[PointField, ...]:
+    """Return the fields of a structured type, which all clouds share."""
+    return tuple(PointField(name=name, offset=offset, count=1,
+                            datatype=_FIELD_TYPES[kind.str[1:]])
+                 for name, (kind, offset) in dtype.fields.items())
 
 
 def _image_msg(header: Header, encoding: str, pixels: np.ndarray) -> Image:
