@@ -115,9 +115,7 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
-    variances = _variances(planes)
-    outliers = np.minimum(OUTLIER_SIZE / np.maximum(samples.image_shares, 1e-6),
-                          MAX_OUTLIER_SHARE)
+    variances, outliers = _variances(planes), _outliers(planes, samples.image_shares)
     scores = _log_likelihood(hypotheses, variances, outliers[:, None]) - lost
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     best = int(np.argmax(np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior))
@@ -137,9 +135,20 @@ def _variances(planes: tuple[Plane, ...]) -> np.ndarray:
     """Return the variance (S, K) of the network's normals, rad^2, for each of SIGMAS_RAD."""
     covariances = np.stack([plane.covariance[:3, :3] for plane in planes])
     fit = np.trace(covariances, axis1=1, axis2=2) / 2
+    return fit + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / _tilt_rad(planes) ** 2)
+
+
+def _tilt_rad(planes: tuple[Plane, ...]) -> np.ndarray:
+    """Return the largest error (K,) of normals that the bend of their regions allows."""
     bend = np.array([plane.rms_m / np.sqrt(plane.area_m2) for plane in planes])
-    limit = np.maximum(TILT_PER_BEND * bend, 1e-6)
-    return fit + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / limit**2)
+    return np.maximum(TILT_PER_BEND * bend, 1e-6)
+
+
+def _outliers(planes: tuple[Plane, ...], image_shares: np.ndarray) -> np.ndarray:
+    """Return the share (K,) of normals unrelated to the true ones; 0 for exactly flat regions."""
+    tilt = _tilt_rad(planes) ** 2
+    share = np.minimum(OUTLIER_SIZE / np.maximum(image_shares, 1e-6), MAX_OUTLIER_SHARE)
+    return share * tilt / (tilt + EXPECTED_SIGMA_RAD**2)
 
 
 def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray,
