@@ -238,8 +238,8 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     # its rows.
     if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_EQUAL_SHARE for line in lines):
         return noise_floor
-    values = np.unique(np.concatenate([line.ravel() for line in lines])).astype(float)
-    values = values[values != 0]  # invalid pixels
+    # Invalid pixels are 0.
+    values = np.unique(np.concatenate([line[line != 0] for line in lines])).astype(float)
     if len(values) < MIN_VALUES:
         return noise_floor
     gaps = np.diff(values)
