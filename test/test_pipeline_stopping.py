@@ -26,16 +26,16 @@ def test_no_stage_starts_after_a_stop():
         detector.detect(RGB, CAMERA)
 
 
-def test_the_search_looks_at_the_stop_before_every_draw(monkeypatch):
-    """Over curved depth, where one draw finds little and the next is begun."""
-    stop, draws, draw = Stop(), [], ransac.find_in_one_round
+def test_the_search_looks_at_the_stop_before_every_pass(monkeypatch):
+    """Over curved depth and with the largest settings, where one pass finds many planes."""
+    stop, passes, find = Stop(), [], ransac.find_planes
 
     def counted(*arguments):
-        draws.append(1)
+        passes.append(1)
         stop.set()
-        return draw(*arguments)
+        return find(*arguments)
 
-    monkeypatch.setattr(ransac, 'find_in_one_round', counted)
+    monkeypatch.setattr(ransac, 'find_planes', counted)
     rows, columns = np.mgrid[:120, :160] / 120
     noise = np.random.default_rng(0).normal(0, 0.02, rows.shape)
     depth_m = (2 + np.sin(9 * rows) * np.cos(7 * columns) + noise).astype(np.float32)
@@ -43,4 +43,4 @@ def test_the_search_looks_at_the_stop_before_every_draw(monkeypatch):
                     ransac=RansacConfig(max_iterations=1000000))
     with pytest.raises(Stopped), stop.applies():
         PlaneDetector(config, lambda rgb: depth_m).detect(RGB, CAMERA)
-    assert len(draws) == 1
+    assert len(passes) == 1

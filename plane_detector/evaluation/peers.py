@@ -105,7 +105,7 @@ class PlainRansac(Paper):
     def run(self, prepared: Any) -> Any:
         """Find the planes by sequential RANSAC."""
         rng = np.random.default_rng(self.config.ransac.seed)
-        return paper_labels(*prepared, self.config, rng, cluster=False)[0], *prepared
+        return paper_labels(*prepared, self.config, rng, cluster=False), *prepared
 
     def result(self, raw: Any) -> Segments:
         """Fit the planes to their pixels."""

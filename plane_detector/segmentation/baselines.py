@@ -69,7 +69,7 @@ def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_
 
     """
     rng = rng or np.random.default_rng(config.ransac.seed)
-    labels, _ = paper_labels(to_depth(disparity), intrinsics, config, rng)
+    labels = paper_labels(to_depth(disparity), intrinsics, config, rng)
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)
     planes, labels = fit_labels(grid, labels)
@@ -102,9 +102,9 @@ def fit_labels(grid: CellGrid, labels: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
-                 rng: np.random.Generator, cluster: bool = True) -> tuple[np.ndarray, np.ndarray]:
+                 rng: np.random.Generator, cluster: bool = True) -> np.ndarray:
     """
-    Segment with the paper's method.
+    Label pixels with the paper's method.
 
     Parameters
     ----------
@@ -119,10 +119,8 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
 
     Returns
     -------
-    labels : (H, W) int32
-        Index into the planes, -1 none.
-    planes : (K, 3) float64
-        1/z = a x + b y + c; x, y in pixels from the image centre over the image width.
+    (H, W) int32
+        Plane of each pixel, -1 none.
 
     Raises
     ------
@@ -138,9 +136,16 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     min_points = max(3, config.segmentation.min_plane_share * thinned.size)
     thinned[seen], equations = _peel(thinned_m[seen], min_points, config, rng)
     if cluster:
-        thinned, equations = _cluster(thinned, thinned_m, equations, min_points, config.paper)
-    labels = _to_all_pixels(thinned, points_m, equations, stride, config.paper)
-    return labels, _to_image_coordinates(equations, intrinsics)
+        thinned[seen], equations = _clusters(thinned[seen], thinned_m[seen], equations,
+                                             min_points, config.paper)
+    labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)[:len(points_m)]
+    labels = np.ascontiguousarray(labels[:, :points_m.shape[1]])
+    # A pixel has the label of its subsampled point if it is near that point's plane.
+    inside = labels >= 0
+    equation, points_m = equations[labels[inside]], points_m[inside]
+    distance_m = np.abs((points_m * equation[:, :3]).sum(axis=1) + equation[:, 3])
+    labels[inside] = np.where(distance_m <= config.paper.distance_threshold, labels[inside], -1)
+    return labels
 
 
 def _peel(points_m: np.ndarray, min_points: float, config: Config,
@@ -186,43 +191,19 @@ def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.
     return equation, inliers
 
 
-def _cluster(labels: np.ndarray, points_m: np.ndarray, equations: np.ndarray, min_points: float,
-             paper: PaperConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Replace each plane by the density clusters of its points that are large enough."""
-    out, kept = np.full(labels.shape, -1, np.int32), []
-    for k, equation in enumerate(equations):
-        members = labels == k
+def _clusters(labels: np.ndarray, points_m: np.ndarray, equations: np.ndarray,
+              min_points: float, paper: PaperConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Replace each plane by the density clusters of its points (n, 3) that are large enough."""
+    found, owner = np.full_like(labels, -1), []
+    for k in range(len(equations)):
+        members = np.flatnonzero(labels == k)
         clusters = point_clusters(points_m[members], paper.dbscan_eps, paper.dbscan_min_samples)
-        renumbered = np.full(clusters.max(initial=-1) + 2, -1, np.int32)
-        for cluster in np.unique(clusters[clusters >= 0]):
-            if (clusters == cluster).sum() >= min_points:
-                renumbered[cluster] = len(kept)
-                kept.append(equation)
-        out[members] = renumbered[clusters]
-    return out, np.array(kept).reshape(-1, 4)
-
-
-def _to_all_pixels(thinned: np.ndarray, points_m: np.ndarray, equations: np.ndarray, stride: int,
-                   paper: PaperConfig) -> np.ndarray:
-    """Label each pixel like its subsampled point if it is near that point's plane."""
-    height, width = points_m.shape[:2]
-    labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)[:height, :width]
-    for k, equation in enumerate(equations):
-        members = labels == k
-        distance_m = np.abs(points_m[members] @ equation[:3] + equation[3])
-        labels[members] = np.where(distance_m <= paper.distance_threshold, k, -1)
-    return labels
-
-
-def _to_image_coordinates(equations: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Convert n . p + d = 0 to 1/z = a x + b y + c."""
-    ray_plane = -equations[:, :3] / np.where(equations[:, 3:] == 0, 1e-9, equations[:, 3:])
-    a = ray_plane[:, 0] * intrinsics.width / intrinsics.fx
-    b = ray_plane[:, 1] * intrinsics.width / intrinsics.fy
-    c = (ray_plane[:, 2] + ray_plane[:, 0] * ((intrinsics.width - 1) / 2 - intrinsics.cx)
-         / intrinsics.fx + ray_plane[:, 1] * ((intrinsics.height - 1) / 2 - intrinsics.cy)
-         / intrinsics.fy)
-    return np.stack([a, b, c], axis=1)
+        for cluster in range(clusters.max(initial=-1) + 1):
+            piece = members[clusters == cluster]
+            if len(piece) >= min_points:
+                found[piece] = len(owner)
+                owner.append(k)
+    return found, equations[np.array(owner, int)]
 
 
 @one_blas_thread

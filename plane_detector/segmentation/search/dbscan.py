@@ -63,46 +63,74 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
     count : int
 
     """
-    clusters, count = _cluster(labels, near.offsets, near.min_samples)
-    return clusters, count
+    return _cluster(np.ascontiguousarray(labels), near.offsets, near.min_samples)
 
 
 @kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], int64[:, ::1], int64)')
 def _cluster(labels, offsets, min_samples):
-    rows, columns = labels.shape
-    clusters = np.full((rows, columns), np.int32(-1))
-    queue = np.empty((labels.size, 2), np.int32)
-    count = 0
-    for row in range(rows):
-        for column in range(columns):
-            if (labels[row, column] < 0 or clusters[row, column] >= 0
-                    or not _is_core(labels, row, column, offsets, min_samples)):
-                continue
-            clusters[row, column] = count
-            queue[0, 0], queue[0, 1] = row, column
-            head, tail = 0, 1
-            while head < tail:
-                i, j = queue[head, 0], queue[head, 1]
-                head += 1
-                if not _is_core(labels, i, j, offsets, min_samples):
-                    continue
-                for k in range(len(offsets)):
-                    r, c = i + offsets[k, 0], j + offsets[k, 1]
-                    if (0 <= r < rows and 0 <= c < columns and clusters[r, c] < 0
-                            and labels[r, c] == labels[i, j]):
-                        clusters[r, c] = count
-                        queue[tail, 0], queue[tail, 1] = r, c
-                        tail += 1
+    (rows, columns), margin, count = labels.shape, offsets.max(), 0
+    stride = columns + 2 * margin
+    left = np.full((rows + 2 * margin, stride), np.int16(-1))
+    left[margin:margin + rows, margin:margin + columns] = labels
+    left, steps = left.reshape(-1), offsets[:, 0] * stride + offsets[:, 1]
+    clusters, queue = np.full(left.shape, np.int32(-1)), np.empty(labels.size + 1, np.int64)
+    samples = count_samples(left, steps)
+    for start in range(margin * stride, len(left) - margin * stride):
+        if left[start] >= 0 and samples[start] >= min_samples:
+            end = grow_cluster(queue, 0, start, (left, samples), (steps, min_samples))
+            clusters[queue[:end]] = count
             count += 1
-    return clusters, count
+    clusters = clusters.reshape(rows + 2 * margin, stride)
+    return clusters[margin:margin + rows, margin:margin + columns].copy(), count
 
 
-@kernel('boolean(int32[:, ::1], int64, int64, int64[:, ::1], int64)')
-def _is_core(labels, row, column, offsets, min_samples):
-    found = 0
-    for k in range(len(offsets)):
-        r, c = row + offsets[k, 0], column + offsets[k, 1]
-        if (0 <= r < labels.shape[0] and 0 <= c < labels.shape[1]
-                and labels[r, c] == labels[row, column]):
-            found += 1
-    return found >= min_samples
+@kernel('int16[::1](int16[::1], int64[::1])')
+def count_samples(labels, steps):
+    """Return how many cells of the neighbourhood of each cell have its label."""
+    samples, first, last = np.zeros(len(labels), np.int16), steps.max(), len(labels) - steps.max()
+    count, here = samples[first:last], labels[first:last]
+    for step in steps:
+        there = labels[first + step:last + step]
+        for k in range(len(count)):  # slices of one length: vectorised
+            count[k] += np.int16(there[k] == here[k])
+    return samples
+
+
+@kernel('int64(int64[::1], int64, int64, UniTuple(int16[::1], 2), Tuple((int64[::1], int64)))')
+def grow_cluster(queue, end, start, cells, near):
+    """
+    Append the density cluster of a core cell to a queue.
+
+    Parameters
+    ----------
+    queue : (n,) int64
+        Output: the indices of the cells.
+    end : int
+        Where the queue ends.
+    start : int
+        The core cell.
+    cells : (labels, samples)
+        Labels (m,) int16 of a grid with a margin, -1 none: the labels of the cluster are removed;
+        and what :func:`count_samples` returns of them.
+    near : (steps, min_samples)
+        Steps to the cells of the neighbourhood, and how many of them a core cell has.
+
+    Returns
+    -------
+    int
+        Where the queue ends now.
+
+    """
+    (labels, samples), (steps, min_samples), head = cells, near, end
+    label, queue[end], labels[start] = labels[start], start, -1
+    end += 1
+    while head < end:
+        p = queue[head]
+        head += 1
+        if samples[p] >= min_samples:
+            for step in steps:
+                queue[end] = p + step
+                if labels[p + step] == label:
+                    labels[p + step] = -1
+                    end += 1
+    return end

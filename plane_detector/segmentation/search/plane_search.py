@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
@@ -25,9 +26,8 @@ START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES = 3
-# derived: a bound; two or three are enough, and after only one a wall under smooth noise is in
-# pieces, whose residuals are too small.
-CALIBRATION_ROUNDS = 5
+# tuned: on walls under smooth noise, which are in pieces after fewer; more change nothing there.
+CALIBRATION_ROUNDS = 3
 # A small plane fits the noise itself, and its residuals are too small.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 MIN_CELLS = 100
@@ -75,18 +75,32 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
 
 def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise) -> Noise:
     """Return the noise from the median absolute deviation from the large planes, if any."""
-    labels, table = regions.labels.ravel(), cells.table
-    size = np.bincount(labels + 1, minlength=len(regions.coefficients) + 1)[1:]
-    members = np.flatnonzero(np.append(size > MIN_CELLS, False)[labels])
+    members, residual, tilt = _deviations(regions.labels, regions.coefficients, cells.table)
     if not len(members):
         return noise
-    members = members[::len(members) // MAX_SAMPLES + 1]
-    plane = regions.coefficients[labels[members]]
-    residual = table[members, 2] - (plane[:, :2] * table[members, :2]).sum(axis=1) - plane[:, 2]
-    sigmas = (SIGMA_PER_MEDIAN * median(np.abs(residual)),
-              SIGMA_PER_MEDIAN * median(np.abs(table[members, 3:5] - plane[:, :2]).ravel()),
+    sigmas = (SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt),
               median(cells.grid.residual_rms[members]))
     return noise.from_cells(sigmas, cells.grid.sparsity[members])
+
+
+@kernel('Tuple((int64[::1], float64[::1], float64[::1]))(int32[:, ::1], float64[:, ::1], '
+        'float64[:, ::1])')
+def _deviations(labels, planes, table):
+    """Return some cells (n,) of large planes, moduli of residuals (n,) and slopes' (2 * n,)."""
+    cells, size = np.empty(labels.size, np.int64), np.zeros(len(planes), np.int64)
+    label, n = labels.reshape(-1), 0
+    for k in label[label >= 0]:
+        size[k] += 1
+    for i in range(len(label)):
+        cells[n] = i
+        n += label[i] >= 0 and size[label[i]] > MIN_CELLS
+    cells = cells[:n][::n // MAX_SAMPLES + 1].copy()
+    residual, tilt = np.empty(len(cells)), np.empty(2 * len(cells))
+    for m, i in enumerate(cells):
+        a, b, c = planes[label[i], 0], planes[label[i], 1], planes[label[i], 2]
+        residual[m] = abs(table[i, 2] - a * table[i, 0] - b * table[i, 1] - c)
+        tilt[2 * m], tilt[2 * m + 1] = abs(table[i, 3] - a), abs(table[i, 4] - b)
+    return cells, residual, tilt
 
 
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:

@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Density clusters of points: those of scikit-learn, whatever the parts they are found in."""
+"""Density clusters of points: those of scikit-learn."""
 
 import numpy as np
 import pytest
 from sklearn.cluster import DBSCAN
 
-from plane_detector.segmentation.search import point_clusters as module
 from plane_detector.segmentation.search.point_clusters import point_clusters
 from plane_detector.stopping import Stop, Stopped
 
@@ -29,10 +28,8 @@ def test_hardly_any_points(count):
     assert (point_clusters(np.zeros((count, 3)), 0.1, 2) == -1).all()
 
 
-@pytest.mark.parametrize('pairs_at_once', [1, 50, module.PAIRS_AT_ONCE])
 @pytest.mark.parametrize('seed', range(12))
-def test_the_clusters_are_those_of_scikit_learn(seed, pairs_at_once, monkeypatch):
-    monkeypatch.setattr(module, 'PAIRS_AT_ONCE', pairs_at_once)
+def test_the_clusters_are_those_of_scikit_learn(seed):
     rng = np.random.default_rng(seed)
     points_m = rng.random((rng.integers(5, 150), 3)) * [1, 1, 0.1]
     eps_m, min_samples = rng.uniform(0.02, 0.3), int(rng.integers(1, 8))
