@@ -138,13 +138,18 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     if cluster:
         thinned[seen], equations = _clusters(thinned[seen], thinned_m[seen], equations,
                                              min_points, config.paper)
+    return _to_all_pixels(thinned, points_m, equations, stride, config.paper.distance_threshold)
+
+
+def _to_all_pixels(thinned: np.ndarray, points_m: np.ndarray, equations: np.ndarray, stride: int,
+                   threshold_m: float) -> np.ndarray:
+    """Label each pixel like its subsampled point if it is near that point's plane."""
     labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)[:len(points_m)]
     labels = np.ascontiguousarray(labels[:, :points_m.shape[1]])
-    # A pixel has the label of its subsampled point if it is near that point's plane.
     inside = labels >= 0
-    equation, points_m = equations[labels[inside]], points_m[inside]
-    distance_m = np.abs((points_m * equation[:, :3]).sum(axis=1) + equation[:, 3])
-    labels[inside] = np.where(distance_m <= config.paper.distance_threshold, labels[inside], -1)
+    equation = equations[labels[inside]]
+    distance_m = np.abs((points_m[inside] * equation[:, :3]).sum(axis=1) + equation[:, 3])
+    labels[inside] = np.where(distance_m <= threshold_m, labels[inside], -1)
     return labels
 
 
