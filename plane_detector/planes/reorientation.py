@@ -13,7 +13,7 @@ from plane_detector.directions.finder import ImageDirections
 from plane_detector.planes.line_evidence import collect_evidence
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import orient_planes
-from plane_detector.planes.region_samples import sample_regions
+from plane_detector.planes.region_samples import MIN_COSINE, sample_regions
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
@@ -76,7 +76,8 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     Returns
     -------
     PixelRegions
-        One region per plane; those merged into another have no pixels.
+        One region per plane; those merged into another have no pixels. Pixels that see their
+        rotated plane edge-on or from behind have no label.
 
     """
     evidence = collect_evidence(lines.segments, lines.all_axes, regions.labels, len(planes))
@@ -95,8 +96,31 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
         again = samples.joined(group).offsets(normals)
         grown &= np.isfinite(again)
         offsets[grown] = again[grown]
-    coefficients = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T)
-    return replace(joined, coefficients=coefficients.T)
+    return _rotated(joined, normals, offsets, changed | grown, intrinsics)
+
+
+def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
+             changed: np.ndarray, intrinsics: CameraIntrinsics) -> PixelRegions:
+    """Return regions with these planes, without pixels that cannot see a changed one."""
+    planes = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T).T
+    planes = np.ascontiguousarray(planes)
+    lowest = np.where(changed, MIN_COSINE / offsets, -np.inf)
+    return replace(regions, labels=_seen_from_front(regions.labels, planes, lowest),
+                   coefficients=planes)
+
+
+@kernel('int32[:, ::1](int32[:, ::1], float64[:, ::1], float64[::1])')
+def _seen_from_front(labels, planes, lowest):
+    """Return labels without pixels where 1/z on their plane is below the lowest of the plane."""
+    found, (height, width) = labels.copy(), labels.shape
+    for v in range(height):
+        y = (v - (height - 1) / 2) / width
+        for u in range(width):
+            k = labels[v, u]
+            if k >= 0 and (planes[k, 0] * (u - (width - 1) / 2) / width + planes[k, 1] * y
+                           + planes[k, 2] < lowest[k]):
+                found[v, u] = -1
+    return found
 
 
 def _agreeing(normals: np.ndarray, offsets: np.ndarray, sigmas_rad: np.ndarray) -> np.ndarray:

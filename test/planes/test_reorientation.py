@@ -95,3 +95,23 @@ def test_offsets_fit_the_depth():
     level = [plane for plane in planes if plane.normal @ scene.gravity_camera < -0.999]
     floor = max(level, key=lambda plane: plane.offset_m)
     assert floor.offset_m == pytest.approx(scene.height_m, rel=0.03)
+
+
+def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
+    camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
+    ray_y = np.broadcast_to((np.arange(120)[:, None] - camera.cy) / camera.fy, (120, 160))
+    wave = 0.05 * np.sin(np.arange(160) / 6.0)
+    disparity = np.maximum(ray_y + 0.15 + wave, 0.02)  # the depth says 8.5 degrees off level
+    image = DisparityImage(disparity.astype(np.float32), np.ones((120, 160), bool))
+    labels = np.where(ray_y > -0.05, 0, -1).astype(np.int32)
+    regions = PixelRegions(image.values, labels, np.array([[0, camera.width / camera.fy, 0.15]]),
+                           build_cell_grid(image), metric_noise_floor(CONFIG, 0.01))
+    planes, labels = measure_planes(regions, camera)
+    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), 0.3,
+                            (AxisPair(np.eye(3)[[0, 2]], 0.01, 0.3),), '', '')
+    lines = ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
+    turned = reorient(replace(regions, labels=labels), planes, lines, camera)
+    (plane,), _ = measure_planes(turned, camera)
+    assert plane.normal == pytest.approx([0, -1, 0], abs=0.02)
+    assert np.array_equal(turned.labels >= 0, ray_y > 0.02)
+    assert np.linalg.norm(plane.centroid_m) < 50
