@@ -86,8 +86,6 @@ MAX_GAP_DEVIATIONS = 2.0
 # Largest mean square of the cells of a bulge about the plane, in variances: 3.5 deviations.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.123.
 MAX_BULGE_VARIANCES = 3.5**2
-# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
-MAX_BULGE_SHARE = 0.35
 # If the shift of the disparity is unknown, the angle is approximate.
 # tuned: benchmark segmentation --only real; the range was not swept.
 BOWED, MIN_BOW_NOISE_SHARE = OnePlane(QUADRIC, 3.0, 4.0, 35.0), 0.1
@@ -217,8 +215,6 @@ def _joint_misfit(sums, i, j, joint, surface):
 @kernel('float64(float64[::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
 def _bulge_misfit(plane, sums, borders, large, small):
     """Return the misfit of the smaller region as a bulge of the larger, up to 1 for a fit."""
-    if sums[small, 0] > MAX_BULGE_SHARE * sums[large, 0]:
-        return np.inf
     here, there = borders[large, small], borders[small, large]
     step = (here[3] - there[3] - plane[0] * (here[1] - there[1])
             - plane[1] * (here[2] - there[2])) / here[0]
