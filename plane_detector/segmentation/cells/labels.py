@@ -86,29 +86,53 @@ def connected_pieces(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
 
 @kernel('Tuple((int32[:, ::1], int64[::1], int64[::1]))(int32[:, ::1])')
 def _pieces(labels):
-    rows, columns = labels.shape
-    pieces, count = np.full((rows, columns), np.int32(-1)), 0
-    first, queue = np.empty(labels.size + 1, np.int64), np.empty((labels.size, 2), np.int64)
-    head = tail = 0
+    start, parent, count = _joined_runs(labels)
+    flat, pieces = labels.reshape(-1), np.empty(labels.size, np.int32)
+    number, pixels = np.empty(count, np.int32), np.zeros((2, count), np.int64)
+    found = 0
+    for k in range(count):  # parents come before their children
+        here = flat[start[k]]
+        if here < 0:
+            number[k] = -1
+        elif parent[k] < k:
+            number[k] = number[parent[k]]
+        else:
+            number[k], pixels[0, found], found = found, here, found + 1
+        for i in range(start[k], start[k + 1]):
+            pieces[i] = number[k]
+        if here >= 0:
+            pixels[1, number[k]] += start[k + 1] - start[k]
+    return pieces.reshape(labels.shape), pixels[0, :found].copy(), pixels[1, :found].copy()
+
+
+@kernel('Tuple((int64[::1], int64[::1], int64))(int32[:, ::1])')
+def _joined_runs(labels):
+    """Return the start and the parent of each run of equal labels in a row, and their number."""
+    (rows, columns), flat = labels.shape, labels.reshape(-1)
+    start, parent = np.empty(labels.size + 1, np.int64), np.empty(labels.size, np.int64)
+    first = count = 0
     for row in range(rows):
-        for column in range(columns):
-            label = labels[row, column]
-            if label < 0 or pieces[row, column] >= 0:
-                continue
-            pieces[row, column], first[count] = count, tail
-            queue[tail, 0], queue[tail, 1] = row, column
-            tail += 1
-            while head < tail:
-                i, j = queue[head, 0], queue[head, 1]
-                head += 1
-                for r, c in ((i - 1, j), (i, j - 1), (i, j + 1), (i + 1, j)):
-                    if (0 <= r < rows and 0 <= c < columns and labels[r, c] == label
-                            and pieces[r, c] < 0):
-                        pieces[r, c], queue[tail, 0], queue[tail, 1] = count, r, c
-                        tail += 1
-            count += 1
-    first[count] = tail
-    label = np.empty(count, np.int64)
-    for k in range(count):
-        label[k] = labels[queue[first[k], 0], queue[first[k], 1]]
-    return pieces, label, np.diff(first[:count + 1])
+        above, first = first, count
+        for i in range(row * columns, (row + 1) * columns):
+            if i == row * columns or flat[i] != flat[i - 1]:
+                start[count], parent[count], count = i, count, count + 1
+        start[count] = (row + 1) * columns
+        for k in range(first, count):
+            while above < first and start[above + 1] + columns <= start[k]:
+                above += 1
+            for upper in range(above, first):
+                if start[upper] + columns >= start[k + 1]:
+                    break
+                if flat[start[upper]] == flat[start[k]]:
+                    _unite(parent, upper, k)
+    return start, parent, count
+
+
+@kernel('void(int64[::1], int64, int64)')
+def _unite(parent, a, b):
+    """Make the first run of one set the parent of the first run of the other."""
+    while parent[a] != a:
+        a = parent[a]
+    while parent[b] != b:
+        b = parent[b]
+    parent[max(a, b)] = min(a, b)
