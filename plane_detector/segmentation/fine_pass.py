@@ -142,7 +142,7 @@ def _targets(labels: np.ndarray, grid: CellGrid, graph: RegionGraph,
         error = squared_errors(planes, np.repeat(sums[None, :10], len(planes), axis=0))
         fits = touching[k] & (error <= MAX_JOINT_VARIANCES * sums[10])
         same = target[np.append(np.flatnonzero(fits), k)]
-        target[np.isin(target, same)] = same.min()
+        target[(target[:, None] == same).any(axis=1)] = same.min()
     return target[first:]
 
 
