@@ -74,8 +74,8 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
         grid.size_px, np.array([grid.width_px, *grid.origin, limit]))
     if not (owner[SAMPLE] >= 0).any():
         return regions
-    pieces, label, blocks = connected_pieces(np.where(_steps(residual, owner[SAMPLE] >= 0),
-                                                      np.int32(-1), owner))
+    _remove_steps(_step_heights(residual, owner[SAMPLE] >= 0), owner)
+    pieces, label, blocks = connected_pieces(owner)
     offset = _offsets(residual, pieces, label, blocks)
     is_large = blocks >= min_pixels * (BLOCKS / grid.size_px) ** 2
     for piece in np.argsort(-blocks, kind='stable'):
@@ -146,8 +146,8 @@ def _sums(pieces, values, count):
     return total
 
 
-def _steps(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return the blocks that lie on a step."""
+def _step_heights(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Return the step at each block, in standard deviations of the differences in the image."""
     across, along = BLOCKS // 2, LENGTH_CELLS * BLOCKS
     height = np.zeros(residual.shape, np.float32)
     for size, before, after, here in (
@@ -158,12 +158,27 @@ def _steps(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
         typical = SIGMA_PER_MEDIAN * median(step[SAMPLE][inside])
         step *= 1 / max(typical, np.finfo(np.float32).tiny)
         np.maximum(height, step, out=height)
-    count, components = cv2.connectedComponents((height > LOW_THRESHOLD).view(np.uint8),
-                                                connectivity=8, ltype=cv2.CV_16U)
-    strong = np.zeros(count, bool)
-    strong[components[height > HIGH_THRESHOLD]] = True
-    strong[0] = False
-    return strong[components]
+    return height
+
+
+@kernel('void(float32[:, ::1], int32[:, ::1])')
+def _remove_steps(height, owner):
+    """Remove the blocks on a step by hysteresis (Canny 1986); ``height`` is overwritten."""
+    (rows, columns), steps, count = height.shape, np.empty(height.size, np.int64), 0
+    for row in range(rows):
+        for column in range(columns):
+            if height[row, column] > HIGH_THRESHOLD:
+                steps[count], height[row, column] = row * columns + column, 0
+                count += 1
+    while count > 0:
+        count -= 1
+        row, column = steps[count] // columns, steps[count] % columns
+        owner[row, column] = -1
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            for c in range(max(column - 1, 0), min(column + 2, columns)):
+                if height[r, c] > LOW_THRESHOLD:
+                    steps[count], height[r, c] = r * columns + c, 0
+                    count += 1
 
 
 def _cut_off(cells: WeightedCells, regions: PlaneRegions, pieces: np.ndarray, piece: int,
