@@ -27,7 +27,8 @@ BORDER_REACH_CELLS = MIN_BORDER_PAIRS = 2
 MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
-# RegionGraph.sums: the columns of the sums of the products of two of 1, x, y, xx, xy, yy and d.
+# derived: the layout of RegionGraph.sums; the columns of the sums of the products of two of
+# 1, x, y, xx, xy, yy and d.
 PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 16, 17, 18, 7], [2, 4, 5, 17, 18, 19, 8],
                      [3, 16, 17, 20, 21, 22, 25], [4, 17, 18, 21, 22, 23, 26],
                      [5, 18, 19, 22, 23, 24, 27], [6, 7, 8, 25, 26, 27, 9]])
