@@ -13,7 +13,8 @@ from plane_detector.segmentation.regions import depth_steps
 
 def test_the_numbers_of_the_segmentation_are_found():
     found = {(one.module, one.name): one.value for one in constants()}
-    assert found['regions.depth_steps', 'HIGH_THRESHOLD'] == depth_steps.HIGH_THRESHOLD
+    name = 'MIN_OFFSET_DEVIATIONS'
+    assert found['regions.depth_steps', name] == depth_steps.MIN_OFFSET_DEVIATIONS
     assert found['fine_pass', 'MIN_CELL_SHARE'] == fine_pass.MIN_CELL_SHARE
     assert ('search.ransac', 'MAX_FAILURES') not in found  # compiled in
 
