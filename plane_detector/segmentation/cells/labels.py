@@ -31,7 +31,8 @@ def rename_labels(labels: np.ndarray, names: np.ndarray) -> np.ndarray:
 @kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
 def _renamed(labels, names):
     index, found = np.full(len(names) + 1, np.int32(-1)), np.empty_like(labels)
-    index[1:] = names
+    for k in range(len(names)):
+        index[k + 1] = names[k]
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
             found[i, j] = index[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check

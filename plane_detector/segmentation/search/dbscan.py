@@ -69,19 +69,24 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
 @kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], int64[:, ::1], int64)')
 def _cluster(labels, offsets, min_samples):
     (rows, columns), margin, count = labels.shape, offsets.max(), 0
-    stride = columns + 2 * margin
-    left = np.full((rows + 2 * margin, stride), np.int16(-1))
-    left[margin:margin + rows, margin:margin + columns] = labels
-    left, steps = left.reshape(-1), offsets[:, 0] * stride + offsets[:, 1]
+    stride, found = columns + 2 * margin, np.empty_like(labels)
+    # Loops, as numba takes a second to compile each assignment to a slice.
+    left = np.full((rows + 2 * margin) * stride, np.int16(-1))
+    for row in range(rows):
+        for column in range(columns):
+            left[(row + margin) * stride + column + margin] = labels[row, column]
+    steps = offsets[:, 0] * stride + offsets[:, 1]
     clusters, queue = np.full(left.shape, np.int32(-1)), np.empty(labels.size + 1, np.int64)
     samples = count_samples(left, steps)
     for start in range(margin * stride, len(left) - margin * stride):
         if left[start] >= 0 and samples[start] >= min_samples:
-            end = grow_cluster(queue, 0, start, (left, samples), (steps, min_samples))
-            clusters[queue[:end]] = count
+            for k in range(grow_cluster(queue, 0, start, (left, samples), (steps, min_samples))):
+                clusters[queue[k]] = count
             count += 1
-    clusters = clusters.reshape(rows + 2 * margin, stride)
-    return clusters[margin:margin + rows, margin:margin + columns].copy(), count
+    for row in range(rows):
+        for column in range(columns):
+            found[row, column] = clusters[(row + margin) * stride + column + margin]
+    return found, count
 
 
 @kernel('int16[::1](int16[::1], int64[::1])')
