@@ -10,6 +10,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.labels import connected_pieces
 from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
@@ -82,12 +83,23 @@ def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
     return noise.mean_sigma < width * cells.grid.typical_disparity
 
 
-@kernel('boolean[::1](boolean[:, ::1], int64, float64)')
-def _large_pieces(left, size, min_pixels):
+def _large_pieces(left: np.ndarray, size: int, min_pixels: float) -> np.ndarray:
     """Return the cells in connected pieces with enough pixels; cells are at least half full."""
+    pixels = _count_pixels(left, size)
+    pieces, label, _ = connected_pieces(np.where(2 * pixels >= size**2, np.int32(0),
+                                                 np.int32(-1)))
+    # The last entry is that of cells in no piece.
+    total = np.bincount(pieces.ravel() + 1, pixels.ravel(), len(label) + 1)
+    is_large = np.append(total[1:] >= min_pixels, False)
+    return is_large[pieces].ravel()
+
+
+@kernel('int64[:, ::1](boolean[:, ::1], int64)')
+def _count_pixels(left, size):
+    """Return the number of pixels in each cell."""
     height, width = left.shape
     rows, columns = -(-height // size), -(-width // size)
-    pixels, of_columns = np.zeros(rows * columns, np.int64), np.empty(width, np.int32)
+    pixels, of_columns = np.zeros((rows, columns), np.int64), np.empty(width, np.int32)
     for row in range(rows):
         of_columns[:] = 0
         for v in range(row * size, min(row * size + size, height)):
@@ -95,25 +107,8 @@ def _large_pieces(left, size, min_pixels):
                 of_columns[u] += np.int32(left[v, u])
         for column in range(columns):
             for u in range(column * size, min(column * size + size, width)):
-                pixels[row * columns + column] += of_columns[u]
-    is_open, is_wanted = 2 * pixels >= size**2, np.zeros(rows * columns, np.bool_)
-    queue = np.empty(rows * columns, np.int64)
-    for seed in range(rows * columns):
-        if not is_open[seed]:
-            continue
-        queue[0], is_open[seed] = seed, False
-        head, tail, total = 0, 1, 0
-        while head < tail:
-            i = queue[head]
-            head += 1
-            total += pixels[i]
-            for j in (i - columns, i - 1, i + 1, i + columns):
-                if (0 <= j < rows * columns and is_open[j]
-                        and (abs(j - i) > 1 or j // columns == i // columns)):
-                    queue[tail], is_open[j] = j, False
-                    tail += 1
-        is_wanted[queue[:tail]] = total >= min_pixels
-    return is_wanted
+                pixels[row, column] += of_columns[u]
+    return pixels
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int32[::1])')

@@ -70,6 +70,13 @@ def test_labels_are_only_joined():
     assert scene.labels.shape == after.shape
 
 
+def upright_axes(camera):
+    """Return the axes of an upright camera, without segments."""
+    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), 0.3,
+                            (AxisPair(np.eye(3)[[0, 2]], 0.01, 0.3),), '', '')
+    return ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
+
+
 @pytest.mark.parametrize(('step_share', 'pieces'), [(0.0, 1), (0.025, 2)])
 def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, pieces):
     camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
@@ -83,10 +90,7 @@ def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, piec
         [-slope, 0, 0.5], [slope * (1 + step_share), 0, 0.5 * (1 + step_share)]]),
         build_cell_grid(image), metric_noise_floor(CONFIG, 0.01))
     planes, labels = measure_planes(regions, camera)
-    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), 0.3,
-                            (AxisPair(np.eye(3)[[0, 2]], 0.01, 0.3),), '', '')
-    lines = ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
-    turned = reorient(replace(regions, labels=labels), planes, lines, camera)
+    turned = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
     assert len(np.unique(turned.labels)) == pieces
 
 
@@ -107,10 +111,7 @@ def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
     regions = PixelRegions(image.values, labels, np.array([[0, camera.width / camera.fy, 0.15]]),
                            build_cell_grid(image), metric_noise_floor(CONFIG, 0.01))
     planes, labels = measure_planes(regions, camera)
-    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), 0.3,
-                            (AxisPair(np.eye(3)[[0, 2]], 0.01, 0.3),), '', '')
-    lines = ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
-    turned = reorient(replace(regions, labels=labels), planes, lines, camera)
+    turned = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
     (plane,), _ = measure_planes(turned, camera)
     assert plane.normal == pytest.approx([0, -1, 0], abs=0.02)
     assert np.array_equal(turned.labels >= 0, ray_y > 0.02)
