@@ -8,27 +8,26 @@ from dataclasses import replace
 
 import numpy as np
 
-from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
 from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.planes.classification import classify_by_gravity
-from plane_detector.planes.normal_map import turned_by_normals
-from plane_detector.planes.ray_planes import ray_planes
-from plane_detector.planes.reorientation import measure_turned
-from plane_detector.scale.estimate import ScaleEstimate, apply_scale
-from plane_detector.scale.methods import ScaleEvidence, estimate_scale
-from plane_detector.scale.temporal_filter import ScaleState, update_scale
-from plane_detector.segmentation.baselines import segment_by_paper
-from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.normal_slopes import NormalMap
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.pixels.edge_snapping import GuideImage
-from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
+from plane_detector.scale.temporal_filter import ScaleState
+from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
+from plane_detector.stages import (
+    find_regions,
+    hints,
+    is_turned,
+    measured_planes,
+    next_scale,
+    noise_floor,
+    rescaled,
+    scaled_depth,
+)
 from plane_detector.threads import one_blas_thread
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
@@ -126,8 +125,11 @@ class PlaneDetector:
         """Run the second stage: gravity and lines, those of the image before if allowed."""
         given = None if seen.is_measured or seen.output == 'relative_disparity' else seen.disparity
         image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
-        need = Need.PLANES if _turns(seen) else Need.GRAVITY_HELD if may_hold else Need.GRAVITY
-        return self._directions.look(image, gravity_camera, seen.config, need)
+        need = Need.PLANES if is_turned(seen) else Need.GRAVITY_HELD if may_hold else Need.GRAVITY
+        stages = StageTimer()
+        with stages('directions'):
+            around = self._directions.look(image, gravity_camera, seen.config, need)
+        return replace(around, seconds=stages.seconds['directions'])
 
     def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
@@ -136,18 +138,19 @@ class PlaneDetector:
         stages.seconds |= {'depth': seen.depth_seconds, 'directions': around.seconds}
         with stages('segmentation'):
             # 1. The pixels of each plane, in the unit of the prediction.
-            regions = _segment(seen.disparity, seen.intrinsics, config, _noise_floor(seen, config),
-                               **_hints(seen, config))
+            regions = find_regions(seen.disparity, seen.intrinsics, config,
+                                   noise_floor(seen, config), **hints(seen, config))
         with stages('scale'):
             # 2. The scale and shift to metres, smoothed over time.
-            self._scale = _update_scale(self._scale, seen, regions, config, around)
+            self._scale = next_scale(self._scale, seen, regions, config, around)
             scale = self._scale.estimate
         with stages('measurement'):
             # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
-            depth_m = _scaled_depth(seen, scale, config.depth.max_depth)
-            regions = _rescaled(regions, scale, seen)
-            planes = _measure(regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
-                              around if _turns(seen) and scale.has_true_angles else None)
+            depth_m = scaled_depth(seen, scale, config.depth.max_depth)
+            regions = rescaled(regions, scale, seen)
+            planes = measured_planes(
+                regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
+                around.lines if is_turned(seen) and scale.has_true_angles else None)
         with stages('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             planes, shapes, shape_labels = self._shapes.detect(
@@ -167,8 +170,9 @@ class PlaneDetector:
 
     def reset(self) -> None:
         """Discard what is kept from earlier images: averages, scale and labels."""
-        for reset in (self.reset_depth, self.reset_directions, self.reset_planes):
-            reset()
+        self.reset_depth()
+        self.reset_directions()
+        self.reset_planes()
 
     def reset_depth(self) -> None:
         """Discard the state of :meth:`observe`: the average of the depth."""
@@ -229,72 +233,6 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     """
     config = config or DEFAULTS
     check_depth(depth_m, intrinsics)
-    regions = _segment(to_disparity(depth_m), intrinsics, config,
-                       metric_noise_floor(config, disparity_noise), rng)
-    return _measure(regions, intrinsics, config)
-
-
-def _turns(seen: Observation) -> bool:
-    """Return whether planes are to be rotated by the lines of the image."""
-    return seen.config.directions.orient_planes and not seen.is_measured
-
-
-def _noise_floor(seen: Observation, config: Config) -> Noise:
-    """Return the lower bound of the noise, in the unit of the disparity."""
-    if seen.output != 'relative_disparity' and (
-            config.segmentation.disparity_noise or not seen.noise_share):
-        return metric_noise_floor(config)
-    if config.segmentation.method == 'paper' and seen.output == 'relative_disparity':
-        raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
-                         'relative_disparity')
-    return unitless_noise_floor(seen.disparity, seen.disparity_noise)
-
-
-def _hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
-    """Return the image that borders snap to, if the network blurs edges, and its normals."""
-    snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
-    guide = GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None
-    return {'guide': guide, 'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
-
-
-def _segment(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
-             noise_floor: Noise, rng: np.random.Generator | None = None,
-             **hints: GuideImage | NormalMap | None) -> PixelRegions:
-    """Segment by ``segmentation.method``."""
-    load_once('geometry', 'segmentation', 'planes')
-    if config.segmentation.method == 'paper':
-        return segment_by_paper(disparity, intrinsics, noise_floor, config, rng)
-    return segment(disparity, noise_floor, config, rng, **hints)
-
-
-def _update_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,
-                  config: Config, around: Surroundings) -> ScaleState:
-    """Return the scale of this image, smoothed with those before."""
-    evidence = ScaleEvidence(
-        seen.disparity, lambda: ray_planes(regions, seen.intrinsics), seen.output,
-        seen.is_measured, around.gravity.gravity_camera, around.gravity.tolerance_deg,
-        around.level_axes, seen.sensor_depth_m)
-    return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
-
-
-def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float) -> np.ndarray:
-    """Return the depth (H, W) in the unit of the scale; unscaled metres are returned unchanged."""
-    if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
-        return seen.prediction.values
-    return apply_scale(seen.disparity, scale, max_depth_m)
-
-
-def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
-    """Return the regions in the unit of the scale, rotated by the network's normals if any."""
-    regions = regions.rescaled(scale.scale, scale.shift)
-    return (turned_by_normals(regions, seen.prediction, seen.intrinsics)
-            if scale.has_true_angles else regions)
-
-
-@one_blas_thread
-def _measure(regions: PixelRegions, intrinsics: CameraIntrinsics,
-             config: Config, around: Surroundings | None = None) -> PlaneSegmentation:
-    """Measure the planes that are large enough, rotated by the lines of the image if given."""
-    min_pixels = config.segmentation.min_plane_share * regions.labels.size
-    turned = measure_turned(regions, intrinsics, min_pixels, around and around.lines)
-    return PlaneSegmentation(*turned, regions.noise.mean_sigma)
+    regions = find_regions(to_disparity(depth_m), intrinsics, config,
+                           metric_noise_floor(config, disparity_noise), rng)
+    return measured_planes(regions, intrinsics, config)

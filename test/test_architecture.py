@@ -20,7 +20,7 @@ SOURCES = sorted(PACKAGE.rglob('*.py'))
 LAYERS = (('stopping', 'compilation', 'threads', 'memory'), ('settings', 'stage_timer'),
           ('node_config',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
-          ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
+          ('stages',), ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('cells',), ('search',), ('regions',), ('pixels',), ('fine_pass',),
                        ('segment',), ('baselines',))

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import partial
@@ -161,18 +160,17 @@ class DirectionFinder:
             What the lines are needed for.
 
         """
-        start_s = time.perf_counter()
         choose = partial(choose_gravity, measured_down, config.scale.gravity,
                          config.scale.gravity_tolerance)
         known = choose(None)
         if need != Need.PLANES and (known.is_sure or not config.directions.gravity):
-            return Surroundings(known, None, time.perf_counter() - start_s)
+            return Surroundings(known, None)
         if self._tracked is None or need != Need.GRAVITY_HELD:
             alone = find_in_image(image, np.random.default_rng(self._seed), known.gravity_camera)
             self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
         lines = ImageDirections(self._tracked.segments, self._tracked.directions)
         return Surroundings(choose(lines.directions) if config.directions.gravity else known,
-                            lines, time.perf_counter() - start_s)
+                            lines)
 
     def reset(self) -> None:
         """Discard what is kept from earlier images."""

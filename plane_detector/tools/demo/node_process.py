@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -13,6 +14,9 @@ from pathlib import Path
 
 _STOP_TIMEOUT_S = 10.0
 _LOG_LINES_SHOWN = 15
+# derived: value from <linux/prctl.h>.
+_PR_SET_PDEATHSIG = 1
+_LIBC = ctypes.CDLL(None)  # here: the new process must not import anything before it starts
 
 
 def use_private_domain() -> None:
@@ -41,6 +45,9 @@ class NodeProcess:
     """
     The running node; a context manager that ends it with SIGINT.
 
+    The node also ends if this process ends without leaving the context, as by SIGKILL, or by a
+    signal while the node is being started.
+
     Parameters
     ----------
     parameters : mapping of str to str
@@ -58,7 +65,8 @@ class NodeProcess:
         with open(log_path, 'wb') as log:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True)  # Ctrl-C reaches only the demo, which ends the node
+                start_new_session=True,  # Ctrl-C reaches only the demo, which ends the node
+                preexec_fn=_end_with_parent)
 
     def __enter__(self) -> NodeProcess:
         return self
@@ -99,3 +107,8 @@ class NodeProcess:
             except subprocess.TimeoutExpired:
                 self._process.kill()
         return self._process.wait()
+
+
+def _end_with_parent() -> None:
+    """Let Linux send this process SIGTERM when the thread that started it ends."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -233,6 +233,30 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
         assert printed[1].strip() == ''
 
 
+def test_the_node_ends_with_a_demo_that_cannot_end_it(tmp_path):
+    """A signal may come before the demo knows the process that it has just started."""
+    pytest.importorskip('rclpy')
+    program = ('import os, pathlib, signal; '
+               'from plane_detector.tools.demo.node_process import NodeProcess; '
+               'node = NodeProcess({"depth.source": "topic"}, pathlib.Path("node.log")); '
+               'print(node.process_id, flush=True); os.kill(os.getpid(), signal.SIGKILL)')
+    done = subprocess.run([sys.executable, '-c', program], cwd=tmp_path, capture_output=True,
+                          text=True, env={**os.environ, 'PYTHONPATH': str(ROOT)})
+    node = Path('/proc', done.stdout.strip(), 'cmdline')
+    deadline_s = time.monotonic() + 60
+    while is_running(node):
+        assert time.monotonic() < deadline_s
+        time.sleep(0.05)
+
+
+def is_running(command_line):
+    """Return whether a process is alive; that of one that has ended is empty, then gone."""
+    try:
+        return bool(command_line.read_bytes())
+    except OSError:
+        return False
+
+
 def test_demo_reports_wrong_arguments(tmp_path):
     pytest.importorskip('rclpy')
     reasons = {
