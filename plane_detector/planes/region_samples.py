@@ -141,15 +141,17 @@ def _depth_change(rays, region, own_cosine, normals):
             sums[k, c] += change
             squares[k, c] += change * change
     for k in range(count):
-        sums[k] /= max(pixels[k], 1.0)
-        squares[k] = np.sqrt(np.maximum(squares[k] / max(pixels[k], 1.0) - sums[k] ** 2, 0.0))
+        for c in range(hypotheses):
+            mean = sums[k, c] / max(pixels[k], 1.0)
+            variance = squares[k, c] / max(pixels[k], 1.0) - mean * mean
+            squares[k, c] = np.sqrt(max(variance, 0.0))
     return squares
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[::1], int64[::1], float64[:, ::1], '
         'float64[::1], int64)')
 def _distances(rays, disparity, region, normals, offsets, count):
-    squares, pixels = np.zeros((count, len(normals))), np.zeros((count, 1))
+    squares, pixels = np.zeros((count, len(normals))), np.zeros(count)
     for i in range(0, len(rays), SPREAD_STEP):
         k = region[i]
         pixels[k] += 1
@@ -157,7 +159,10 @@ def _distances(rays, disparity, region, normals, offsets, count):
             n = normals[j]
             cosine = -(n[0] * rays[i, 0] + n[1] * rays[i, 1] + n[2] * rays[i, 2])
             squares[k, j] += np.log(offsets[j] * disparity[i] / max(cosine, MIN_COSINE)) ** 2
-    return np.sqrt(squares / np.maximum(pixels, 1.0))
+    for k in range(count):
+        for j in range(len(normals)):
+            squares[k, j] = np.sqrt(squares[k, j] / max(pixels[k], 1.0))
+    return squares
 
 
 def _median(offsets: np.ndarray) -> float:

@@ -115,7 +115,8 @@ def _count_pixels(left, size):
 def _overlaid(labels, new, target):
     """Return labels in which a pixel without one and of new label k has label target[k]."""
     result, index = np.empty_like(labels), np.full(len(target) + 1, np.int32(-1))
-    index[1:] = target
+    for k in range(len(target)):
+        index[k + 1] = target[k]
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
             other = index[np.uint32(new[v, u] + 1)]  # unsigned: no wrap-around check

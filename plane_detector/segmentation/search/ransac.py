@@ -199,8 +199,9 @@ def _take_best(hypotheses, search, labels, planes, limits):
             i = index[k]
             labels[i // labels.shape[1], i % labels.shape[1]] = first + taken
             tested[7, k] = 0
-        planes[taken], failures = plane, 0
-        taken += 1
+        for i in range(3):  # an assignment of arrays would take a second more to compile
+            planes[taken, i] = plane[i]
+        taken, failures = taken + 1, 0
     return taken
 
 
