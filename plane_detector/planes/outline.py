@@ -73,7 +73,8 @@ def all_polygons(labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntr
         Planes that the outlines are projected onto.
 
     """
-    boxes = _bounding_boxes(labels.astype(np.int32, copy=False), len(planes)).tolist()
+    labels = np.ascontiguousarray(labels, np.int32)
+    boxes = _bounding_boxes(labels, len(planes)).tolist()
     outlines = [_simple_outlines(labels[top:bottom, left:right] == index, (top, left))
                 if bottom > top else []
                 for index, (top, bottom, left, right) in enumerate(boxes)]
@@ -144,12 +145,13 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
                      max(width_m, height_m), min(width_m, height_m))
 
 
-@kernel('int64[:, ::1](int32[:, :], int64)')
+@kernel("int64[:, ::1](Array(int32, 2, 'C', readonly=True), int64)")
 def _bounding_boxes(labels, count):
     """Return the first row, the row after the last, and so the columns of 0 to count - 1."""
     height, width = labels.shape
     boxes = np.zeros((count, 4), np.int64)
-    boxes[:, 0], boxes[:, 2] = height, width
+    for label in range(count):
+        boxes[label, 0], boxes[label, 2] = height, width
     for v in range(height):
         first = 0  # of a run of equal labels
         for u in range(width):

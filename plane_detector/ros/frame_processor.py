@@ -34,7 +34,7 @@ class FrameOutputs:
     Attributes
     ----------
     messages : mapping of str to message
-        By name: the requested outputs that are available for this frame.
+        By name: the requested outputs that are available for this frame; some are serialised.
     result : ProcessedFrame
         Data that the messages are made from.
     stage_seconds : mapping of str to float

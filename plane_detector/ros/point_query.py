@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import PointStamped, PoseStamped
+from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
 from rclpy.lifecycle import LifecycleNode
 
 from plane_detector.planes.classification import PlaneClass
@@ -13,6 +13,7 @@ from plane_detector.ros import qos
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import ProcessedFrame
+from plane_detector.types import Plane
 
 # derived: a click is within a few pixels of its target; planes further away are not meant.
 REACH_PX = 8
@@ -61,13 +62,20 @@ class PointQuery:
             except ValueError as error:
                 self._faults.tell(error)
                 continue
-            pose = messages.poses_to_msg(result.target_header,
-                                         result.target_detection.planes).poses[index]
+            pose = pose_of(result.target_detection.planes[index])
             self._publisher.publish(PoseStamped(header=result.target_header, pose=pose))
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
 
     def _on_click(self, msg: PointStamped) -> None:
         self._clicks = [*self._clicks, msg][-_MOST_CLICKS:]
+
+
+def pose_of(plane: Plane) -> Pose:
+    """Return the centroid of a plane, z along the normal, as in ``~/plane_poses``."""
+    x_m, y_m, z_m = plane.centroid_m.tolist()
+    turn = messages.plane_quaternions([plane])[0].tolist()
+    return Pose(position=Point(x=x_m, y=y_m, z=z_m),
+                orientation=Quaternion(**dict(zip('xyzw', turn, strict=True))))
 
 
 def point_in_camera(result: ProcessedFrame, click: PointStamped) -> np.ndarray:

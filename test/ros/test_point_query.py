@@ -66,7 +66,7 @@ def test_frames_of_the_click(labels):
 
 def test_a_click_is_answered_by_the_node_even_on_demand(robot):
     room = small_room()
-    start(robot, lambda rgb: room.depth_m, mode='on_demand')
+    node = start(robot, lambda rgb: room.depth_m, mode='on_demand')
     robot.listen(PoseStamped, '/plane_detector/clicked_plane', 'clicked')
     send(robot, room, 1.0)
     robot.spin(timeout_s=0.5)
@@ -75,7 +75,7 @@ def test_a_click_is_answered_by_the_node_even_on_demand(robot):
     point_m = (float((column - CAMERA.cx) / CAMERA.fx * z_m),
                float((row - CAMERA.cy) / CAMERA.fy * z_m), z_m)
     robot.publish('clicked_point', click_at(FRAME_ID, point_m))
-    robot.spin(timeout_s=0.3)
+    assert robot.spin(lambda: node._query.is_waiting)
     send(robot, room, 2.0)
     (clicked,) = robot.wait_for('clicked')
     assert clicked.header == header(2.0)

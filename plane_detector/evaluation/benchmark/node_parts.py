@@ -96,7 +96,8 @@ class _Parts:
             if msg is not None:
                 _timed(ms, f'publishing {name}',
                        lambda name=name, msg=msg: self._publishers[name].publish(msg))
-                self.size_mb[name] = len(serialize_message(msg)) / 1e6
+                data = msg if isinstance(msg, bytes) else serialize_message(msg)
+                self.size_mb[name] = len(data) / 1e6
         if counts:
             self.planes.append(len(result.detection.planes))
             for part, one in ms.items():

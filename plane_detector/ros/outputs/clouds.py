@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import array
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,24 +46,18 @@ class PixelPoints:
     to_target: RigidTransform | None = None
     decimation: int = 1
 
-    @property
-    def thinned(self) -> tuple[slice, slice]:
-        """Rows and columns that the clouds contain."""
-        return (slice(None, None, self.decimation),) * 2
-
-    @property
-    def thinned_labels(self) -> np.ndarray:
-        """Labels of the points in the clouds."""
-        return self.labels.astype(np.int32, copy=False)[self.thinned]
-
     def geometry(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return depth, slopes of columns and of rows, and the transform (3, 4), all float32."""
         ray_x, ray_y = pixel_rays(self.intrinsics)
         turn = self.to_target or _STAY
         moved = np.column_stack([turn.rotation, turn.translation_m]).astype(np.float32)
-        return (self.depth_m.astype(np.float32, copy=False)[self.thinned],
+        return (self.thinned(self.depth_m, np.float32),
                 np.ascontiguousarray(ray_x[::self.decimation]),
                 np.ascontiguousarray(ray_y[::self.decimation]), moved)
+
+    def thinned(self, image: np.ndarray, dtype: type) -> np.ndarray:
+        """Return the pixels of an image that the clouds contain, C-contiguous."""
+        return np.ascontiguousarray(image[::self.decimation, ::self.decimation], dtype)
 
 
 def points_to_msg(header: Header, points: PixelPoints, rgb: np.ndarray,
@@ -84,15 +77,12 @@ def points_to_msg(header: Header, points: PixelPoints, rgb: np.ndarray,
         Label in the message of each index; the last entry is for no plane.
 
     """
-    depth_m, ray_x, ray_y, moved = points.geometry()
-    height, width = depth_m.shape
-    data = array.array('B', [0]) * (height * width * POINT_DTYPE.itemsize)
-    shape = height, width, POINT_DTYPE.itemsize // 4  # every field takes 4 bytes
-    _pack_points((depth_m, ray_x, ray_y, moved), rgb[points.thinned],
-                 points.thinned_labels, names,
-                 np.frombuffer(data, '<f4').reshape(shape),
-                 np.frombuffer(data, '<u4').reshape(shape))
-    return cloud_msg(header, POINT_DTYPE, data, height, width)
+    geometry = points.geometry()
+    height, width = geometry[0].shape
+    numbers = np.empty((height, width, POINT_DTYPE.itemsize // 4), '<f4')  # 4 bytes per field
+    _pack_points(geometry, points.thinned(rgb, np.uint8), points.thinned(points.labels, np.int32),
+                 _by_label(names), numbers, numbers.view('<u4'))
+    return cloud_msg(header, POINT_DTYPE, numbers, height, width)
 
 
 def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarray) -> PointCloud2:
@@ -108,18 +98,20 @@ def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarra
         For each index; the last entry is for no plane.
 
     """
-    depth_m, ray_x, ray_y, moved = points.geometry()
-    data = array.array('B', [0]) * (depth_m.size * XYZ_DTYPE.itemsize)
-    xyz_m = np.frombuffer(data, '<f4').reshape(-1, 3)
-    count = _pack_obstacles((depth_m, ray_x, ray_y, moved), points.thinned_labels, is_left_out,
-                            xyz_m)
-    del xyz_m  # an array with views cannot be resized
-    del data[count * XYZ_DTYPE.itemsize:]
-    return cloud_msg(header, XYZ_DTYPE, data, 1, count)
+    geometry = points.geometry()
+    xyz_m = np.empty((geometry[0].size + 1, 3), '<f4')
+    count = _pack_obstacles(geometry, points.thinned(points.labels, np.int32),
+                            _by_label(is_left_out), xyz_m)
+    return cloud_msg(header, XYZ_DTYPE, xyz_m[:count], 1, count)
 
 
-# Any strides, for subsampled images, and read-only, for views of messages.
-_DEPTH, _LABELS, _RGB = (f"Array({kind}, 'A', readonly=True)"
+def _by_label(values: np.ndarray) -> np.ndarray:
+    """Return values with the last one, of -1, first: an index of 0 needs no wrap-around check."""
+    return np.roll(values, 1)
+
+
+# Read-only, for views of messages.
+_DEPTH, _LABELS, _RGB = (f"Array({kind}, 'C', readonly=True)"
                          for kind in ('float32, 2', 'int32, 2', 'uint8, 3'))
 _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 
@@ -148,24 +140,23 @@ def _pack_points(geometry, rgb, labels, names, numbers, bits):
             numbers[v, u, 2] = i * x + j * y + k * z + m
             bits[v, u, 3] = ((np.uint32(rgb[v, u, 0]) << np.uint32(16))
                              | (np.uint32(rgb[v, u, 1]) << np.uint32(8)) | np.uint32(rgb[v, u, 2]))
-            label = labels[v, u]
-            bits[v, u, 4] = names[label if label >= 0 else len(names) - 1]
+            bits[v, u, 4] = names[np.uint32(labels[v, u] + 1)]
 
 
 @kernel(f'int64({_GEOMETRY}, {_LABELS}, boolean[::1], float32[:, ::1])')
 def _pack_obstacles(geometry, labels, is_left_out, xyz_m):
-    """Fill the first rows of (N, 3); return their number."""
+    """Fill the first rows of (N + 1, 3); return their number."""
     depth_m, ray_x, ray_y, moved = geometry
     (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
     count = 0
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
-            z, label = depth_m[v, u], labels[v, u]
-            if (z >= MIN_DEPTH_M and z < np.inf
-                    and not is_left_out[label if label >= 0 else len(is_left_out) - 1]):
-                x, y = z * ray_x[u], z * ray_y[v]
-                xyz_m[count, 0] = a * x + b * y + c * z + d
-                xyz_m[count, 1] = e * x + f * y + g * z + h
-                xyz_m[count, 2] = i * x + j * y + k * z + m
-                count += 1
+            z = depth_m[v, u]
+            x, y = z * ray_x[u], z * ray_y[v]
+            # Every point is written, and the next one replaces it if it is none: no branch.
+            xyz_m[count, 0] = a * x + b * y + c * z + d
+            xyz_m[count, 1] = e * x + f * y + g * z + h
+            xyz_m[count, 2] = i * x + j * y + k * z + m
+            count += ((z >= MIN_DEPTH_M) & (z < np.inf)
+                      & (not is_left_out[np.uint32(labels[v, u] + 1)]))
     return count

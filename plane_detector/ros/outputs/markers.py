@@ -7,22 +7,14 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Quaternion, Vector3
-from rclpy.duration import Duration
-from std_msgs.msg import ColorRGBA, Header
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import Marker
 
 from plane_detector.drawing import label_colours
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.outline import Polygon
 from plane_detector.ros.outputs.captions import Caption, arrow_length_m
-from plane_detector.ros.outputs.messages import (
-    FIRST_SHAPE_LABEL,
-    new_like,
-    plane_labels,
-    points_to_msgs,
-    shape_labels,
-)
+from plane_detector.ros.outputs.cdr import NO_POINTS, MarkerValues
+from plane_detector.ros.outputs.messages import FIRST_SHAPE_LABEL, plane_labels, shape_labels
 from plane_detector.ros.outputs.shapes import NAMESPACE as SHAPE_NAMESPACE
 from plane_detector.ros.outputs.shapes import shape_markers
 from plane_detector.types import Detection, Plane
@@ -30,21 +22,15 @@ from plane_detector.types import Detection, Plane
 _NAMESPACES = ('outline', 'normal', 'caption')
 # As a share of the distance from the camera, like the sizes of captions.
 _LINE_WIDTH = 0.006
-_NO_POINTS = np.zeros((0, 3))
-_TEMPLATE, _NO_SCALE = Marker(), Vector3()
-_HERE = Pose(orientation=Quaternion(w=1.0))  # of most markers; replaced, never changed
 
 
-def markers_to_msg(header: Header, detection: Detection, polygons: Sequence[Sequence[Polygon]],
-                   captions: Sequence[Caption], shown: Collection[int],
-                   lifetime_s: float) -> MarkerArray:
+def scene_markers(detection: Detection, polygons: Sequence[Sequence[Polygon]],
+                  captions: Sequence[Caption], shown: Collection[int]) -> list[MarkerValues]:
     """
-    Return the markers of all planes; a marker's id is the label of its plane.
+    Return the markers of all planes and shapes; a marker's id is the label of what it shows.
 
     Parameters
     ----------
-    header : std_msgs.msg.Header
-        Of the image.
     detection : Detection
         The planes.
     polygons : sequence of sequences of Polygon
@@ -53,81 +39,56 @@ def markers_to_msg(header: Header, detection: Detection, polygons: Sequence[Sequ
         Of each plane.
     shown : collection of int
         Labels of the markers published before; those that are not present again are deleted.
-    lifetime_s : float
-        Seconds after which a marker disappears; 0: never.
 
     """
     labels = plane_labels(detection).tolist()
     gone = set(shown) - {*labels, *shape_labels(detection).tolist()}
-    markers = [_delete(header, name, label) for label in sorted(gone)
+    markers = [MarkerValues(name, label, Marker.ARROW, Marker.DELETE) for label in sorted(gone)
                for name in _namespaces_of(label)]
-    lifetime = Duration(seconds=lifetime_s).to_msg()
     shares = (label_colours(labels) / 255.0).tolist() if labels else []
     for plane, label, share, outlines, caption in zip(detection.planes, labels, shares, polygons,
                                                       captions, strict=True):
-        colour = ColorRGBA(**dict(zip('rgb', share, strict=True)), a=1.0)
-        for marker in _plane_markers(header, plane, outlines, caption):
-            marker.id, marker.color, marker.lifetime = label, colour, lifetime
-            markers.append(marker)
-    for marker in shape_markers(header, detection):
-        marker.lifetime = lifetime
-        markers.append(marker)
-    return MarkerArray(markers=markers)
+        markers += _plane_markers(plane, label, (*share, 1.0), outlines, caption)
+    return [*markers, *shape_markers(detection)]
 
 
-def moved(markers: MarkerArray, to_target: RigidTransform) -> MarkerArray:
+def moved(markers: Iterable[MarkerValues], to_target: RigidTransform) -> list[MarkerValues]:
     """
-    Transform markers from the camera's frame into the target frame, in place, and return them.
+    Return markers of the camera's frame in the target frame.
 
     The points of a marker are relative to its pose, so only poses change.
     """
-    for marker in markers.markers:
-        at, turn = marker.pose.position, marker.pose.orientation
-        here = RigidTransform.from_quaternion((turn.x, turn.y, turn.z, turn.w),
-                                              (at.x, at.y, at.z))
+    found = []
+    for marker in markers:
+        here = RigidTransform.from_quaternion(marker.orientation, marker.position_m)
         there = to_target.after(here)
-        marker.pose = Pose(position=_point(there.translation_m), orientation=Quaternion(
-            **dict(zip('xyzw', there.quaternion.tolist(), strict=True))))
-    return markers
+        found.append(marker._replace(position_m=tuple(there.translation_m.tolist()),
+                                     orientation=tuple(there.quaternion.tolist())))
+    return found
 
 
-def _plane_markers(header: Header, plane: Plane, outlines: Sequence[Polygon],
-                   caption: Caption) -> Iterable[Marker]:
+def _plane_markers(plane: Plane, label: int, rgba: tuple[float, ...],
+                   outlines: Sequence[Polygon], caption: Caption) -> tuple[MarkerValues, ...]:
     line_width_m = _LINE_WIDTH * float(np.linalg.norm(plane.centroid_m))
-    corners_m = outlines[0].corners_m if outlines else _NO_POINTS
-    outline = _marker(header, 'outline', Marker.LINE_STRIP, corners_m)
-    outline.points += outline.points[:1]  # closed
-    outline.scale.x = line_width_m
-    if not outlines:  # the plane is too narrow for three corners
-        outline.action = Marker.DELETE
-    normal = _marker(header, 'normal', Marker.ARROW, np.stack([
-        plane.centroid_m, plane.centroid_m + arrow_length_m(plane) * plane.normal]))
-    normal.scale.x, normal.scale.y = line_width_m, 3 * line_width_m
-    text = _marker(header, 'caption', Marker.TEXT_VIEW_FACING, _NO_POINTS)
-    text.text, text.scale.z = caption.text, caption.height_m
-    text.pose = Pose(position=_point(caption.position_m), orientation=_HERE.orientation)
-    if not caption.is_shown:  # the message keeps the text, for viewers that list it
-        text.action = Marker.DELETE
+    # A plane that is too narrow for three corners has no outline.
+    closed_m = (np.concatenate([outlines[0].corners_m, outlines[0].corners_m[:1]]) if outlines
+                else NO_POINTS)
+    arrow_m = np.stack([plane.centroid_m,
+                        plane.centroid_m + arrow_length_m(plane) * plane.normal])
+    outline = MarkerValues('outline', label, Marker.LINE_STRIP, _added(bool(outlines)), rgba,
+                           (line_width_m, 0.0, 0.0), closed_m)
+    normal = MarkerValues('normal', label, Marker.ARROW, Marker.ADD, rgba,
+                          (line_width_m, 3 * line_width_m, 0.0), arrow_m)
+    # The message keeps a text that is not shown, for viewers that list it.
+    text = MarkerValues('caption', label, Marker.TEXT_VIEW_FACING, _added(caption.is_shown), rgba,
+                        (0.0, 0.0, caption.height_m), text=caption.text,
+                        position_m=tuple(caption.position_m.tolist()))
     return outline, normal, text
 
 
-def _marker(header: Header, name: str, kind: int, points_m: np.ndarray) -> Marker:
-    marker = new_like(_TEMPLATE)
-    marker.header, marker.ns, marker.type, marker.action = header, name, kind, Marker.ADD
-    marker.pose, marker.scale = _HERE, new_like(_NO_SCALE)
-    marker.points = points_to_msgs(points_m)
-    return marker
+def _added(is_shown: bool) -> int:
+    return Marker.ADD if is_shown else Marker.DELETE
 
 
 def _namespaces_of(label: int) -> tuple[str, ...]:
     return (SHAPE_NAMESPACE,) if label > FIRST_SHAPE_LABEL else _NAMESPACES
-
-
-def _delete(header: Header, name: str, label: int) -> Marker:
-    marker = _marker(header, name, Marker.ARROW, _NO_POINTS)
-    marker.id, marker.action = label, Marker.DELETE
-    return marker
-
-
-def _point(point_m: np.ndarray) -> Point:
-    return points_to_msgs(point_m[None])[0]

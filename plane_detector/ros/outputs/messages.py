@@ -9,18 +9,18 @@ the image. Labels in messages are above 0; 0 is no plane.
 
 from __future__ import annotations
 
-import array
+from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import cv2
 import numpy as np
-from geometry_msgs.msg import Point, Pose, PoseArray
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from plane_detector.compilation import kernel
+from plane_detector.ros.outputs.cdr import serialised_poses
+from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 FIRST_SHAPE_LABEL = 32768
@@ -28,6 +28,7 @@ FIRST_SHAPE_LABEL = 32768
 POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4'),
                         ('label', '<u4')])
 XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
+Message = TypeVar('Message', CompressedImage, Image, PointCloud2)
 _FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
 
 
@@ -38,7 +39,6 @@ class Lens(NamedTuple):
     coefficients: tuple[float, ...]
 
 
-_ORIGIN, _NO_POSE = Point(), Pose()
 NO_LENS = Lens('plumb_bob', (0.0,) * 5)
 
 
@@ -132,58 +132,30 @@ def label_names(detection: Detection) -> np.ndarray:
 
 
 def pixel_labels(detection: Detection) -> np.ndarray:
-    """Return the label of each pixel, (H, W) uint16, 0 for no plane and no shape."""
-    return _named(label_names(detection).astype(np.uint16), detection.labels)
+    """Return the label of each pixel, (H, W) int32, 0 for no plane and no shape."""
+    return rename_labels(detection.labels, label_names(detection)[:-1], 0)
 
 
-@kernel("uint16[:, ::1](uint16[::1], Array(int32, 2, 'A', readonly=True))")
-def _named(names, labels):
-    result = np.empty(labels.shape, np.uint16)
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            result[v, u] = names[labels[v, u]]  # -1 is the last entry
-    return result
+def plane_poses(header: Header, planes: Sequence[Plane]) -> bytes:
+    """Return a serialised PoseArray: each plane's centroid, z along the normal."""
+    centroids_m = np.array([plane.centroid_m for plane in planes], float).reshape(-1, 3)
+    return serialised_poses(header, centroids_m, plane_quaternions(planes))
 
 
-def new_like(message: Any) -> Any:
-    """Return a copy that shares the fields; the constructor takes ten times as long."""
-    made = type(message).__new__(type(message))
-    for slot in message.__slots__:
-        setattr(made, slot, getattr(message, slot))
-    return made
-
-
-def points_to_msgs(points_m: np.ndarray) -> list[Point]:
-    """Return points (N, 3) as messages, sooner than their constructor does."""
-    slots = [(slot, getattr(_ORIGIN, slot)) for slot in Point.__slots__]
-    points = []
-    for x, y, z in points_m.tolist():
-        point = Point.__new__(Point)
-        for slot, value in slots:
-            setattr(point, slot, value)
-        point.x, point.y, point.z = x, y, z
-        points.append(point)
-    return points
-
-
-def poses_to_msg(header: Header, planes: tuple[Plane, ...]) -> PoseArray:
+def plane_quaternions(planes: Sequence[Plane]) -> np.ndarray:
     """
-    Return one pose per plane: at its centroid, z along the normal.
+    Return the orientation of each plane, (N, 4) float64, x y z w; z is the normal.
 
     The x axis is the camera's x axis projected onto the plane (its y axis if that is the normal).
     """
     if not planes:
-        return PoseArray(header=header)
+        return np.zeros((0, 4))
     z_axes = np.stack([plane.normal for plane in planes])
     reference = np.eye(3)[np.where(abs(z_axes[:, 0]) > 0.9, 1, 0)]
     x_axes = reference - (reference * z_axes).sum(axis=1, keepdims=True) * z_axes
     x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
     axes = np.stack([x_axes, np.cross(z_axes, x_axes), z_axes], axis=2)
-    quaternions = Rotation.from_matrix(axes).as_quat()
-    positions = points_to_msgs(np.stack([plane.centroid_m for plane in planes]))
-    return PoseArray(header=header, poses=[
-        _pose(position, *quaternion)
-        for position, quaternion in zip(positions, quaternions.tolist(), strict=True)])
+    return Rotation.from_matrix(axes).as_quat()
 
 
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:
@@ -204,26 +176,29 @@ def rgb_to_msg(header: Header, rgb: np.ndarray) -> Image:
 def jpeg_to_msg(header: Header, rgb: np.ndarray) -> CompressedImage:
     """Return the image (H, W, 3) uint8 as JPEG, in the form of compressed_image_transport."""
     _, data = cv2.imencode('.jpg', cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-    return CompressedImage(header=header, format='rgb8; jpeg compressed bgr8',
-                           data=array.array('B', data.tobytes()))
+    return _sharing(CompressedImage(header=header, format='rgb8; jpeg compressed bgr8'), data)
 
 
-def _pose(position: Point, x: float, y: float, z: float, w: float) -> Pose:
-    pose, turn = new_like(_NO_POSE), new_like(_NO_POSE.orientation)
-    turn.x, turn.y, turn.z, turn.w = x, y, z, w
-    pose.position, pose.orientation = position, turn
-    return pose
-
-
-def cloud_msg(header: Header, dtype: np.dtype, data: array.array, height: int,
+def cloud_msg(header: Header, dtype: np.dtype, data: np.ndarray, height: int,
               width: int) -> PointCloud2:
-    """Return a cloud whose points are rows of a structured type; the data is not copied."""
+    """
+    Return a cloud whose points are rows of a structured type.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+    dtype : numpy.dtype
+        Of a point, packed.
+    data : array of height * width points
+        C-contiguous; shared with the message.
+    height, width : int
+
+    """
     msg = PointCloud2(header=header, height=height, width=width, fields=list(_fields(dtype)),
                       is_bigendian=False, point_step=dtype.itemsize,
                       row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE,
                       check_fields=True)
-    msg.data = data  # not copied, unlike in the constructor and the checking setter
-    return msg
+    return _sharing(msg, data)
 
 
 @cache
@@ -235,9 +210,17 @@ def _fields(dtype: np.dtype) -> tuple[PointField, ...]:
 
 
 def _image_msg(header: Header, encoding: str, pixels: np.ndarray) -> Image:
-    data = array.array('B')
-    data.frombytes(np.ascontiguousarray(pixels).data.cast('B'))
     msg = Image(header=header, height=pixels.shape[0], width=pixels.shape[1], encoding=encoding,
-                is_bigendian=0, step=len(data) // pixels.shape[0], check_fields=True)
-    msg.data = data  # as above
+                is_bigendian=0, step=pixels.nbytes // pixels.shape[0], check_fields=True)
+    return _sharing(msg, pixels)
+
+
+def _sharing(msg: Message, data: np.ndarray) -> Message:
+    """
+    Let a message have the bytes of an array as its data.
+
+    The setter would copy them into a new array.array, whose memory Python clears first: 6 MB a
+    frame for a cloud. The middleware takes any buffer, and copies it when it is published.
+    """
+    msg._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8).data
     return msg

@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import array
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -102,4 +101,4 @@ def _set(table: np.ndarray, names: Sequence[str], rows: Sequence[Sequence[float]
 
 
 def _table_msg(header: Header, table: np.ndarray) -> PointCloud2:
-    return cloud_msg(header, table.dtype, array.array('B', table.tobytes()), 1, len(table))
+    return cloud_msg(header, table.dtype, table, 1, len(table))

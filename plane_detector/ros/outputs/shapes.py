@@ -4,17 +4,16 @@
 
 from __future__ import annotations
 
-import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
-from geometry_msgs.msg import Point, Quaternion
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA, Header
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from plane_detector.drawing import label_colours
+from plane_detector.ros.outputs.cdr import NO_POINTS, UNTURNED, MarkerValues
 from plane_detector.ros.outputs.messages import cloud_msg, shape_labels
 from plane_detector.types import Detection, Shape, ShapeType
 
@@ -51,49 +50,37 @@ def shapes_to_msg(header: Header, detection: Detection) -> PointCloud2:
         row['length'], row['type'], row['label'] = shape.length_m, shape.type, label
         row['num_inliers'], row['rms'] = shape.inlier_count, shape.rms_m
         row['confidence'] = shape.confidence
-    return cloud_msg(header, SHAPE_DTYPE, array.array('B', table.tobytes()), 1, len(table))
+    return cloud_msg(header, SHAPE_DTYPE, table, 1, len(table))
 
 
-def shape_markers(header: Header, detection: Detection) -> Iterator[Marker]:
+def shape_markers(detection: Detection) -> Iterator[MarkerValues]:
     """Yield a marker of each shape: a sphere, a cylinder, or the triangles of a cone."""
     labels = shape_labels(detection)
     shares = (label_colours(labels) / 255.0).tolist()
     for shape, label, share in zip(detection.shapes, labels.tolist(), shares, strict=True):
-        marker = Marker(header=header, ns=NAMESPACE, id=label, action=Marker.ADD,
-                        color=ColorRGBA(**dict(zip('rgb', share, strict=True)), a=_ALPHA))
-        marker.pose.orientation = _orientation(shape.axis)
-        marker.pose.position = _point(shape.position_m)
         diameter_m = 2 * shape.radius_m
-        if shape.type == ShapeType.CONE:
-            marker.type, marker.points = Marker.TRIANGLE_LIST, [*_cone_corners(shape)]
-            marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-        elif shape.type == ShapeType.CYLINDER:
-            marker.type = Marker.CYLINDER
-            marker.scale.x, marker.scale.y, marker.scale.z = diameter_m, diameter_m, shape.length_m
-        else:
-            marker.type = Marker.SPHERE
-            marker.scale.x = marker.scale.y = marker.scale.z = diameter_m
-        yield marker
+        kind, scale_m = {
+            ShapeType.CONE: (Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),
+            ShapeType.CYLINDER: (Marker.CYLINDER, (diameter_m, diameter_m, shape.length_m)),
+            ShapeType.SPHERE: (Marker.SPHERE, (diameter_m,) * 3)}[shape.type]
+        yield MarkerValues(
+            NAMESPACE, label, kind, Marker.ADD, (*share, _ALPHA), scale_m,
+            _cone_corners(shape) if shape.type == ShapeType.CONE else NO_POINTS,
+            tuple(np.asarray(shape.position_m, float).tolist()), _orientation(shape.axis))
 
 
-def _cone_corners(shape: Shape) -> Iterator[Point]:
-    """Yield the corners of triangles about the z axis, from the apex at 0."""
+def _cone_corners(shape: Shape) -> np.ndarray:
+    """Return the corners (N, 3) of triangles about the z axis, from the apex at 0."""
     angles = np.linspace(0, 2 * np.pi, _CONE_SIDES + 1)
     radius_m = shape.length_m * np.tan(shape.half_angle_rad)
     rim_m = np.column_stack([radius_m * np.cos(angles), radius_m * np.sin(angles),
                              np.full(angles.size, shape.length_m)])
-    for start_m, end_m in zip(rim_m[:-1], rim_m[1:], strict=True):
-        yield from (Point(), _point(start_m), _point(end_m))
+    return np.stack([np.zeros_like(rim_m[1:]), rim_m[:-1], rim_m[1:]], axis=1).reshape(-1, 3)
 
 
-def _orientation(axis: np.ndarray) -> Quaternion:
-    """Return a rotation that turns z into an axis; identity for a sphere."""
+def _orientation(axis: np.ndarray) -> tuple[float, ...]:
+    """Return a rotation x y z w that turns z into an axis; identity for a sphere."""
     if not np.any(axis):
-        return Quaternion(w=1.0)
+        return UNTURNED
     rotation = Rotation.align_vectors(np.asarray(axis)[None], [[0.0, 0.0, 1.0]])[0]
-    return Quaternion(**dict(zip('xyzw', rotation.as_quat().tolist(), strict=True)))
-
-
-def _point(position_m: Sequence[float]) -> Point:
-    x, y, z = (float(value) for value in position_m)
-    return Point(x=x, y=y, z=z)
+    return tuple(rotation.as_quat().tolist())

@@ -32,8 +32,9 @@ from plane_detector.planes.outline import (
 )
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.captions import plane_captions
+from plane_detector.ros.outputs.cdr import serialised_markers
 from plane_detector.ros.outputs.clouds import PixelPoints, obstacles_to_msg, points_to_msg
-from plane_detector.ros.outputs.markers import markers_to_msg, moved
+from plane_detector.ros.outputs.markers import moved, scene_markers
 from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
 from plane_detector.ros.outputs.shapes import shapes_to_msg
 from plane_detector.scale.estimate import RELATIVE
@@ -119,7 +120,7 @@ class ProcessedFrame:
 
     @cached_property
     def labels(self) -> np.ndarray:
-        """Label of each pixel in the messages, (H, W) uint16, 0 for none."""
+        """Label of each pixel in the messages, (H, W) int32, 0 for none."""
         return messages.pixel_labels(self.detection)
 
     @property
@@ -141,7 +142,11 @@ class ProcessedFrame:
 
 
 class Output(NamedTuple):
-    """Type of a topic's messages, and the function that makes one; None: not available now."""
+    """
+    Type of a topic's messages, and the function that makes one.
+
+    It returns the message, or its serialised form, or None if it is not available now.
+    """
 
     msg_type: Any
     make: Callable[[ProcessedFrame], Any]
@@ -177,17 +182,18 @@ def _boundaries(result: ProcessedFrame) -> PointCloud2:
                              result.polygons)
 
 
-def _poses(result: ProcessedFrame) -> PoseArray:
-    return messages.poses_to_msg(result.target_header, result.target_detection.planes)
+def _poses(result: ProcessedFrame) -> bytes:
+    return messages.plane_poses(result.target_header, result.target_detection.planes)
 
 
-def _markers(result: ProcessedFrame) -> MarkerArray:
+def _markers(result: ProcessedFrame) -> bytes:
     found = result.detection
     captions = plane_captions(found, messages.plane_labels(found).tolist(), result.intrinsics,
                               result.label_places)
-    markers = markers_to_msg(result.target_header, found, result.camera_polygons, captions,
-                             result.shown, result.settings.marker_lifetime)
-    return markers if result.to_target is None else moved(markers, result.to_target)
+    markers = scene_markers(found, result.camera_polygons, captions, result.shown)
+    if result.to_target is not None:
+        markers = moved(markers, result.to_target)
+    return serialised_markers(result.target_header, markers, result.settings.marker_lifetime)
 
 
 def _labels(result: ProcessedFrame) -> Image:

@@ -21,16 +21,16 @@ def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.n
     return rename_labels(labels, names)
 
 
-def rename_labels(labels: np.ndarray, names: np.ndarray) -> np.ndarray:
-    """Return labels (H, W) int32 in which k is ``names[k]``; -1 stays."""
-    if (names == np.arange(len(names))).all():
+def rename_labels(labels: np.ndarray, names: np.ndarray, none: int = -1) -> np.ndarray:
+    """Return labels (H, W) int32 in which k is ``names[k]``, and -1 is ``none``."""
+    if none == -1 and (names == np.arange(len(names))).all():
         return labels
-    return _renamed(np.ascontiguousarray(labels, np.int32), names.astype(np.int32))
+    return _renamed(np.ascontiguousarray(labels, np.int32), names.astype(np.int32), none)
 
 
-@kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
-def _renamed(labels, names):
-    index, found = np.full(len(names) + 1, np.int32(-1)), np.empty_like(labels)
+@kernel('int32[:, ::1](int32[:, ::1], int32[::1], int32)')
+def _renamed(labels, names, none):
+    index, found = np.full(len(names) + 1, none), np.empty_like(labels)
     for k in range(len(names)):
         index[k + 1] = names[k]
     for i in range(labels.shape[0]):

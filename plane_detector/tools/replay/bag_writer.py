@@ -124,10 +124,11 @@ class BagWriter:
                 self._connections[topic] = self._copied(bag, bag.connection(topic))
 
     def write(self, topic: str, time_ns: int, msg: Any) -> None:
-        """Write a message of an announced topic; equal messages give equal bytes."""
+        """Write a message, or a serialised one; equal messages give equal bytes."""
         kind = self._connections[topic].msgtype
         # The middleware leaves padding between fields uninitialised; rosbags writes zeros.
-        plain = self._types.deserialize_cdr(serialize_message(msg), kind)
+        data = msg if isinstance(msg, bytes) else serialize_message(msg)
+        plain = self._types.deserialize_cdr(data, kind)
         self._put(topic, time_ns, self._types.serialize_cdr(plain, kind))
 
     def copy(self, recorded: Recorded) -> None:

@@ -6,13 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from rclpy.serialization import deserialize_message
 from ros_helpers import header
+from visualization_msgs.msg import MarkerArray
 
 from plane_detector.geometry.label_places import label_places
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import plane_polygons
 from plane_detector.ros.outputs.captions import plane_captions
-from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.ros.outputs.cdr import serialised_markers
+from plane_detector.ros.outputs.markers import scene_markers
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
 CAMERA = CameraIntrinsics(100.0, 100.0, 49.5, 39.5, 100, 80)
@@ -34,7 +37,9 @@ def markers(shown=(), lifetime_s=0.0, **changes):
     labels = found.track_labels or range(1, len(found.planes) + 1)
     lookup = np.array([0, *labels])
     captions = plane_captions(found, labels, CAMERA, label_places(lookup[found.labels + 1]))
-    return markers_to_msg(header(1.0), found, polygons, captions, shown, lifetime_s).markers
+    written = serialised_markers(
+        header(1.0), scene_markers(found, polygons, captions, shown), lifetime_s)
+    return deserialize_message(written, MarkerArray).markers
 
 
 def shown_captions(first, second, columns):

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseArray
+from rclpy.serialization import deserialize_message
 from ros_helpers import camera_info_msg, header, image_array
 from scipy.spatial.transform import Rotation
 
@@ -70,7 +72,7 @@ def test_labels_in_messages_are_above_zero():
 @pytest.mark.parametrize('normal', [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, -1, 0], [0.6, 0, -0.8]])
 def test_z_of_a_pose_is_the_normal(normal):
     plane = make_plane(normal, 2.0)
-    (pose,) = messages.poses_to_msg(header(), (plane,)).poses
+    (pose,) = deserialize_message(messages.plane_poses(header(), (plane,)), PoseArray).poses
     q = pose.orientation
     axes = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     np.testing.assert_allclose(axes[:, 2], normal, atol=1e-12)

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
+from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
 from std_msgs.msg import Header
-from visualization_msgs.msg import Marker
+from visualization_msgs.msg import Marker, MarkerArray
 
-from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.ros.outputs.cdr import serialised_markers
+from plane_detector.ros.outputs.markers import scene_markers
 from plane_detector.ros.outputs.messages import FIRST_SHAPE_LABEL, pixel_labels
 from plane_detector.ros.outputs.shapes import NAMESPACE, SHAPE_DTYPE, shapes_to_msg
 from plane_detector.types import CameraIntrinsics, Detection, Shape, ShapeType
@@ -56,7 +58,8 @@ def test_pixels_carry_the_labels_of_the_shapes(detection):
 
 def test_markers_show_the_shapes_and_delete_lost_ones(detection):
     gone = FIRST_SHAPE_LABEL + 9
-    msg = markers_to_msg(Header(), detection, [()] * len(detection.planes), [], {gone}, 0.0)
+    markers = scene_markers(detection, [()] * len(detection.planes), [], {gone})
+    msg = deserialize_message(serialised_markers(Header(), markers, 0.0), MarkerArray)
     shown = {m.id: m for m in msg.markers if m.ns == NAMESPACE and m.action == Marker.ADD}
     assert [shown[FIRST_SHAPE_LABEL + k].type for k in (7, 2, 5)] == [
         Marker.SPHERE, Marker.CYLINDER, Marker.TRIANGLE_LIST]
