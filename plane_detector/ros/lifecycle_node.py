@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The lifecycle node: subscribe, convert, call, publish, log.
+The lifecycle node: its states, parameters, services and diagnostics.
 
 The thread of the executor receives messages and answers services; worker threads, one per stage,
-process frames, see frame_worker.py.
+process frames, see frame_flow.py.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -25,12 +23,12 @@ from plane_detector.ros.allocator import freeze_loaded_objects
 from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
-from plane_detector.ros.frame_processor import DetectedFrame, FrameProcessor, ObservedFrame
-from plane_detector.ros.frame_requests import FrameRequests, answer_trigger, describe_frame
+from plane_detector.ros.frame_flow import FrameFlow, FrameRecords
+from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_requests import FrameRequests, answer_trigger
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
 from plane_detector.ros.inputs.subscriptions import Subscriptions
-from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.topic_names import input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.kernels import load_kernels
@@ -40,7 +38,7 @@ from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.reloading import ReloadableNode
 from plane_detector.ros.transitions import Transitions
-from plane_detector.stopping import current_stop, raise_if_stopped
+from plane_detector.stopping import raise_if_stopped
 
 # Time that destroy_node waits for the work to stop.
 _HEEDING_S = 1.0
@@ -83,7 +81,7 @@ class PlaneDetectorNode(ReloadableNode):
         self._live = LiveSettings(self, lambda: self.state == 'active', self._on_change)
         self._statistics = Statistics()
         self._processor: FrameProcessor | None = None
-        self._worker: FrameWorker | None = None
+        self._flow: FrameFlow | None = None
         self._retired: FrameWorker | None = None
         self._inputs: Subscriptions | None = None
         self._outputs: OutputPublishers | None = None
@@ -132,10 +130,9 @@ class PlaneDetectorNode(ReloadableNode):
         topics = input_topics(self, self._live.settings.image_transport)
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
                                          self._transforms)
-        self._worker = FrameWorker(*(partial(self._or_skip, stage) for stage in (
-            # Not bound methods: a worker that was stopped must not keep the network.
-            self._observe, lambda frame: self._processor.look(frame),
-            lambda frame: self._processor.find_planes(frame), self._publish)))
+        self._flow = FrameFlow(
+            self._processor, self._outputs, self._query, self._live,
+            FrameRecords(self._statistics, self._requests, self._faults, self._health))
         for line in introduction(detector.source.facts, topics,
                                  self.resolve_topic_name('~/planes')):
             self.get_logger().info(line)
@@ -146,7 +143,7 @@ class PlaneDetectorNode(ReloadableNode):
         try:
             used = self._processor
             self._inputs = Subscriptions(self, used.detector.config, used.settings, used.output,
-                                         self._accept, self._statistics.add_unpaired)
+                                         self._flow.accept, self._statistics.add_unpaired)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
         self._health.failure = ''
@@ -155,8 +152,7 @@ class PlaneDetectorNode(ReloadableNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Destroy the subscriptions and drop the frames being processed."""
         self._unsubscribe()
-        self._worker.drop()
-        self._processor.reset()  # its state may come from an incomplete frame
+        self._flow.drop()
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -170,53 +166,6 @@ class PlaneDetectorNode(ReloadableNode):
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Return to a state from which the node can be configured again."""
         return self._release()
-
-    # Frames
-
-    def _accept(self, frame: Frame) -> None:
-        """Pass a frame to the worker if it is wanted; called in the executor's thread."""
-        if not self._is_wanted():
-            return
-        self._requests.accept(frame)
-        if self._worker.put(frame):
-            self._statistics.add_dropped(1)
-
-    def _is_wanted(self) -> bool:
-        """Whether the next frame is requested, or all are and an output has subscribers."""
-        if self._requests.are_waiting or self._query.is_waiting:
-            return True
-        return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
-
-    def _observe(self, frame: Frame) -> ObservedFrame:
-        """Convert and estimate depth; called in the first worker thread."""
-        self._live.apply_to(self._processor)
-        return self._processor.observe(frame)
-
-    def _publish(self, detected: DetectedFrame) -> None:
-        """Make and publish the outputs; called in the last worker thread."""
-        processed = self._processor.make(detected, wanted := self._outputs.wanted())
-        found, start_s = processed.result.detection, time.perf_counter()
-        with current_stop().uncut():
-            self._outputs.publish(processed.messages)
-            self._query.answer(processed.result)
-        self._health.note(found, wanted)
-        publish_s = time.perf_counter() - start_s
-        self._statistics.add_processed({**processed.stage_seconds, 'publish': publish_s})
-        self._requests.finish(detected.frame, True, describe_frame(processed.result))
-
-    def _or_skip(self, stage: Callable[[Any], Any], given: Any) -> Any:
-        """Run a stage of the worker, or log why not: one frame must not end the node."""
-        try:
-            return stage(given)
-        except Exception as error:
-            return self._skip(given if isinstance(given, Frame) else given.frame, error)
-
-    def _skip(self, frame: Frame, error: Exception) -> None:
-        """Count and log a frame that failed; if it was stopped, its error is ignored."""
-        if not current_stop().is_set:
-            reason = self._faults.tell(error)
-            self._statistics.add_skipped(reason)
-            self._requests.finish(frame, False, f'frame skipped: {reason}')
 
     # Parameters and services
 
@@ -288,9 +237,9 @@ class PlaneDetectorNode(ReloadableNode):
 
     def _release(self) -> TransitionCallbackReturn:
         self._unsubscribe()
-        if self._worker is not None:
-            self._worker.stop()
-            self._retired, self._worker = self._worker, None
+        if self._flow is not None:
+            self._flow.stop()
+            self._retired, self._flow = self._flow.worker, None
         for ends in (self._outputs, self._query):
             if ends is not None:
                 ends.destroy()
