@@ -15,7 +15,7 @@ from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import squared_errors
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import find_curved, remove_curved
+from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.merging import MAX_JOINT_VARIANCES
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
@@ -64,15 +64,16 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     wanted = _large_pieces(left.valid, size, search.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return labels, coefficients
-    grid, kind = build_cell_grid(left, size, wanted), noise.kind(coarse.grid.typical_disparity)
+    grid = build_cell_grid(left, size, wanted)
     noise = noise.at_cell_size(coarse.grid.size_px, size)
     cells = weigh_cells(grid, noise)
     regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
-    graph = remove_curved(RegionGraph.of(cells, regions), noise.mean_sigma**2)
+    graph = RegionGraph.of(cells, regions)
     if not len(graph.planes):
         return labels, coefficients
     target = _targets(labels, grid, graph, coefficients)
-    target[find_curved(graph, kind, config.segmentation.flatness_angle)] = -1
+    is_exact = noise.is_exact(coarse.grid.typical_disparity)
+    target[find_curved(graph, 0.0, 0.0 if is_exact else config.segmentation.flatness_angle)] = -1
     new = label_pixels(image, cells, graph, noise, config.ransac.inlier_threshold)
     return _overlaid(labels, new, target), np.vstack([coefficients, graph.planes])
 

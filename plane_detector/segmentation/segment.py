@@ -27,7 +27,7 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import find_curved, remove_curved
+from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.icm import compete_for_cells
 from plane_detector.segmentation.regions.merging import (
@@ -36,7 +36,7 @@ from plane_detector.segmentation.regions.merging import (
     merge_coplanar,
 )
 from plane_detector.segmentation.regions.region_graph import RegionGraph
-from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
+from plane_detector.segmentation.search.plane_search import search_planes
 from plane_detector.segmentation.search.ransac import Search
 from plane_detector.threads import one_blas_thread
 
@@ -137,9 +137,8 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     """Return pixel labels and planes of exact depth."""
     graph = RegionGraph.of(frame.cells, _compete(frame, regions))
     graph = merge_coplanar(frame.cells, graph, None)
-    graph = remove_curved(graph, frame.noise.mean_sigma**2)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
-    return _finish(frame, labels, planes, graph, DepthKind.EXACT)
+    return _finish(frame, labels, planes, graph, find_curved(graph, 0.0, 0.0))
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -152,11 +151,10 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
                                  frame.search.min_pixels)
     graph = graph if split is regions else RegionGraph.of(cells, split)
-    if correlation is not None and sees_creases(
-            cells.grid, noise, frame.search.config.ransac.inlier_threshold):
-        graph = remove_curved(graph, correlation.density)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
-    return _finish(frame, labels, planes, graph, DepthKind.MEASURED)
+    curved = find_curved(graph, correlation.density if correlation else np.inf,
+                         frame.search.config.segmentation.flatness_angle)
+    return _finish(frame, labels, planes, graph, curved)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -167,11 +165,9 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
 
 
 def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, graph: RegionGraph,
-            kind: DepthKind) -> tuple[np.ndarray, np.ndarray]:
+            curved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Remove curved regions last, so that no plane grows into them, and merge nearly flat ones."""
-    config = frame.search.config.segmentation
-    curved = find_curved(graph, kind, config.flatness_angle)
-    owner, joined = join_nearly_flat(graph, curved, config)
+    owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1

@@ -1,15 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Removal of curved regions in measured depth.
+Removal of curved regions.
 
-Within the tolerance of any method a curtain or a cushion is a row of narrow planes. At low noise
-the cells of a single region show the curvature: a quadric fits them far better than a plane
-(F-test), and the normal turns from one end to the other. Noise hides that, and a column becomes
-three or four planes. A quadric has as many parameters as the two planes of a pair: it fits a bend
-as well as the planes do in either region, and a fold between planes worse. Noise hides that too:
-what fits within the noise is a weak bend. One of these may be a fold by chance, not a chain of
-three regions.
+Within the tolerance of any method a curtain or a cushion is a row of narrow planes. The cells of a
+single region show the curvature: a quadric fits them far better than a plane (F-test), and the
+normal turns from one end to the other. Noise hides that, and a column becomes three or four
+planes. A quadric has as many parameters as the two planes of a pair: it fits a bend as well as the
+planes do in either region, and a fold between planes worse. Noise hides that too: what fits within
+the noise is a weak bend. One of these may be a fold by chance, not a chain of three regions, nor
+the neighbour of a curved one.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.model import ROUNDING
-from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
@@ -33,14 +31,12 @@ from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 # derived: coefficients of a quadric over the image.
 QUADRIC_TERMS = 6
 # Threshold of the F-statistic: improvement of the fit by the quadric over the noise.
-# tuned: evaluation.benchmark curved; flat from 5 to 15.
+# derived: planes reach it once in 40 000 times (chi-squared with 3 degrees of freedom is 24).
 MIN_F = 8.0
-# Exact surfaces that turn by less are planes; planes that meet at more than the second have an
-# edge between them.
-# tuned: curved scenes, rooms and lived-in rooms below seed 9000; flat from 0 to 3; not flat in the
-# second: 0.03 more of curved surfaces have labels at noise 0.01 at 60, recall of lived-in rooms
-# -0.016 at 90.
-MIN_TURN_DEG, MAX_FOLD_DEG = 2.0, 70.0
+# Planes that meet at more than this have an edge between them.
+# tuned: curved scenes, rooms and lived-in rooms below seed 9000; 0.03 more of curved surfaces have
+# labels at noise 0.01 at 60, recall of lived-in rooms -0.016 at 90.
+MAX_FOLD_DEG = 70.0
 # One plane fits worse than the quadric by more than the noise: a clear bend; by more than this
 # share of it: a weak one.
 # tuned: as above; flat from 0.7 to 1.4 times.
@@ -54,48 +50,6 @@ MAX_RATIO = 1.4
 MIN_NOISE_SHARE = 0.25
 # derived: as many regions in a row turn twice.
 MIN_CHAIN = 3
-
-
-def remove_curved(graph: RegionGraph, noise_density: float) -> RegionGraph:
-    """
-    Remove the regions whose own cells show that they are curved.
-
-    Parameters
-    ----------
-    graph : RegionGraph
-    noise_density : float
-        Variance of a cell times the number of cells that share their noise.
-
-    Returns
-    -------
-    RegionGraph
-
-    """
-    return graph.only(~_are_curved(graph.sums, noise_density))
-
-
-@kernel('boolean[::1](float64[:, ::1], float64)')
-def _are_curved(sums, noise_density):
-    curved, quadric = np.zeros(len(sums), np.bool_), np.zeros(7)
-    for k in range(len(sums)):
-        count, mean = sums[k, 0], sums[k, 6] / max(sums[k, 0], 1.0)
-        if count < QUADRIC_TERMS + PLANE_TERMS:
-            continue
-        products = _products(sums[k])
-        of_plane = solve_least_squares(products, PLANE_TERMS, quadric)
-        of_quadric = solve_least_squares(products, QUADRIC_TERMS, quadric)
-        variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, (ROUNDING * mean) ** 2)
-        # The bend over the width of the region along each direction, whose variance is a twelfth
-        # of the width squared: its squares have this trace.
-        xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
-        x, y = sums[k, 1] / count, sums[k, 2] / count
-        change = ((xx * xx + xy * xy) * (sums[k, 3] / count - x * x)
-                  + (xy * xy + yy * yy) * (sums[k, 5] / count - y * y)
-                  + 2 * xy * (xx + yy) * (sums[k, 4] / count - x * y))
-        slope = np.sqrt(max(12 * change, 0.0)) * TYPICAL_FOCAL_SHARE
-        curved[k] = (of_plane - of_quadric > MIN_F * 3 * variance
-                     and np.degrees(np.arctan2(slope, mean)) > MIN_TURN_DEG)
-    return curved
 
 
 @kernel('float64[:, ::1](float64[::1])')
@@ -131,16 +85,18 @@ def fit_quadric(first, second, noise_share):
     return (of_plane - of_quadric) / (first[10] + second[10]), of_quadric / total, worst
 
 
-def find_curved(graph: RegionGraph, kind: DepthKind, flatness_deg: float) -> np.ndarray:
+def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -> np.ndarray:
     """
-    Find regions that a quadric explains as well as their planes do.
+    Find regions that a quadric explains better than a plane, alone or together with neighbours.
 
     Parameters
     ----------
     graph : RegionGraph
-    kind : DepthKind
-    flatness_deg : float
-        Measured surfaces that bend by less are planes with a dent.
+    noise_density : float
+        Variance of a cell times the number of cells that share their noise; at least that of each
+        cell counts. Infinite: regions are not tested alone.
+    min_turn_deg : float
+        Surfaces that turn by less are planes with a dent.
 
     Returns
     -------
@@ -148,16 +104,18 @@ def find_curved(graph: RegionGraph, kind: DepthKind, flatness_deg: float) -> np.
         Their indices.
 
     """
-    min_deg = MIN_TURN_DEG if kind is DepthKind.EXACT else max(flatness_deg, MIN_TURN_DEG)
-    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders, min_deg)))
+    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders,
+                                           (noise_density, min_turn_deg))))
 
 
-@kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64)')
-def _bends(planes, sums, borders, min_deg):
-    """Return 2 for pairs of regions that are clearly bent, 1 for weak bends, 0 for others."""
-    count = len(planes)
+@kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
+        'UniTuple(float64, 2))')
+def _bends(planes, sums, borders, limits):
+    """Return 2 for regions and pairs that are clearly bent, 1 for weak bends, 0 for others."""
+    (noise_density, min_deg), count = limits, len(planes)
     bends = np.zeros((count, count), np.int8)
     for i in range(count):
+        bends[i, i] = 2 * _is_curved(sums[i], noise_density, min_deg)
         for j in range(i + 1, count):
             if (borders[i, j, 0] < MIN_BORDER_PAIRS
                     or min(sums[i, 0], sums[j, 0]) <= PLANE_TERMS):
@@ -170,6 +128,28 @@ def _bends(planes, sums, borders, min_deg):
                 _, total, worst = fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)
                 bends[i, j] = bends[j, i] = 1 + (gain > 1 and total < 1 and worst < MAX_RATIO)
     return bends
+
+
+@kernel('boolean(float64[::1], float64, float64)')
+def _is_curved(sums, noise_density, min_deg):
+    """Return whether a quadric fits far better than a plane and turns by more than the angle."""
+    count, mean, quadric = sums[0], sums[6] / max(sums[0], 1.0), np.zeros(7)
+    if count < QUADRIC_TERMS + PLANE_TERMS:
+        return False
+    products = _products(sums)
+    of_plane = solve_least_squares(products, PLANE_TERMS, quadric)
+    of_quadric = solve_least_squares(products, QUADRIC_TERMS, quadric)
+    variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, sums[10] / count)
+    # The bend over the width of the region along each direction, whose variance is a twelfth of
+    # the width squared: its squares have this trace.
+    xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
+    x, y = sums[1] / count, sums[2] / count
+    change = ((xx * xx + xy * xy) * (sums[3] / count - x * x)
+              + (xy * xy + yy * yy) * (sums[5] / count - y * y)
+              + 2 * xy * (xx + yy) * (sums[4] / count - x * y))
+    slope = np.sqrt(max(12 * change, 0.0)) * TYPICAL_FOCAL_SHARE
+    return (of_plane - of_quadric > MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance
+            and np.degrees(np.arctan2(slope, mean)) > min_deg)
 
 
 @kernel('boolean[::1](int8[:, ::1])')

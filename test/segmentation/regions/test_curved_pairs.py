@@ -15,7 +15,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.surfaces import cone
 from plane_detector.segmentation.cells.labels import remove_regions
-from plane_detector.segmentation.cells.noise import DepthKind, Noise
+from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions import curved
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 
@@ -56,8 +56,8 @@ def upright_strips(disparity, edges):
     return model, hand_made(model, labels)
 
 
-def find_curved(model, regions):
-    return curved.find_curved(RegionGraph.of(model, regions), DepthKind.MEASURED, 4.0)
+def find_curved(model, regions, noise_density=np.inf):
+    return curved.find_curved(RegionGraph.of(model, regions), noise_density, 4.0)
 
 
 @pytest.mark.parametrize('count', [2, 3, 4])
@@ -70,6 +70,16 @@ def test_one_patch_and_none_are_not_bent():
     assert find_curved(model, regions).size == 0
     assert find_curved(model, replace(regions, labels=np.full_like(regions.labels, -1),
                                     coefficients=np.zeros((0, 3)))).size == 0
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_front_of_a_column_in_one_region_is_curved_under_noise_and_a_wall_is_not(seed):
+    """Smooth noise of 0.01 per metre: some 25 cells share it."""
+    for scene, expected in ((view([], column(0.7).curved_pieces()), [0]), (view([wall(2)]), [])):
+        model = cell_model(noisy(scene, 0.01, seed), NOISE)
+        is_near = np.nan_to_num(model.grid.mean[:, 2]) > 0.45
+        labels = np.where(is_near & model.is_planar, 0, -1).reshape(model.grid.shape)
+        assert find_curved(model, hand_made(model, labels), 25 * 0.01**2).tolist() == expected
 
 
 def test_patches_of_cells_in_a_line_spoil_nothing():
