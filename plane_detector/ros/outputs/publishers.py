@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.lifecycle import LifecycleNode
 
 from plane_detector.ros import qos
@@ -25,8 +26,11 @@ class OutputPublishers:
 
     def __init__(self, node: LifecycleNode):
         self._node = node
+        # The executor would look at two events of each publisher before every message: as long as
+        # at all its other entities. A subscriber reports a QoS that does not fit, too.
+        silent = PublisherEventCallbacks(use_default_callbacks=False)
         self._publishers = {name: node.create_lifecycle_publisher(
-            output.msg_type, f'~/{name}', qos.output_profile(),
+            output.msg_type, f'~/{name}', qos.output_profile(), event_callbacks=silent,
             qos_overriding_options=qos.overriding_options()) for name, output in OUTPUTS.items()}
 
     def wanted(self) -> list[str]:
