@@ -26,8 +26,7 @@ class Neighbourhood:
     Attributes
     ----------
     offsets : (m, 2) int64
-        Rows and columns to the cells of the neighbourhood, the cell itself included. Empty: all
-        cells form one cluster.
+        Rows and columns to the cells of the neighbourhood, the cell itself included.
     min_samples : int
         Cells in the neighbourhood that make a core cell.
 
@@ -71,71 +70,37 @@ def _cluster(labels, offsets, min_samples):
     (rows, columns), margin, count = labels.shape, offsets.max(), 0
     stride, found = columns + 2 * margin, np.empty_like(labels)
     # Loops, as numba takes a second to compile each assignment to a slice.
-    left = np.full((rows + 2 * margin) * stride, np.int16(-1))
+    padded = np.full((rows + 2 * margin) * stride, np.int32(-1))
     for row in range(rows):
         for column in range(columns):
-            left[(row + margin) * stride + column + margin] = labels[row, column]
+            padded[(row + margin) * stride + column + margin] = labels[row, column]
     steps = offsets[:, 0] * stride + offsets[:, 1]
-    clusters, queue = np.full(left.shape, np.int32(-1)), np.empty(labels.size + 1, np.int64)
-    samples = count_samples(left, steps)
-    for start in range(margin * stride, len(left) - margin * stride):
-        if left[start] >= 0 and samples[start] >= min_samples:
-            for k in range(grow_cluster(queue, 0, start, (left, samples), (steps, min_samples))):
-                clusters[queue[k]] = count
-            count += 1
+    clusters, queue = np.full(len(padded), np.int32(-1)), np.empty(len(padded), np.int64)
+    for start in range(margin * stride, len(padded) - margin * stride):
+        if padded[start] >= 0 and clusters[start] < 0:
+            count += _grow_cluster(queue, start, count, (padded, clusters), (steps, min_samples))
     for row in range(rows):
         for column in range(columns):
             found[row, column] = clusters[(row + margin) * stride + column + margin]
     return found, count
 
 
-@kernel('int16[::1](int16[::1], int64[::1])')
-def count_samples(labels, steps):
-    """Return how many cells of the neighbourhood of each cell have its label."""
-    samples, first, last = np.zeros(len(labels), np.int16), steps.max(), len(labels) - steps.max()
-    count, here = samples[first:last], labels[first:last]
-    for step in steps:
-        there = labels[first + step:last + step]
-        for k in range(len(count)):  # slices of one length: vectorised
-            count[k] += np.int16(there[k] == here[k])
-    return samples
-
-
-@kernel('int64(int64[::1], int64, int64, UniTuple(int16[::1], 2), Tuple((int64[::1], int64)))')
-def grow_cluster(queue, end, start, cells, near):
-    """
-    Append the density cluster of a core cell to a queue.
-
-    Parameters
-    ----------
-    queue : (n,) int64
-        Output: the indices of the cells.
-    end : int
-        Where the queue ends.
-    start : int
-        The core cell.
-    cells : (labels, samples)
-        Labels (m,) int16 of a grid with a margin, -1 none: the labels of the cluster are removed;
-        and what :func:`count_samples` returns of them.
-    near : (steps, min_samples)
-        Steps to the cells of the neighbourhood, and how many of them a core cell has.
-
-    Returns
-    -------
-    int
-        Where the queue ends now.
-
-    """
-    (labels, samples), (steps, min_samples), head = cells, near, end
-    label, queue[end], labels[start] = labels[start], start, -1
-    end += 1
-    while head < end:
-        p = queue[head]
-        head += 1
-        if samples[p] >= min_samples:
-            for step in steps:
-                queue[end] = p + step
-                if labels[p + step] == label:
-                    labels[p + step] = -1
-                    end += 1
-    return end
+@kernel('boolean(int64[::1], int64, int64, UniTuple(int32[::1], 2), Tuple((int64[::1], int64)))')
+def _grow_cluster(queue, start, number, grids, near):
+    """Give a number to the density cluster of a cell in a grid with a margin, if it is a core."""
+    (labels, clusters), (steps, min_samples), end, head, here = grids, near, 0, 0, start
+    while True:
+        samples, new = 0, end
+        for step in steps:
+            p = np.uint64(here + step)  # unsigned: no wrap-around check
+            is_same = labels[p] == labels[start]
+            queue[new] = p
+            new += is_same & (clusters[p] < 0)
+            samples += is_same
+        if samples >= min_samples:
+            for k in range(end, new):
+                clusters[queue[k]] = number
+            end = new
+        if head == end:
+            return end > 0
+        here, head = queue[head], head + 1
