@@ -85,8 +85,8 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     height, width = rgb.shape[:2]
     size = (_SMALL_WIDTH_PX, max(2, round(height * _SMALL_WIDTH_PX / width)))
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
-    far = cv2.resize(np.nan_to_num(disparity, nan=0.0, posinf=0.0).astype(np.float32), size,
-                     interpolation=cv2.INTER_NEAREST)
+    far = np.nan_to_num(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST),
+                        nan=0.0, posinf=0.0).astype(np.float32)
     region = _clear_sky(small, far)
     if region is None:
         region = _overexposed_sky(small, far)

@@ -114,7 +114,7 @@ class ProcessedFrame:
     def rectangles(self) -> tuple[Rectangle, ...]:
         """Smallest rectangle around each plane in the target frame."""
         return tuple(enclosing_rectangle(
-            np.vstack([plane.centroid_m, *(polygon.corners_m for polygon in polygons)]),
+            np.concatenate([plane.centroid_m[None], *(polygon.corners_m for polygon in polygons)]),
             plane.normal, plane.centroid_m)
             for plane, polygons in zip(self.target_detection.planes, self.polygons, strict=True))
 
