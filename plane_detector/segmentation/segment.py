@@ -35,8 +35,8 @@ from plane_detector.segmentation.regions.merging import (
     merge_bowed_walls,
     merge_coplanar,
 )
-from plane_detector.segmentation.regions.region_graph import RegionGraph
-from plane_detector.segmentation.search.plane_search import search_planes
+from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
+from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 from plane_detector.segmentation.search.ransac import Search
 from plane_detector.threads import one_blas_thread
 
@@ -147,14 +147,21 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     regions = _compete(frame, regions)
     correlation = Correlation.of(cells, regions, noise)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    regions = graph.regions()
-    split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
-                                 frame.search.min_pixels)
-    graph = graph if split is regions else RegionGraph.of(cells, split)
+    if _hides_steps(frame):
+        regions = graph.regions()
+        split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
+                                     frame.search.min_pixels)
+        graph = graph if split is regions else RegionGraph.of(cells, split)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
     curved = find_curved(graph, correlation.density if correlation else np.inf,
                          frame.search.config.segmentation.flatness_angle)
     return _finish(frame, labels, planes, graph, curved)
+
+
+def _hides_steps(frame: Frame) -> bool:
+    """Return whether depth steps may be hidden by the noise: creases do not stand far above it."""
+    threshold = frame.search.config.ransac.inlier_threshold
+    return not sees_creases(frame.cells.grid, frame.noise, MAX_DEVIATIONS * threshold)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -182,7 +189,7 @@ def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
 
 def _label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
     return label_pixels(frame.image, frame.cells, graph, frame.noise,
-                        frame.search.config.ransac.inlier_threshold, grows=True)
+                        frame.search.config.ransac.inlier_threshold)
 
 
 def _add_small_planes(frame: Frame, labels: np.ndarray,

@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -36,11 +35,6 @@ class DisparityImage:
 
     values: np.ndarray
     valid: np.ndarray
-
-    @cached_property
-    def smoothed(self) -> np.ndarray:
-        """Median (H, W) float32 of 3 x 3 pixels, which reduces noise and keeps edges."""
-        return cv2.medianBlur(self.values, 3)
 
 
 @dataclass(frozen=True)

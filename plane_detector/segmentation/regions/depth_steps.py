@@ -65,16 +65,16 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
         The pieces follow the other regions, each with its own plane.
 
     """
-    grid = cells.grid
+    grid, labels = cells.grid, np.ascontiguousarray(regions.labels)
     if correlation is None or grid.size_px < BLOCKS:
         return regions
     limit = MAX_DEVIATIONS * np.hypot(noise.mean_sigma, noise.pixel_sigma)
-    residual, owner = _block_residuals(
-        image.values, image.valid, np.ascontiguousarray(regions.labels), regions.coefficients,
-        grid.size_px, np.array([grid.width_px, *grid.origin, limit]))
-    if not (owner[SAMPLE] >= 0).any():
+    residual, owner = _block_residuals(image.values, image.valid, labels, regions.coefficients,
+                                       grid.size_px, (grid.width_px, *grid.origin, limit))
+    inside = owner[SAMPLE] >= 0
+    if not inside.any():
         return regions
-    _remove_steps(_step_heights(residual, owner[SAMPLE] >= 0), owner)
+    _remove_steps(*_step_heights(residual, inside), owner)
     pieces, label, blocks = connected_pieces(owner)
     offset = _offsets(residual, pieces, label, blocks)
     is_large = blocks >= min_pixels * (BLOCKS / grid.size_px) ** 2
@@ -85,45 +85,96 @@ def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: P
 
 
 @kernel('Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], boolean[:, ::1], '
-        'int32[:, ::1], float64[:, ::1], int64, float64[::1])')
+        'int32[:, ::1], float64[:, ::1], int64, UniTuple(float64, 4))')
 def _block_residuals(disparity, valid, labels, planes, size, frame):
     """Return the mean residual of each block to its region's plane, and the region, -1 none."""
-    (height, width), side, per_px = disparity.shape, size // BLOCKS, 1 / frame[0]
-    residual = np.zeros((labels.shape[0] * BLOCKS, labels.shape[1] * BLOCKS), np.float32)
+    (rows, columns), side, (height, width) = labels.shape, size // BLOCKS, disparity.shape
+    residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
-    total, count = np.empty(width + size, np.float32), np.empty(width + size, np.float32)
-    plane, slope = np.empty(width + size, np.float32), np.empty(width + size, np.float32)
-    for i in range(residual.shape[0]):
-        row, top = labels[i // BLOCKS], i // BLOCKS * size
-        if i % BLOCKS == 0:
-            for column in range(len(row)):
-                a, b, c = planes[max(row[column], 0)]
-                c += a * frame[1] + b * (frame[2] + top * per_px)
-                for u in range(column * size, column * size + size):
-                    plane[u], slope[u] = c + a * per_px * u, b * per_px
-        total[:], count[:] = 0, 0
-        for v in range(i * size // BLOCKS, min(i * size // BLOCKS + side, height)):
-            _add_row((disparity[v], valid[v]), (plane, slope), v - top, (total, count))
-        for j in range(residual.shape[1]):
-            error, pixels = np.float32(0), np.float32(0)
-            for u in range(j * size // BLOCKS, j * size // BLOCKS + side):
-                error += total[u]
-                pixels += count[u]
-            if row[j // BLOCKS] >= 0 and 2 * pixels > side**2:
-                residual[i, j] = min(max(error / pixels, -frame[3]), frame[3])
-                owner[i, j] = row[j // BLOCKS]
+    total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.float32)
+    centre, pixel = (side - 1) / 2, 1 / frame[0]
+    for i in range(rows * BLOCKS):
+        top = i * size // BLOCKS
+        for u in range(width):
+            total[u] = count[u] = 0
+        for v in range(top, min(top + side, height)):
+            for u in range(width):
+                total[u] += disparity[v, u]  # 0 where invalid
+                count[u] += np.float32(valid[v, u])
+        for column in range(columns):
+            k = labels[i // BLOCKS, column]
+            if k < 0:
+                continue
+            a, b = planes[k, 0] * pixel, planes[k, 1] * pixel
+            c = planes[k, 2] + planes[k, 0] * frame[1] + planes[k, 1] * frame[2]
+            for j in range(column * BLOCKS, column * BLOCKS + BLOCKS):
+                left, d, n = j * size // BLOCKS, np.float32(0), np.float32(0)
+                for u in range(left, left + side):
+                    d += total[u]
+                    n += count[u]
+                if 2 * n > side * side:
+                    error = d / n - (a * (left + centre) + b * (top + centre) + c)
+                    residual[i, j], owner[i, j] = min(max(error, -frame[3]), frame[3]), k
     return residual, owner
 
 
-@kernel('void(Tuple((float32[::1], boolean[::1])), UniTuple(float32[::1], 2), float32, '
-        'UniTuple(float32[::1], 2))')
-def _add_row(pixels, planes, y, sums):
-    """Add the residuals of a row of pixels, and 1 where valid, to the sums of its columns."""
-    (disparity, valid), (plane, slope), (total, count) = pixels, planes, sums
-    for u in range(len(disparity)):
-        n = np.float32(valid[u])
-        total[u] += n * (disparity[u] - plane[u] - y * slope[u])
-        count[u] += n
+def _step_heights(residual: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the steps (2, rows, columns) and their standard deviations (2,) in the regions."""
+    steps = _differences(residual)
+    return steps, np.array([SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][inside]))
+                            for step in steps])
+
+
+@kernel('float32[:, :, ::1](float32[:, ::1])')
+def _differences(residual):
+    """
+    Return the step (2, rows, columns) at each block, times the number of blocks on each side.
+
+    The sum of the blocks from it to the right minus that of those to its left, and the same from
+    it downwards. Blocks outside the image count as 0.
+    """
+    (rows, columns), half, reach = residual.shape, BLOCKS // 2, LENGTH_CELLS * BLOCKS // 2
+    steps, tall = np.zeros((2, rows, columns), np.float32), np.zeros(columns, np.float32)
+    across = np.zeros(columns + 2 * reach, np.float32)
+    for row in range(1 - reach, rows):
+        for u in range(columns if row + reach <= rows else 0):
+            tall[u] += residual[row + reach - 1, u]
+        for u in range(columns if row > reach else 0):
+            tall[u] -= residual[row - reach - 1, u]
+        for k in range(half if row >= 0 else 0):
+            for u in range(half, columns - half + 1):
+                steps[0, row, u] += tall[u + k] - tall[u - 1 - k]
+    for row in range(half, rows - half + 1):
+        for u in range(columns):
+            across[reach + u] = 0
+        for k in range(half):
+            for u in range(columns):
+                across[reach + u] += residual[row + k, u] - residual[row - 1 - k, u]
+        for k in range(2 * reach):
+            for u in range(columns):
+                steps[1, row, u] += across[u + k]
+    return steps
+
+
+@kernel('void(float32[:, :, ::1], float64[::1], int32[:, ::1])')
+def _remove_steps(steps, typical, owner):
+    """Remove the blocks on a step by hysteresis (Canny 1986); ``steps`` is overwritten."""
+    (rows, columns), queue, count = owner.shape, np.empty(owner.size, np.int64), 0
+    high, low = HIGH_THRESHOLD * typical, LOW_THRESHOLD * typical
+    for row in range(rows):
+        for column in range(columns):
+            if (abs(steps[0, row, column]) > high[0]) | (abs(steps[1, row, column]) > high[1]):
+                queue[count], count = row * columns + column, count + 1
+                steps[0, row, column] = steps[1, row, column] = 0
+    while count > 0:
+        count -= 1
+        row, column = queue[count] // columns, queue[count] % columns
+        owner[row, column] = -1
+        for r in range(max(row - 1, 0), min(row + 2, rows)):
+            for c in range(max(column - 1, 0), min(column + 2, columns)):
+                if (abs(steps[0, r, c]) > low[0]) | (abs(steps[1, r, c]) > low[1]):
+                    queue[count], count = r * columns + c, count + 1
+                    steps[0, r, c] = steps[1, r, c] = 0
 
 
 def _offsets(residual: np.ndarray, pieces: np.ndarray, label: np.ndarray,
@@ -138,47 +189,16 @@ def _offsets(residual: np.ndarray, pieces: np.ndarray, label: np.ndarray,
 @kernel('float64[::1](int32[:, ::1], float32[:, ::1], int64)')
 def _sums(pieces, values, count):
     """Return the sum (n,) of the values of each piece."""
-    total = np.zeros(count)
+    total = np.zeros(count + 1)  # the last entry is that of blocks in no piece
     for i in range(pieces.shape[0]):
+        piece, of_run = pieces[i, 0], 0.0
         for j in range(pieces.shape[1]):
-            if pieces[i, j] >= 0:
-                total[pieces[i, j]] += values[i, j]
-    return total
-
-
-def _step_heights(residual: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Return the step at each block, in standard deviations of the differences in the image."""
-    across, along = BLOCKS // 2, LENGTH_CELLS * BLOCKS
-    height = np.zeros(residual.shape, np.float32)
-    for size, before, after, here in (
-            ((across, along), np.s_[:, :-across], np.s_[:, across:], np.s_[:, 1:1 - across]),
-            ((along, across), np.s_[:-across], np.s_[across:], np.s_[1:1 - across])):
-        mean, step = cv2.blur(residual, size), np.zeros(residual.shape, np.float32)
-        step[here] = cv2.absdiff(mean[after], mean[before])
-        typical = SIGMA_PER_MEDIAN * median(step[SAMPLE][inside])
-        step *= 1 / max(typical, np.finfo(np.float32).tiny)
-        np.maximum(height, step, out=height)
-    return height
-
-
-@kernel('void(float32[:, ::1], int32[:, ::1])')
-def _remove_steps(height, owner):
-    """Remove the blocks on a step by hysteresis (Canny 1986); ``height`` is overwritten."""
-    (rows, columns), steps, count = height.shape, np.empty(height.size, np.int64), 0
-    for row in range(rows):
-        for column in range(columns):
-            if height[row, column] > HIGH_THRESHOLD:
-                steps[count], height[row, column] = row * columns + column, 0
-                count += 1
-    while count > 0:
-        count -= 1
-        row, column = steps[count] // columns, steps[count] % columns
-        owner[row, column] = -1
-        for r in range(max(row - 1, 0), min(row + 2, rows)):
-            for c in range(max(column - 1, 0), min(column + 2, columns)):
-                if height[r, c] > LOW_THRESHOLD:
-                    steps[count], height[r, c] = r * columns + c, 0
-                    count += 1
+            if pieces[i, j] != piece:
+                total[piece] += of_run
+                piece, of_run = pieces[i, j], 0.0
+            of_run += values[i, j]
+        total[piece] += of_run
+    return total[:count].copy()
 
 
 def _cut_off(cells: WeightedCells, regions: PlaneRegions, pieces: np.ndarray, piece: int,
@@ -189,9 +209,10 @@ def _cut_off(cells: WeightedCells, regions: PlaneRegions, pieces: np.ndarray, pi
     filled = cv2.resize(filled, cells.grid.shape[::-1], interpolation=cv2.INTER_AREA)
     filled = filled > 126  # the mean of blocks of 0 or 255: at least half of them
     labels = np.where(filled & (regions.labels == label), np.int32(new), regions.labels)
+    if not prefer_two_planes(cells, labels, correlation, label, new):
+        return regions
     fitted = fit_planes(region_moments(cells, labels, new + 1))[[label, new]]
-    if not np.isfinite(fitted).all() or not prefer_two_planes(cells, labels, correlation, label,
-                                                              new):
+    if not np.isfinite(fitted).all():
         return regions
     planes = np.append(regions.coefficients, fitted[1:], axis=0)
     planes[label] = fitted[0]

@@ -4,9 +4,18 @@
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, disparity_image, fold, hand_made, view, wall
+from cell_helpers import (
+    EXACT,
+    cell_model,
+    disparity_image,
+    fold,
+    hand_made,
+    noisy,
+    view,
+    wall,
+)
 
-from plane_detector import CameraIntrinsics
+from plane_detector import CameraIntrinsics, segment_planes
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.region_graph import RegionGraph
@@ -40,7 +49,16 @@ def test_a_plane_grows_to_where_the_surface_leaves_it(scene):
     is_short = is_first & np.roll(is_first, 3, axis=1) & np.roll(is_first, -3, axis=1)
     short = PlaneRegions(np.where(is_short, 0, -1).astype(np.int32), true.coefficients)
     image, graph = disparity_image(scene.depth_m), RegionGraph.of(model, short)
-    grown = label_pixels(image, model, graph, EXACT, 3.0, grows=True)
+    grown = label_pixels(image, model, graph, EXACT, 3.0)
     assert ((grown == 0) != (scene.labels == 0)).mean() < 0.004  # less than one pixel a row
-    kept = label_pixels(image, model, graph, EXACT, 3.0)
+    others = np.full(cells.shape, -1, np.int32).repeat(size, axis=0).repeat(size, axis=1), 5
+    kept = label_pixels(image, model, graph, EXACT, 3.0, others) - others[1]
     assert ((kept == 0) != (scene.labels == 0)).mean() > 0.02
+
+
+def test_pixels_without_valid_neighbours_get_a_label():
+    """As on sparse lidar, whose pixels a median of the neighbourhood would set to 0."""
+    depth_m = noisy(SCENES['step'], 0, 0.003)
+    depth_m[np.random.default_rng(1).random(depth_m.shape) < 0.7] = np.nan
+    labels = segment_planes(depth_m, CAMERA).labels
+    assert (labels[np.isfinite(depth_m)] >= 0).mean() > 0.97
