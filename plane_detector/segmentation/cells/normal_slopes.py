@@ -29,8 +29,6 @@ MIN_ANGLE_RAD = np.radians(2.0)
 # tuned: rooms of seeds 302, 303, 309, 310, normals with smooth errors of 5 and 10 degrees: mean SC
 # as without normals at 2, up to .1 less at 8.
 SLOPE_PER_NOISE = 2.0
-# derived: of chi-squared with 2 degrees of freedom.
-CHI_SQUARED_MEDIAN = 1.386
 # derived: at 89 degrees between ray and normal a plane is seen edge-on.
 MIN_COSINE = 0.02
 
@@ -153,4 +151,5 @@ def _disagreement(grid: CellGrid, slope: np.ndarray, is_usable: np.ndarray) -> f
     if not is_usable.any():
         return 0.0
     square = ((slope - grid.slope)[is_usable] ** 2).sum(axis=1)
-    return float(np.median(square) / CHI_SQUARED_MEDIAN)
+    # The median of chi-squared with 2 degrees of freedom is 2 log 2.
+    return float(np.median(square) / (2 * np.log(2)))

@@ -18,6 +18,7 @@ from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
+from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.
@@ -28,9 +29,6 @@ START_SHARE = 0.7
 CALIBRATION_PLANES = 3
 # tuned: on walls under smooth noise, which are in pieces after fewer; more change nothing there.
 CALIBRATION_ROUNDS = 3
-# A small plane fits the noise itself, and its residuals are too small.
-# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
-MIN_CELLS = 100
 # derived: the median of so many is good to 4 %.
 MAX_SAMPLES = 1000
 # derived: planes are the same when the noise changes by less.
@@ -93,7 +91,7 @@ def _deviations(labels, planes, table):
         size[k] += 1
     for i in range(len(label)):
         cells[n] = i
-        n += label[i] >= 0 and size[label[i]] > MIN_CELLS
+        n += label[i] >= 0 and size[label[i]] > MIN_REGION_CELLS
     cells = cells[:n][::n // MAX_SAMPLES + 1].copy()
     residual, tilt = np.empty(len(cells)), np.empty(2 * len(cells))
     for m, i in enumerate(cells):
