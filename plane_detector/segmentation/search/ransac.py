@@ -105,8 +105,8 @@ def find_planes(cells, is_planar, labels, near, counts, limits):
     (offsets, min_samples), (first, most, wanted, max_drawn) = near, counts
     min_pixels, threshold2, share = limits
     margin = max(offsets.max(), WINDOWS_CELLS.max() // 2)
-    stride = labels.shape[1] + 2 * margin
-    free, left = _free_cells(is_planar, labels, margin)
+    stride = (labels.shape[1] + 2 * margin) | 1  # odd: places of one parity are a checkerboard
+    free, left = _free_cells(is_planar, labels, margin, stride)
     near = offsets[:, 0] * stride + offsets[:, 1], min_samples
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
@@ -121,11 +121,10 @@ def find_planes(cells, is_planar, labels, near, counts, limits):
     return planes[:taken]
 
 
-@kernel(f'Tuple(({FREE}, int64[::1]))(boolean[::1], int32[:, ::1], int64)')
-def _free_cells(is_planar, labels, margin):
+@kernel(f'Tuple(({FREE}, int64[::1]))(boolean[::1], int32[:, ::1], int64, int64)')
+def _free_cells(is_planar, labels, margin, stride):
     """Return the cells that are planar and belong to no plane, and their places."""
-    rows, columns = labels.shape
-    stride, n = columns + 2 * margin, 0
+    (rows, columns), n = labels.shape, 0
     free = np.full((rows + 2 * margin) * stride, np.int32(-1))
     left = np.empty(labels.size, np.int64)
     for row in range(rows):
@@ -178,17 +177,23 @@ def _take_best(hypotheses, search, labels, planes, limits):
 @kernel(f'void(float32[::1], float64[:, ::1], Tuple(({CELLS}, {FREE})), int64[::1], '
         'Tuple((int64, float64)))')
 def _add_support(gain, planes, free, places, limits):
-    """Add the support of cells to gain (H,): pixels times 1 - (residual / threshold)**2 (MSAC)."""
+    """
+    Add the support of cells to gain (H,): pixels times 1 - (residual / threshold)**2 (MSAC).
+
+    Every second cell, as on a checkerboard, stands for two.
+    """
     a, b, c = (planes[:, 0].astype(np.float32), planes[:, 1].astype(np.float32),
                planes[:, 2].astype(np.float32))
     ((table, moments), cell), (sign, threshold2) = free, limits
     zero, one, per = np.float32(0), np.float32(1), 1 / threshold2
     for p in places:
+        if p & 1:
+            continue
         i = cell[p]
         x, y, d = np.float32(table[i, 0]), np.float32(table[i, 1]), np.float32(table[i, 2])
         slope_x, slope_y = np.float32(table[i, 3]), np.float32(table[i, 4])
         w, s = np.float32(table[i, 5] * per), np.float32(table[i, 6] * per)
-        pixels = np.float32(moments[i, 0] * sign)
+        pixels = np.float32(2 * sign * moments[i, 0])
         for h in range(len(gain)):
             residual = d - c[h] - a[h] * x - b[h] * y
             tilt_x, tilt_y = slope_x - a[h], slope_y - b[h]
