@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -14,9 +13,15 @@ from pathlib import Path
 
 _STOP_TIMEOUT_S = 10.0
 _LOG_LINES_SHOWN = 15
-# derived: value from <linux/prctl.h>.
-_PR_SET_PDEATHSIG = 1
-_LIBC = ctypes.CDLL(None)  # here: the new process must not import anything before it starts
+# Lets Linux send SIGTERM to the node when its parent, the first argument, ends. Not a preexec_fn:
+# with one, Python runs hooks when it forks, which swallow a KeyboardInterrupt.
+# derived: 1 is PR_SET_PDEATHSIG of <linux/prctl.h>.
+_START = """\
+import ctypes, os, runpy, signal, sys
+ctypes.CDLL(None).prctl(1, signal.SIGTERM)
+if os.getppid() == int(sys.argv.pop(1)):
+    runpy.run_module('plane_detector.ros.node', run_name='__main__', alter_sys=True)
+"""
 
 
 def use_private_domain() -> None:
@@ -59,14 +64,13 @@ class NodeProcess:
 
     def __init__(self, parameters: Mapping[str, str], log_path: Path) -> None:
         self._log_path = log_path
-        command = [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args']
+        command = [sys.executable, '-c', _START, str(os.getpid()), '--ros-args']
         for name, value in parameters.items():
             command += ['-p', f'{name}:={value}']
         with open(log_path, 'wb') as log:
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True,  # Ctrl-C reaches only the demo, which ends the node
-                preexec_fn=_end_with_parent)
+                start_new_session=True)  # Ctrl-C reaches only the demo, which ends the node
 
     def __enter__(self) -> NodeProcess:
         return self
@@ -107,8 +111,3 @@ class NodeProcess:
             except subprocess.TimeoutExpired:
                 self._process.kill()
         return self._process.wait()
-
-
-def _end_with_parent() -> None:
-    """Let Linux send this process SIGTERM when the thread that started it ends."""
-    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
