@@ -10,13 +10,12 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
-# derived: 30 in a region of a hundredth of the image, enough for medians and spreads.
+# derived: 30 in a region of a hundredth of the image, enough for means and spreads.
 SAMPLES = 3000
-# derived: spreads need fewer samples than medians of as small regions.
+# derived: spreads need fewer samples than distances of as small regions.
 SPREAD_STEP = 2
 # Cosine between ray and normal below which a plane is seen edge-on and cannot contain the pixel.
 MIN_COSINE = 0.02
@@ -82,11 +81,18 @@ class RegionSamples:
         return np.where(np.isfinite(offsets), found, np.inf)
 
     def offsets(self, normals: np.ndarray) -> np.ndarray:
-        """Return the median distance (K,) of planes with normals (K, 3); NaN if unknown."""
+        """
+        Return the distance (K,) of planes with normals (K, 3); NaN if unknown.
+
+        The noise is near constant in 1/z, which is cosine / distance: least squares there.
+        """
         cosine = -np.einsum('ij,ij->i', normals[self.region], self.rays)
-        offset = np.where(cosine > MIN_COSINE, cosine / self.disparity, np.nan)
-        pieces = np.split(offset, np.searchsorted(self.region, np.arange(1, self.count)))
-        return np.array([_median(piece) for piece in pieces])
+        seen = np.where(cosine > MIN_COSINE, cosine, 0.0)
+        squares, products, usable, pixels = (
+            np.bincount(self.region, values, self.count)
+            for values in (seen**2, seen * self.disparity, seen > 0, np.ones(len(seen))))
+        is_known = usable >= np.maximum(MIN_SAMPLES, MIN_POSSIBLE_SHARE * pixels)
+        return np.divide(squares, products, out=np.full(self.count, np.nan), where=is_known)
 
     def joined(self, group: np.ndarray) -> RegionSamples:
         """Return the samples after merging regions: region k becomes ``group[k]``."""
@@ -163,10 +169,3 @@ def _distances(rays, disparity, region, normals, offsets, count):
         for j in range(len(normals)):
             squares[k, j] = np.sqrt(squares[k, j] / max(pixels[k], 1.0))
     return squares
-
-
-def _median(offsets: np.ndarray) -> float:
-    possible = offsets[np.isfinite(offsets)]
-    if len(possible) < max(MIN_SAMPLES, MIN_POSSIBLE_SHARE * len(offsets)):
-        return np.nan
-    return median(possible)

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of samples of pixels and planes with given normals."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,14 @@ def wall_and_floor():
 
 def test_distances_of_the_own_normals():
     assert wall_and_floor().offsets(np.stack([WALL, FLOOR])) == pytest.approx([4.0, 1.5])
+
+
+def test_distances_are_averaged_in_inverse_depth():
+    samples = wall_and_floor()
+    is_odd = np.arange(len(samples.region)) % 4 == 0
+    noisy = replace(samples, disparity=samples.disparity * np.where(is_odd, 2.0, 1.0))
+    offsets = noisy.offsets(np.stack([WALL, FLOOR]))
+    assert offsets[0] == pytest.approx(4.0 / 1.25, rel=0.01)
 
 
 def test_a_plane_seen_edge_on_has_no_distance():
