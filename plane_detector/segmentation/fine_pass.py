@@ -14,7 +14,7 @@ from plane_detector.segmentation.cells.labels import connected_pieces
 from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import find_curved
+from plane_detector.segmentation.regions.curved import MIN_TURN_DEG, find_curved
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
@@ -66,7 +66,8 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     graph = RegionGraph.of(cells, regions)
     is_exact = noise.is_exact(coarse.grid.typical_disparity)
     is_flat = np.ones(len(graph.planes), bool)
-    is_flat[find_curved(graph, 0.0, 0.0 if is_exact else config.segmentation.flatness_angle)] = 0
+    min_turn_deg = MIN_TURN_DEG if is_exact else config.segmentation.flatness_angle
+    is_flat[find_curved(graph, 0.0, min_turn_deg)] = 0
     graph = graph.only(is_flat)
     if len(graph.planes):
         labels = label_pixels(left, cells, graph, noise, config.ransac.inlier_threshold,

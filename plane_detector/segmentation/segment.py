@@ -27,7 +27,7 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import find_curved
+from plane_detector.segmentation.regions.curved import MIN_TURN_DEG, find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.icm import compete_for_cells
 from plane_detector.segmentation.regions.merging import (
@@ -138,7 +138,7 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     graph = RegionGraph.of(frame.cells, _compete(frame, regions))
     graph = merge_coplanar(frame.cells, graph, None)
     labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
-    return _finish(frame, labels, planes, graph, find_curved(graph, 0.0, 0.0))
+    return _finish(frame, labels, planes, graph, find_curved(graph, 0.0, MIN_TURN_DEG))
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
