@@ -112,16 +112,28 @@ class FrameWorker:
             return None
         if is_last:
             return 0.0
-        now_s = time.monotonic()
-        return max(self._free_s(index + 1, now_s) - self._last_s[index] - now_s, 0.0)
+        now_s, until_s, there_s = time.monotonic(), 0.0, 0.0
+        free_s = self._free_s(index + 1, now_s)
+        for later in range(index + 1, len(self._stages)):
+            there_s += self._last_s[later - 1]
+            until_s = max(until_s, free_s[later] - there_s)
+        return max(until_s - now_s, 0.0)
 
-    def _free_s(self, index: int, now_s: float) -> float:
-        """Return when a stage is expected to take the next frame, by time.monotonic."""
-        since_s = self._since_s[index]
-        free_s = now_s if since_s is None else since_s + self._last_s[index]
-        if index + 1 == len(self._stages):
-            return free_s
-        return max(free_s, self._free_s(index + 1, now_s) - self._last_s[index])
+    def _free_s(self, first: int, now_s: float) -> list[float]:
+        """Return when stages are expected to be done with all frames from this one on."""
+        free_s = [now_s] * len(self._stages)
+        for index in reversed(range(first, len(self._stages))):  # the oldest frame first
+            if (since_s := self._since_s[index]) is not None:
+                free_s[index] = max(since_s + self._last_s[index], now_s)
+                self._pass_on(index + 1, free_s[index], free_s)
+            if self._waiting[index] is not None:
+                self._pass_on(index, now_s, free_s)
+        return free_s
+
+    def _pass_on(self, first: int, there_s: float, free_s: list[float]) -> None:
+        """Let one more frame pass the stages from ``first`` on, where it is at ``there_s``."""
+        for index in range(first, len(self._stages)):
+            there_s = free_s[index] = max(there_s, free_s[index]) + self._last_s[index]
 
     def _hand_over(self, index: int, result: Any, stop: Stop) -> None:
         with self._changed:

@@ -166,8 +166,17 @@ def test_each_stage_has_a_frame_of_its_own():
     assert first.done == second.done == third.done == ['one', 'two', 'three', 'four']
 
 
+class WokenLate(FrameWorker):
+    """A worker in which the others run first when a stage has handed over its result."""
+
+    def _hand_over(self, *handed):
+        super()._hand_over(*handed)
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize('kind', [FrameWorker, WokenLate])
 @pytest.mark.parametrize('slow', [1, 2])
-def test_frames_are_fresh_behind_a_slow_stage(slow):
+def test_frames_are_fresh_behind_a_slow_stage(slow, kind):
     begun, ages = {}, []
 
     def first(frame):
@@ -181,7 +190,7 @@ def test_frames_are_fresh_behind_a_slow_stage(slow):
                 time.sleep(0.1)
             return frame
         return run
-    worker, frames = FrameWorker(first, later(1), later(2)), count()
+    worker, frames = kind(first, later(1), later(2)), count()
     end_s = time.monotonic() + STUCK_S
     while len(ages) < 12 and time.monotonic() < end_s:
         worker.put(next(frames))
