@@ -11,14 +11,14 @@ planes do not constrain, such as a rotation about the only visible normal, is as
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.types import Plane
+from plane_detector.tracking.plane_arrays import PlaneArrays
 
-_ROUNDS = 8
+# derived: a change of a millionth changes no label; a camera that stands still needs two rounds.
+_MOST_ROUNDS, _CONVERGED = 8, 1e-6
 # Weight of the prior for no rotation; all planes together have weight 1.
 _NO_TURN_WEIGHT = 0.03
 # Lower bound of the deviation between normals, however small the covariance of their fit.
@@ -27,6 +27,7 @@ _TURN_SPREAD_RAD = np.radians(2.0)
 # Spread of the offsets of a rigid scene, and of the translation of the camera between two images,
 # as shares of the distance to the scene.
 _OFFSET_SPREAD, _STEP_SPREAD, _SCALE_SPREAD = 0.02, 0.1, 0.04
+_PRIOR = np.array([_STEP_SPREAD] * 3 + [_SCALE_SPREAD]) ** -2
 # In the first round, large rotations and changes of the unit are nearly as likely as none.
 _FIRST_CAUTION = 0.01
 
@@ -50,29 +51,21 @@ class PlaneMotion:
     translation_m: np.ndarray
     scale: float
 
-    def move(self, plane: Plane) -> Plane:
-        """Return a plane of the previous camera frame in the present one."""
-        return self.move_all([plane])[0]
-
-    def move_all(self, planes: Sequence[Plane]) -> list[Plane]:
-        """Return planes of the previous camera frame, at least one, in the present one."""
+    def move(self, planes: PlaneArrays) -> PlaneArrays:
+        """Return planes of the previous camera frame in the present one."""
         turn = np.eye(4)
         turn[:3, :3], turn[3, 3] = self.rotation, self.scale
-        normals = np.stack([plane.normal for plane in planes]) @ self.rotation.T
-        centroids_m = np.stack([plane.centroid_m for plane in planes]) @ self.rotation.T
-        offsets_m = self.scale * np.array([plane.offset_m for plane in planes])
-        covariances = turn @ np.stack([plane.covariance for plane in planes]) @ turn.T
-        return [replace(plane, normal=normal, offset_m=offset_m, centroid_m=centroid_m,
-                        area_m2=self.scale ** 2 * plane.area_m2, covariance=covariance)
-                for plane, normal, offset_m, centroid_m, covariance in zip(
-                    planes, normals, (offsets_m - normals @ self.translation_m).tolist(),
-                    self.scale * centroids_m + self.translation_m, covariances, strict=True)]
+        normals = planes.normals @ self.rotation.T
+        return PlaneArrays(
+            normals, self.scale * planes.offsets_m - normals @ self.translation_m,
+            self.scale * (planes.centroids_m @ self.rotation.T) + self.translation_m,
+            self.scale ** 2 * planes.areas_m2, turn @ planes.covariances @ turn.T)
 
 
 NO_MOTION = PlaneMotion(np.eye(3), np.zeros(3), 1.0)
 
 
-def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray) -> PlaneMotion:
+def estimate_motion(before: PlaneArrays, after: PlaneArrays, weights: np.ndarray) -> PlaneMotion:
     """
     Estimate the motion from planes visible in both images.
 
@@ -83,8 +76,8 @@ def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray
 
     Parameters
     ----------
-    before, after : list of Plane
-        The same planes in the previous and in the present camera frame.
+    before, after : PlaneArrays
+        The same N planes in the previous and in the present camera frame.
     weights : (N,) float
         Weight of each pair.
 
@@ -94,40 +87,32 @@ def estimate_motion(before: list[Plane], after: list[Plane], weights: np.ndarray
         No motion if there is no pair.
 
     """
-    if not before:
+    if not len(before):
         return NO_MOTION
-    weights = weights / (_normal_variances(before) + _normal_variances(after)
+    weights = weights / (before.normal_variances + after.normal_variances
                          + _NORMAL_SPREAD_RAD ** 2)
     weights /= weights.sum()
-    normals_before, normals_after = (np.stack([plane.normal for plane in side])
-                                     for side in (before, after))
-    rotation = _rotation(normals_before, normals_after, weights)
-    turned = normals_before @ rotation.T
-    agree = np.linalg.norm(turned - normals_after, axis=1) < 2 * _TURN_SPREAD_RAD
+    rotation = _rotation(before.normals, after.normals, weights)
+    off = before.normals @ rotation.T - after.normals
+    agree = (off * off).sum(axis=1) < (2 * _TURN_SPREAD_RAD) ** 2
     if not agree.any():
         return NO_MOTION
-    offsets_before, offsets_after = (np.array([p.offset_m for p in side])[agree]
-                                     for side in (before, after))
-    distances_m = np.linalg.norm([plane.centroid_m for plane in after], axis=1)[agree]
-    translation_m, scale = _translation_and_scale(
-        normals_after[agree], offsets_before, offsets_after, distances_m, weights[agree])
+    translation_m, scale = _translation_and_scale(before.picked(agree), after.picked(agree),
+                                                  weights[agree])
     return PlaneMotion(rotation, translation_m, scale)
-
-
-def _normal_variances(planes: list[Plane]) -> np.ndarray:
-    """Return the sum of the variances of each normal, (N,)."""
-    covariances = np.stack([plane.covariance for plane in planes])
-    return covariances[:, :3, :3].trace(axis1=1, axis2=2)
 
 
 def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the rotation (3, 3) that maps the normals (N, 3) before to those after."""
     rotation, prior = np.eye(3), _NO_TURN_WEIGHT * np.eye(3)
     robust, caution = weights, _FIRST_CAUTION
-    for _ in range(_ROUNDS):
+    for _ in range(_MOST_ROUNDS):
         left, _, right = np.linalg.svd((after.T * robust) @ before + caution * prior)
-        left[:, 2] *= np.linalg.det(left @ right)
-        rotation = left @ right
+        if np.linalg.det(left @ right) < 0:
+            left[:, 2] *= -1
+        last, rotation = rotation, left @ right
+        if abs(rotation - last).max() < _CONVERGED:
+            break
         error = before @ rotation.T - after
         robust = weights * _cauchy_of_square((error * error).sum(axis=1) / _TURN_SPREAD_RAD ** 2)
         turn_rad = math.acos(min(max((rotation.trace() - 1) / 2, -1.0), 1.0))
@@ -135,23 +120,26 @@ def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.
     return rotation
 
 
-def _translation_and_scale(normals: np.ndarray, before: np.ndarray, after: np.ndarray,
-                           distances_m: np.ndarray, weights: np.ndarray
+def _translation_and_scale(before: PlaneArrays, after: PlaneArrays, weights: np.ndarray
                            ) -> tuple[np.ndarray, float]:
     """Solve after = scale * before - normals . t, with priors that keep t and scale - 1 small."""
-    typical_m = float(np.average(distances_m, weights=weights))
+    distances_m = after.distances_m
+    typical_m = float(weights @ distances_m / weights.sum())
     # Unknowns: t as a share of the typical distance, and scale - 1.
-    system = np.column_stack([-normals * typical_m, before]) / distances_m[:, None]
-    change = (after - before) / distances_m
-    prior = np.array([_STEP_SPREAD] * 3 + [_SCALE_SPREAD]) ** -2
+    system = np.column_stack([-after.normals * typical_m, before.offsets_m]) / distances_m[:, None]
+    change = (after.offsets_m - before.offsets_m) / distances_m
     robust, caution = weights, np.array([1.0, 1.0, 1.0, _FIRST_CAUTION])
-    for _ in range(_ROUNDS):
+    unknown = np.zeros(4)
+    for _ in range(_MOST_ROUNDS):
         weighted = system.T * (robust / _OFFSET_SPREAD ** 2)
-        unknown = np.linalg.solve(weighted @ system + np.diag(caution * prior), weighted @ change)
+        last = unknown
+        unknown = np.linalg.solve(weighted @ system + np.diag(caution * _PRIOR), weighted @ change)
+        if abs(unknown - last).max() < _CONVERGED:
+            break
         misfit = (system @ unknown - change) / _OFFSET_SPREAD
         robust = weights * _cauchy_of_square(misfit * misfit)
-        caution = _cauchy_of_square(unknown * unknown * prior)
-    return unknown[:3] * typical_m, float(np.clip(1 + unknown[3], 0.01, 100.0))
+        caution = _cauchy_of_square(unknown * unknown * _PRIOR)
+    return unknown[:3] * typical_m, min(max(1.0 + float(unknown[3]), 0.01), 100.0)
 
 
 def _cauchy_of_square(squared_ratio: np.ndarray | float) -> np.ndarray | float:

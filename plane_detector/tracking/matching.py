@@ -4,14 +4,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.types import Plane
+from plane_detector.tracking.plane_arrays import PlaneArrays
 
-_TINY = 1e-12
+_TINY_M2 = 1e-12
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ def _joined(groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             np.array([len(group) for group in groups], np.intp))
 
 
-def likeness(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap,
+def likeness(before: PlaneArrays, after: PlaneArrays, overlap: Overlap,
              tolerances: tuple[float, float], growth: np.ndarray) -> np.ndarray:
     """
     Return how well planes agree in position and coefficients, (T, N), 0 to 1.
@@ -61,7 +62,7 @@ def likeness(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap,
 
     Parameters
     ----------
-    before, after : sequence of Plane
+    before, after : PlaneArrays
         T and N planes, in one camera frame.
     overlap : Overlap
         Of these planes.
@@ -71,20 +72,18 @@ def likeness(before: Sequence[Plane], after: Sequence[Plane], overlap: Overlap,
         As there.
 
     """
-    first, second = _stack(before), _stack(after)
-    place = np.maximum((overlap.of_union + overlap.of_known) / 2, _nearness(first, second))
-    return place * np.exp(-0.5 * _squared_deviation(first, second, *tolerances,
-                                                    np.reshape(growth, (-1, 1))))
+    place = np.maximum((overlap.of_union + overlap.of_known) / 2, _nearness(before, after))
+    return place * np.exp(-0.5 * squared_deviation(before, after, *tolerances, growth))
 
 
-def squared_deviation(before: Sequence[Plane], after: Sequence[Plane], angle_deg: float,
+def squared_deviation(before: PlaneArrays, after: PlaneArrays, angle_deg: float,
                       offset_share: float, growth: np.ndarray | float = 1.0) -> np.ndarray:
     """
     Return the squared number of standard deviations by which coefficients differ, (T, N).
 
     Parameters
     ----------
-    before, after : sequence of Plane
+    before, after : PlaneArrays
         T and N planes, in one camera frame.
     angle_deg : float
         Standard deviation of the angle between normals, in addition to that of the fits.
@@ -95,62 +94,20 @@ def squared_deviation(before: Sequence[Plane], after: Sequence[Plane], angle_deg
         Factor on these variances.
 
     """
-    return _squared_deviation(_stack(before), _stack(after), angle_deg, offset_share,
-                              np.reshape(growth, (-1, 1)))
-
-
-@dataclass(frozen=True)
-class _Stack:
-    """
-    Planes as arrays.
-
-    Attributes
-    ----------
-    normal, centroid_m : (N, 3) float64
-    offset_m, distance_m, area_m2 : (N,) float64
-        Of the plane from the camera, of the centroid from the camera, of the plane.
-    normal_variance, distance_variance : (N,) float64
-        Squared radians; squared shares of the distance, at the centroid.
-
-    """
-
-    normal: np.ndarray
-    centroid_m: np.ndarray
-    offset_m: np.ndarray
-    distance_m: np.ndarray
-    area_m2: np.ndarray
-    normal_variance: np.ndarray
-    distance_variance: np.ndarray
-
-
-def _stack(planes: Sequence[Plane]) -> _Stack:
-    centroid_m = np.stack([plane.centroid_m for plane in planes])
-    distance_m = np.maximum(np.linalg.norm(centroid_m, axis=1), _TINY)
-    covariance = np.stack([plane.covariance for plane in planes])
-    point = np.column_stack([centroid_m, np.ones(len(planes))])
-    return _Stack(
-        np.stack([plane.normal for plane in planes]), centroid_m,
-        np.array([plane.offset_m for plane in planes]), distance_m,
-        np.array([plane.area_m2 for plane in planes]),
-        np.trace(covariance[:, :3, :3], axis1=1, axis2=2),
-        np.einsum('ni,nij,nj->n', point, covariance, point) / distance_m ** 2)
-
-
-def _nearness(before: _Stack, after: _Stack) -> np.ndarray:
-    """Return (T, N): 1 for equal centroids, less with the distance over the smaller size."""
-    apart_m = before.centroid_m[:, None] - after.centroid_m
-    smaller_m2 = np.maximum(np.minimum.outer(before.area_m2, after.area_m2), _TINY)
-    larger_m2 = np.maximum(np.maximum.outer(before.area_m2, after.area_m2), _TINY)
-    return np.exp(-(apart_m ** 2).sum(axis=2) / smaller_m2) * np.sqrt(smaller_m2 / larger_m2)
-
-
-def _squared_deviation(before: _Stack, after: _Stack, angle_deg: float, offset_share: float,
-                       growth: np.ndarray) -> np.ndarray:
-    turn_rad = np.arccos(np.clip(before.normal @ after.normal.T, -1, 1))
-    off = (before.centroid_m @ after.normal.T + after.offset_m) / before.distance_m[:, None]
-    back = (before.normal @ after.centroid_m.T + before.offset_m[:, None]) / after.distance_m
-    turn_variance = (np.radians(angle_deg) ** 2 * growth
-                     + np.add.outer(before.normal_variance, after.normal_variance))
+    growth = np.reshape(growth, (-1, 1))
+    turn_rad = np.arccos((before.normals @ after.normals.T).clip(-1, 1))
+    off = (before.centroids_m @ after.normals.T + after.offsets_m) / before.distances_m[:, None]
+    back = (before.normals @ after.centroids_m.T + before.offsets_m[:, None]) / after.distances_m
+    turn_variance = (math.radians(angle_deg) ** 2 * growth
+                     + np.add.outer(before.normal_variances, after.normal_variances))
     off_variance = (offset_share ** 2 * growth
-                    + np.add.outer(before.distance_variance, after.distance_variance))
+                    + np.add.outer(before.distance_variances, after.distance_variances))
     return turn_rad ** 2 / turn_variance + (off ** 2 + back ** 2) / (2 * off_variance)
+
+
+def _nearness(before: PlaneArrays, after: PlaneArrays) -> np.ndarray:
+    """Return (T, N): 1 for equal centroids, less with the distance over the smaller size."""
+    apart_m = before.centroids_m[:, None] - after.centroids_m
+    smaller_m2 = np.maximum(np.minimum.outer(before.areas_m2, after.areas_m2), _TINY_M2)
+    larger_m2 = np.maximum(np.maximum.outer(before.areas_m2, after.areas_m2), _TINY_M2)
+    return np.exp(-(apart_m ** 2).sum(axis=2) / smaller_m2) * np.sqrt(smaller_m2 / larger_m2)

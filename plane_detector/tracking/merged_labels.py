@@ -8,6 +8,7 @@ import numpy as np
 
 from plane_detector.config import TrackingConfig
 from plane_detector.tracking.matching import squared_deviation
+from plane_detector.tracking.plane_arrays import PlaneArrays
 from plane_detector.types import Detection
 
 # derived: more than half of the pixels, so that a plane can be merged into only one other.
@@ -60,6 +61,7 @@ def _is_taken(before: Detection, old: int, after: Detection, new: int,
     """Return whether the other label existed before, and both are one plane."""
     if after.track_labels[new] not in before.track_labels:
         return False
-    deviation = squared_deviation([before.planes[old]], [after.planes[new]],
+    deviation = squared_deviation(PlaneArrays.of([before.planes[old]]),
+                                  PlaneArrays.of([after.planes[new]]),
                                   config.angle_tolerance, config.offset_tolerance)
     return bool(deviation.item() <= _MOST_DEVIATIONS**2)

@@ -14,7 +14,7 @@ A label is reused only after its plane has been dropped.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 
@@ -29,6 +29,7 @@ from plane_detector.tracking.matching import (
     measure_overlap,
     squared_deviation,
 )
+from plane_detector.tracking.plane_arrays import PlaneArrays
 from plane_detector.types import Plane, PlaneSegmentation
 
 # The overlap is measured on about this many rows.
@@ -53,8 +54,6 @@ class Track:
     ----------
     label : int
         Above 0.
-    plane : Plane
-        Its coefficients in the latest camera frame.
     pixels : (M,) int
         Indices of its pixels in the subsampled image in which it was last seen.
     streak : int
@@ -65,10 +64,30 @@ class Track:
     """
 
     label: int
-    plane: Plane
     pixels: np.ndarray
     streak: int = 1
     missed: int = 0
+
+
+@dataclass(frozen=True)
+class KnownPlanes:
+    """
+    The known planes after an image.
+
+    Attributes
+    ----------
+    tracks : tuple of Track
+        Those of the planes of the image, in its order, then those missing for a short time.
+    planes : PlaneArrays
+        Their coefficients in the camera frame of that image.
+
+    """
+
+    tracks: tuple[Track, ...]
+    planes: PlaneArrays
+
+
+NONE_KNOWN = KnownPlanes((), PlaneArrays.of(()))
 
 
 class PlaneTracker:
@@ -87,7 +106,7 @@ class PlaneTracker:
     """
 
     def __init__(self) -> None:
-        self._tracks: tuple[Track, ...] = ()
+        self._known = NONE_KNOWN
         self._shape: tuple[int, int] | None = None
 
     def update(self, found: PlaneSegmentation, config: TrackingConfig
@@ -117,54 +136,64 @@ class PlaneTracker:
         if found.labels.shape != self._shape:
             self.reset()
             self._shape = found.labels.shape
-        self._tracks, seen = update_tracks(self._tracks, found, config)
-        planes = tuple(track.plane for track in seen)
-        return replace(found, planes=planes), tuple(track.label for track in seen)
+        self._known, planes = update_tracks(self._known, found, config)
+        if planes is not found.planes:
+            found = replace(found, planes=planes)
+        return found, tuple(track.label for track in self._known.tracks[:len(planes)])
 
     def reset(self) -> None:
         """Discard all known planes."""
-        self._tracks = ()
+        self._known = NONE_KNOWN
 
 
-def update_tracks(tracks: tuple[Track, ...], found: PlaneSegmentation, config: TrackingConfig
-                  ) -> tuple[tuple[Track, ...], tuple[Track, ...]]:
+def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
+                  ) -> tuple[KnownPlanes, tuple[Plane, ...]]:
     """
     Match the planes of an image with known planes.
 
     Parameters
     ----------
-    tracks : tuple of Track
-        Known planes.
+    known : KnownPlanes
+        After the image before.
     found : PlaneSegmentation
         Of the next image.
     config : TrackingConfig
 
     Returns
     -------
-    known : tuple of Track
-        The tracks after this image: those of its planes, and those that have been missing for a
-        short time.
-    seen : tuple of Track
-        The track of each plane of this image, in its order.
+    known : KnownPlanes
+        After this image.
+    planes : tuple of Plane
+        Those of this image, smoothed if ``config.smoothing`` is above 0.
 
     """
-    pixels = _pixels_of_planes(found)
-    overlap = measure_overlap([track.pixels for track in tracks], pixels)
-    moved = _move_along(tracks, found.planes, pixels, overlap)
-    match = _match(moved, found.planes, overlap, config)
-    gone = [replace(track, missed=track.missed + 1) for index, track in enumerate(moved)
-            if index not in match.values() and track.missed < config.keep_frames]
-    kept = {track.label for track in gone} | {tracks[index].label for index in match.values()}
-    new_labels = _free_labels(kept)
-    seen = []
-    for index, (plane, where) in enumerate(zip(found.planes, pixels, strict=True)):
+    pixels, after = _pixels_of_planes(found), PlaneArrays.of(found.planes)
+    overlap = measure_overlap([track.pixels for track in known.tracks], pixels)
+    moved = _moved_along(known, after, pixels, overlap)
+    match = _match(known.tracks, moved, after, overlap, config)
+    matched = set(match.values())
+    gone = [index for index, track in enumerate(known.tracks)
+            if index not in matched and track.missed < config.keep_frames]
+    tracks = (*_seen_tracks(known.tracks, match, gone, pixels),
+              *(replace(track, missed=track.missed + 1)
+                for track in map(known.tracks.__getitem__, gone)))
+    planes = found.planes
+    if config.smoothing > 0:
+        planes = _smoothed(planes, known, after, match, config.smoothing)
+        after = PlaneArrays.of(planes)
+    return KnownPlanes(tracks, after.followed_by(moved.picked(gone))), planes
+
+
+def _seen_tracks(tracks: Sequence[Track], match: Mapping[int, int], gone: Sequence[int],
+                 pixels: Sequence[np.ndarray]) -> Iterator[Track]:
+    """Yield the track of each found plane, new ones with the smallest free labels."""
+    new_labels = _free_labels({tracks[index].label for index in (*gone, *match.values())})
+    for index, where in enumerate(pixels):
         if index in match:
             old = tracks[match[index]]
-            seen.append(Track(old.label, _smoothed(old, plane, config.smoothing), where,
-                              1 if old.missed else old.streak + 1))
+            yield Track(old.label, where, 1 if old.missed else old.streak + 1)
         else:
-            seen.append(Track(next(new_labels), plane, where))
-    return (*seen, *gone), tuple(seen)
+            yield Track(next(new_labels), where)
 
 
 def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
@@ -178,45 +207,40 @@ def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
     return [order[begin:end] for begin, end in zip(ends, ends[1:], strict=False)]
 
 
-def _move_along(tracks: Sequence[Track], planes: Sequence[Plane], pixels: Sequence[np.ndarray],
-                overlap: Overlap) -> list[Track]:
+def _moved_along(known: KnownPlanes, after: PlaneArrays, pixels: Sequence[np.ndarray],
+                 overlap: Overlap) -> PlaneArrays:
     """Move the known planes with the motion of those that are reliably found in both images."""
-    if not tracks:
-        return []
-    old, new = np.nonzero(_is_sure(tracks, planes, overlap.of_union))
+    if not known.tracks:
+        return known.planes
+    old, new = np.nonzero(_is_sure(known, after, overlap.of_union))
     weights = overlap.of_union[old, new] * np.sqrt([len(pixels[index]) for index in new])
-    motion = estimate_motion([tracks[index].plane for index in old],
-                             [planes[index] for index in new], weights)
-    moved = motion.move_all([track.plane for track in tracks])
-    return [replace(track, plane=plane) for track, plane in zip(tracks, moved, strict=True)]
+    return estimate_motion(known.planes.picked(old), after.picked(new), weights).move(known.planes)
 
 
-def _is_sure(tracks: Sequence[Track], planes: Sequence[Plane], share: np.ndarray) -> np.ndarray:
+def _is_sure(known: KnownPlanes, after: PlaneArrays, share: np.ndarray) -> np.ndarray:
     """Return the pairs (T, N) bool whose pixels and normals leave no doubt."""
-    if not planes:
+    if not len(after):
         return np.zeros(share.shape, bool)
-    cosine = (np.stack([track.plane.normal for track in tracks])
-              @ np.stack([plane.normal for plane in planes]).T)
-    was_seen = np.array([track.missed == 0 for track in tracks])
+    cosine = known.planes.normals @ after.normals.T
+    was_seen = np.array([track.missed == 0 for track in known.tracks])
     return ((share > _MOTION_MIN_OVERLAP) & (share == share.max(axis=0)) & was_seen[:, None]
             & (cosine > np.cos(_MOTION_MAX_TURN_RAD)))
 
 
-def _match(tracks: Sequence[Track], planes: Sequence[Plane], overlap: Overlap,
+def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays, overlap: Overlap,
            config: TrackingConfig) -> dict[int, int]:
     """Return the track of each found plane; unmatched planes are left out."""
-    if not tracks or not planes:
+    if not tracks or not len(after):
         return {}
-    before = [track.plane for track in tracks]
     missed = np.array([track.missed for track in tracks])
-    score = likeness(before, planes, overlap, (config.angle_tolerance, config.offset_tolerance),
+    score = likeness(before, after, overlap, (config.angle_tolerance, config.offset_tolerance),
                      1 + missed)
     score[score < _MIN_SCORE] = 0
     trust = (1 - _YOUTH / np.array([track.streak for track in tracks])) * _MISSED ** (missed > 0)
     score *= trust[:, None]
     rows, columns = linear_sum_assignment(score, maximize=True)
-    return {int(column): int(row) for row, column in zip(rows, columns, strict=True)
-            if score[row, column] > 0}
+    return {column: row for row, column, value in zip(
+        rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
 
 
 def _free_labels(taken: Collection[int]) -> Iterator[int]:
@@ -224,16 +248,23 @@ def _free_labels(taken: Collection[int]) -> Iterator[int]:
     return (label for label in count(1) if label not in taken)
 
 
-def _smoothed(track: Track, plane: Plane, share: float) -> Plane:
-    """Return the plane averaged with its past, unless the change exceeds the noise."""
-    old = track.plane
-    if share == 0 or track.missed:
-        return plane
-    changed = squared_deviation([old], [plane], _NOISE_ANGLE_DEG, _NOISE_OFFSET)
-    if changed.item() > _NOISE_DEVIATIONS ** 2:
-        return plane
-    normal = share * old.normal + (1 - share) * plane.normal
+def _smoothed(planes: Sequence[Plane], known: KnownPlanes, after: PlaneArrays,
+              match: Mapping[int, int], share: float) -> tuple[Plane, ...]:
+    """Return planes averaged with their past, unless the change exceeds the noise."""
+    smooth = list(planes)
+    for new, old in match.items():
+        changed = squared_deviation(known.planes.picked([old]), after.picked([new]),
+                                    _NOISE_ANGLE_DEG, _NOISE_OFFSET)
+        if not known.tracks[old].missed and changed.item() <= _NOISE_DEVIATIONS ** 2:
+            smooth[new] = _averaged(planes[new], known.planes.normals[old],
+                                    known.planes.offsets_m[old], share)
+    return tuple(smooth)
+
+
+def _averaged(plane: Plane, old_normal: np.ndarray, old_offset_m: float, share: float) -> Plane:
+    """Return the plane with the given share of old coefficients."""
+    normal = share * old_normal + (1 - share) * plane.normal
     normal /= np.linalg.norm(normal)
-    offset_m = share * old.offset_m + (1 - share) * plane.offset_m
+    offset_m = float(share * old_offset_m + (1 - share) * plane.offset_m)
     centroid_m = plane.centroid_m - (plane.centroid_m @ normal + offset_m) * normal
     return replace(plane, normal=normal, offset_m=offset_m, centroid_m=centroid_m)

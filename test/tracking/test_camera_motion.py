@@ -1,0 +1,61 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Motion of the camera from planes seen in two images."""
+
+import cv2
+import numpy as np
+import pytest
+
+from plane_detector.tracking.camera_motion import NO_MOTION, PlaneMotion, estimate_motion
+from plane_detector.tracking.plane_arrays import PlaneArrays
+
+
+def planes(*normals_and_offsets):
+    """Return planes with these normals (x, y, z) and offsets, each around its nearest point."""
+    normals = np.array([normal for normal, _ in normals_and_offsets], float)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    offsets_m = np.array([offset_m for _, offset_m in normals_and_offsets])
+    count = len(normals)
+    return PlaneArrays(normals, offsets_m, -offsets_m[:, None] * normals, np.ones(count),
+                       np.tile(1e-6 * np.eye(4), (count, 1, 1)))
+
+
+FLOOR, LEFT, BACK, BOX = ([0, -1, 0], 1.4), ([1, 0, 0], 1.5), ([0, 0, -1], 4.0), ([1, 0, -5], 2.0)
+
+
+def test_motion_of_planes_that_fix_it():
+    truth = PlaneMotion(cv2.Rodrigues(np.radians([1.0, 3.0, -2.0]))[0],
+                        np.array([0.02, -0.01, 0.05]), 1.0)
+    before = planes(FLOOR, LEFT, BACK, BOX, ([-1, -1, 0], 2.0))
+    motion = estimate_motion(before, truth.move(before), np.ones(5))
+    turn = cv2.Rodrigues(motion.rotation @ truth.rotation.T)[0]
+    assert np.degrees(np.linalg.norm(turn)) < 0.2
+    assert np.linalg.norm(motion.translation_m - truth.translation_m) < 0.03
+    assert motion.scale == pytest.approx(1, abs=0.02)
+    assert estimate_motion(before.picked([]), before.picked([]), np.zeros(0)) is NO_MOTION
+
+
+def test_planes_that_do_not_move_give_no_motion():
+    room = planes(FLOOR, LEFT, BACK, BOX)
+    motion = estimate_motion(room, room, np.ones(4))
+    assert motion.rotation == pytest.approx(np.eye(3), abs=1e-12)
+    assert motion.translation_m == pytest.approx(0, abs=1e-12)
+    assert motion.scale == pytest.approx(1, abs=1e-12)
+
+
+def test_a_moved_plane_keeps_its_equation_and_its_size_grows_with_the_unit():
+    motion = PlaneMotion(cv2.Rodrigues(np.radians([5.0, 40.0, -20.0]))[0],
+                         np.array([0.3, -0.2, 0.1]), 2.0)
+    room = planes(FLOOR, LEFT, BACK, BOX)
+    moved = motion.move(room)
+    assert moved.offsets_m == pytest.approx(-(moved.normals * moved.centroids_m).sum(axis=1))
+    assert moved.centroids_m == pytest.approx(
+        2 * room.centroids_m @ motion.rotation.T + motion.translation_m)
+    assert moved.areas_m2 == pytest.approx(4)
+
+
+def test_a_wrong_pair_does_not_turn_the_camera():
+    before = planes(FLOOR, LEFT, BACK, BOX)
+    after = planes(FLOOR, LEFT, BACK, ([1, 0, -1], 2.0))
+    motion = estimate_motion(before, after, np.array([5.0, 3.0, 3.0, 1.0]))
+    assert np.degrees(np.linalg.norm(cv2.Rodrigues(motion.rotation)[0])) < 1.0
