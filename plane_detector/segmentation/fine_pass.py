@@ -14,7 +14,7 @@ from plane_detector.segmentation.cells.labels import connected_pieces
 from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import MIN_TURN_DEG, find_curved
+from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
@@ -26,8 +26,8 @@ MIN_CELL_SHARE = 0.5
 
 
 def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: WeightedCells,
-                     coefficients: np.ndarray, noise: Noise,
-                     search: Search) -> tuple[np.ndarray, np.ndarray]:
+                     coefficients: np.ndarray, search: tuple[Search, Noise],
+                     min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """
     Find more planes among the pixels without a label.
 
@@ -39,9 +39,10 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
         The cells that the other planes were found with.
     coefficients : (K, 3) float64
         The other planes.
-    noise : Noise
-    search : Search
-        The search that found the others.
+    search : Search, Noise
+        The search that found the others, and the noise that it found.
+    min_turn_deg : float
+        Regions that turn by less are not curved.
 
     Returns
     -------
@@ -50,7 +51,8 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
         The new planes follow the others; some may have no pixels.
 
     """
-    config, size = search.config, coarse.grid.size_px // 2
+    (search, noise), size = search, coarse.grid.size_px // 2
+    config = search.config
     room = config.segmentation.max_planes - len(coefficients)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(coarse, noise):
         return labels, coefficients
@@ -64,9 +66,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     cells = weigh_cells(grid, noise)
     regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
     graph = RegionGraph.of(cells, regions)
-    is_exact = noise.is_exact(coarse.grid.typical_disparity)
     is_flat = np.ones(len(graph.planes), bool)
-    min_turn_deg = MIN_TURN_DEG if is_exact else config.segmentation.flatness_angle
     is_flat[find_curved(graph, 0.0, min_turn_deg)] = 0
     graph = graph.only(is_flat)
     if len(graph.planes):
@@ -100,11 +100,18 @@ def _unlabelled(valid, labels, size):
     return left, pixels
 
 
-def _large_pieces(pixels: np.ndarray, size: int, min_pixels: float) -> np.ndarray:
+@kernel('boolean[::1](int64[:, ::1], int64, float64)')
+def _large_pieces(pixels, size, min_pixels):
     """Return the cells in connected pieces with enough pixels; cells are at least half full."""
-    pieces, label, _ = connected_pieces(np.where(2 * pixels >= size**2, np.int32(0),
-                                                 np.int32(-1)))
-    # The last entry is that of cells in no piece.
-    total = np.bincount(pieces.ravel() + 1, pixels.ravel(), len(label) + 1)
-    is_large = np.append(total[1:] >= min_pixels, False)
-    return is_large[pieces].ravel()
+    labels, inside = np.empty(pixels.shape, np.int32), pixels.reshape(-1)
+    flat, is_large = labels.reshape(-1), np.empty(pixels.size, np.bool_)
+    for i in range(len(flat)):
+        flat[i] = 0 if 2 * inside[i] >= size**2 else -1
+    pieces, label, _ = connected_pieces(labels)
+    flat, total = pieces.reshape(-1), np.zeros(len(label) + 1)
+    for i in range(len(flat)):  # the last entry is that of cells in no piece
+        total[flat[i]] += inside[i]
+    total[-1] = 0.0
+    for i in range(len(flat)):
+        is_large[i] = total[flat[i]] >= min_pixels
+    return is_large

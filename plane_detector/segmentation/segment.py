@@ -137,7 +137,7 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     """Return pixel labels and planes of exact depth."""
     graph = RegionGraph.of(frame.cells, _compete(frame, regions))
     graph = merge_coplanar(frame.cells, graph, None)
-    labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
+    labels, planes = _label_all_pixels(frame, graph, MIN_TURN_DEG)
     return _finish(frame, labels, planes, graph, find_curved(graph, 0.0, MIN_TURN_DEG))
 
 
@@ -152,9 +152,9 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
         split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
                                      frame.search.min_pixels)
         graph = graph if split is regions else RegionGraph.of(cells, split)
-    labels, planes = _add_small_planes(frame, _label_pixels(frame, graph), graph.planes)
-    curved = find_curved(graph, correlation.density if correlation else np.inf,
-                         frame.search.config.segmentation.flatness_angle)
+    min_turn_deg = frame.search.config.segmentation.flatness_angle
+    labels, planes = _label_all_pixels(frame, graph, min_turn_deg)
+    curved = find_curved(graph, correlation.density if correlation else np.inf, min_turn_deg)
     return _finish(frame, labels, planes, graph, curved)
 
 
@@ -192,6 +192,8 @@ def _label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
                         frame.search.config.ransac.inlier_threshold)
 
 
-def _add_small_planes(frame: Frame, labels: np.ndarray,
-                      planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return add_small_planes(frame.image, labels, frame.cells, planes, frame.noise, frame.search)
+def _label_all_pixels(frame: Frame, graph: RegionGraph,
+                      min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return labels and planes, with those that are too small for the cells."""
+    return add_small_planes(frame.image, _label_pixels(frame, graph), frame.cells, graph.planes,
+                            (frame.search, frame.noise), min_turn_deg)

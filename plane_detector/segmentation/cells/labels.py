@@ -65,7 +65,8 @@ def _count(labels, size, count):
     return counts
 
 
-def connected_pieces(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1]))(int32[:, ::1])')
+def connected_pieces(labels):
     """
     Find the connected components of equal labels, by shared sides.
 
@@ -82,11 +83,6 @@ def connected_pieces(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.nda
         Of each piece.
 
     """
-    return _pieces(np.ascontiguousarray(labels))
-
-
-@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1]))(int32[:, ::1])')
-def _pieces(labels):
     start, parent, count = _joined_runs(labels)
     flat, pieces = labels.reshape(-1), np.empty(labels.size, np.int32)
     number, pixels = np.empty(count, np.int32), np.zeros((2, count), np.int64)

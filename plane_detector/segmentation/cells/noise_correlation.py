@@ -72,8 +72,9 @@ class Correlation:
 
     def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the covariance of cells at these distances in rows and columns, broadcast."""
-        apart = np.hypot(rows, columns)
-        return self.smooth * np.exp(-self.decay * apart**self.power) + self.own * (apart == 0)
+        square = rows * rows + columns * columns
+        decayed = np.exp(-self.decay * square ** (self.power / 2))
+        return self.smooth * decayed + self.own * (square == 0)
 
     @cached_property
     def density(self) -> float:

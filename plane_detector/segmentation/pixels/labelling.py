@@ -20,6 +20,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.model import WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.regions.icm import at_borders
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
 
@@ -126,15 +127,11 @@ def _label(output, image, cells, planes, tolerance, sweeps):
 @kernel('boolean[:, ::1](int32[:, ::1], boolean[::1])')
 def _open_cells(labels, is_planar):
     """Return cells with another label around them, and labelled ones that are not planar."""
-    is_open = np.empty(labels.shape, np.bool_)
+    is_open = at_borders(labels)
     for row in range(labels.shape[0]):
         for column in range(labels.shape[1]):
-            label = labels[row, column]
-            is_same = label < 0 or is_planar[row * labels.shape[1] + column]
-            for r in range(max(row - 1, 0), min(row + 2, labels.shape[0])):
-                for c in range(max(column - 1, 0), min(column + 2, labels.shape[1])):
-                    is_same &= labels[r, c] == label
-            is_open[row, column] = not is_same
+            is_edge = not is_planar[row * labels.shape[1] + column]
+            is_open[row, column] |= is_edge & (labels[row, column] >= 0)
     return is_open
 
 
@@ -156,11 +153,12 @@ def _fill_cells(found, shift, valid, labels, is_open, size):
             start, label, is_shut = end, labels[row, end], not is_open[row, end]
             while end < columns and labels[row, end] == label and is_open[row, end] != is_shut:
                 end += 1
-            name = np.int32(label + shift)
+            name, left, right = np.int32(label + shift), start * size, min(end * size, width)
             for v in range(row * size, min(row * size + size, height)
                            if is_shut and label >= 0 else 0):
-                for u in range(start * size, min(end * size, width)):
-                    found[v, u] = name if valid[v, u] else found[v, u]
+                here, is_valid = found[v, left:right], valid[v, left:right]
+                for u in range(len(here)):
+                    here[u] = name if is_valid[u] else here[u]
 
 
 @kernel('boolean(int32[:, ::1], int64, int64, int32[::1])')

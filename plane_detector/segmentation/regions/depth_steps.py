@@ -12,7 +12,6 @@ plane if model selection prefers two planes.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -201,14 +200,42 @@ def _sums(pieces, values, count):
     return total[:count].copy()
 
 
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int64, int64, int64)')
+def _with_piece(labels, pieces, piece, label, new):
+    """Return labels, ``new`` in the cells that a piece and half the step around it half fill."""
+    (rows, columns), reach, found = pieces.shape, BLOCKS // 2, labels.copy()
+    filled, across = np.zeros(pieces.shape, np.bool_), np.empty(columns, np.bool_)
+    for i in range(rows):
+        here, is_absent = pieces[i], True
+        for j in range(columns):
+            is_absent &= here[j] != piece
+            across[j] = False
+        if is_absent:
+            continue
+        for j in range(columns):
+            for k in range(max(j - reach, 0),
+                           min(j + reach + 1, columns) if here[j] == piece else 0):
+                across[k] = True
+        for r in range(max(i - reach, 0), min(i + reach + 1, rows)):
+            row = filled[r]
+            for j in range(columns):
+                row[j] |= across[j]
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            if labels[row, column] == label:
+                count = 0
+                for i in range(row * BLOCKS, row * BLOCKS + BLOCKS):
+                    for j in range(column * BLOCKS, column * BLOCKS + BLOCKS):
+                        count += filled[i, j]
+                found[row, column] = new if 2 * count >= BLOCKS**2 else label
+    return found
+
+
 def _cut_off(cells: WeightedCells, regions: PlaneRegions, pieces: np.ndarray, piece: int,
              label: int, correlation: Correlation) -> PlaneRegions:
     """Split off the cells that a piece and half the step around it fill, if they are a plane."""
-    new, around = len(regions.coefficients), np.ones((BLOCKS + 1, BLOCKS + 1), np.uint8)
-    filled = cv2.dilate(cv2.compare(pieces, int(piece), cv2.CMP_EQ), around)
-    filled = cv2.resize(filled, cells.grid.shape[::-1], interpolation=cv2.INTER_AREA)
-    filled = filled > 126  # the mean of blocks of 0 or 255: at least half of them
-    labels = np.where(filled & (regions.labels == label), np.int32(new), regions.labels)
+    new = len(regions.coefficients)
+    labels = _with_piece(regions.labels, pieces, piece, label, new)
     if not prefer_two_planes(cells, labels, correlation, label, new):
         return regions
     fitted = fit_planes(region_moments(cells, labels, new + 1))[[label, new]]

@@ -68,7 +68,7 @@ def _compete(given, model, threshold2):
     """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
     labels, (rows, columns) = given.copy(), given.shape
     work = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
-    is_open, has_converged = _at_borders(labels), False
+    is_open, has_converged = at_borders(labels), False
     while not has_converged:
         has_converged = True
         for row in range(rows):
@@ -84,15 +84,17 @@ def _compete(given, model, threshold2):
 
 
 @kernel('boolean[:, ::1](int32[:, ::1])')
-def _at_borders(labels):
+def at_borders(labels):
     """Return which cells have a neighbour with another label; row by row it is vectorised."""
     (rows, columns), found = labels.shape, np.zeros(labels.shape, np.bool_)
     for down in range(-1, 2):
         for right in range(-1, 2):
+            left, end = max(-right, 0), min(columns - right, columns)
             for row in range(max(-down, 0), min(rows - down, rows)):
-                here, there, marks = labels[row], labels[row + down], found[row]
-                for column in range(max(-right, 0), min(columns - right, columns)):
-                    marks[column] |= here[column] != there[column + right]
+                here, there = labels[row, left:end], labels[row + down, left + right:end + right]
+                marks = found[row, left:end]
+                for k in range(len(here)):
+                    marks[k] |= here[k] != there[k]
     return found
 
 
