@@ -87,13 +87,14 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     small = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA).astype(np.float32)
     far = np.nan_to_num(cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST),
                         nan=0.0, posinf=0.0).astype(np.float32)
-    region = _clear_sky(small, far)
+    is_even = _is_even(small)
+    region = _clear_sky(small, far, is_even)
     if region is None:
-        region = _overexposed_sky(small, far)
+        region = _overexposed_sky(small, far, is_even)
     if region is None:
         return None
     least_grey = float(np.quantile(small[region].mean(axis=-1), 0.1)) - _HORIZON_DARKER
-    region = _touching(_is_even(small) & _is_bright(small, least_grey, -_HORIZON_REDDER), region)
+    region = _touching(is_even & _is_bright(small, least_grey, -_HORIZON_REDDER), region)
     near_region = cv2.dilate(region.astype(np.uint8), np.ones((2 * _BORDER_PX + 1,) * 2))
     wide = cv2.resize(near_region, (width, height), interpolation=cv2.INTER_NEAREST) > 0
     return wide & _is_bright(rgb.astype(np.float32), least_grey, -_HORIZON_REDDER)
@@ -114,25 +115,33 @@ def _is_even(small: np.ndarray) -> np.ndarray:
     return cv2.blur(grey * grey, window) - mean * mean < _MOST_TEXTURE**2
 
 
-def _clear_sky(small: np.ndarray, far: np.ndarray) -> np.ndarray | None:
-    region = _at_the_top(_is_even(small) & _is_bright(small, _MIN_GREY, _MIN_BLUE_MINUS_RED))
-    if region.mean() < _MIN_SHARE or not _whitens_downwards(small, region):
+def _clear_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) -> np.ndarray | None:
+    region = _at_the_top(is_even & _is_bright(small, _MIN_GREY, _MIN_BLUE_MINUS_RED))
+    if _share(region) < _MIN_SHARE or not _whitens_downwards(small, region):
         return None
     return region if np.mean(far[region] <= np.median(far)) >= _MIN_FAR_SHARE else None
 
 
-def _overexposed_sky(small: np.ndarray, far: np.ndarray) -> np.ndarray | None:
-    region = _at_the_top(_is_even(small) & (small.min(axis=-1) >= _OVEREXPOSED))
-    if region.mean() < _MIN_SHARE or region.all():
+def _overexposed_sky(small: np.ndarray, far: np.ndarray, is_even: np.ndarray) -> np.ndarray | None:
+    darkest = np.minimum(np.minimum(small[..., 0], small[..., 1]), small[..., 2])
+    region = _at_the_top(is_even & (darkest >= _OVEREXPOSED))
+    if _share(region) < _MIN_SHARE or region.all():
         return None
-    farthest = far[region] <= np.quantile(far, max(0.25, region.mean()))
+    farthest = far[region] <= np.quantile(far, max(0.25, _share(region)))
     is_behind = np.median(far[region]) < _MOST_OF_REST * np.median(far[~region])
     return region if is_behind and farthest.mean() >= _MIN_FARTHEST_SHARE else None
+
+
+def _share(region: np.ndarray) -> float:
+    """Return the share of the image that a region covers."""
+    return np.count_nonzero(region) / region.size
 
 
 def _at_the_top(candidates: np.ndarray) -> np.ndarray:
     """Return the candidates that are connected to the upper border."""
     top = np.zeros_like(candidates)
+    if not candidates[0].any():
+        return top
     top[0] = candidates[0]
     return _touching(candidates, top)
 

@@ -70,7 +70,7 @@ class Observation:
         values = self.prediction.values
         return to_disparity(values) if self.output == 'metric_depth' else values
 
-    @property
+    @cached_property
     def disparity_noise(self) -> float:
         """Noise stated for the source, in the unit of the disparity."""
         return self.noise_share and self.noise_share * noise_reference(self.disparity)
@@ -169,8 +169,8 @@ class ModelDepth:
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         seen = self._averaged(seen, config.depth.damping)
-        known = knowable(seen.disparity, seen.disparity_noise, rgb)
-        return seen.with_values(np.where(known, seen.prediction.values, np.float32(np.nan)))
+        values, known = seen.prediction.values, knowable(seen.disparity, seen.disparity_noise, rgb)
+        return seen if known.all() else seen.with_values(np.where(known, values, np.nan))
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
         """Choose the largest input that keeps the rate, see :class:`DepthModel`."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated, median, quantiles
 
 _BLUR_PX = 1.5
 # Brightness has changed if it differs by this many standard deviations of its noise; the noise is
@@ -95,7 +95,7 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
     """Return the average with a new image; None if something moved or the scale is uncertain."""
     disparity, grey = alone.disparity, alone.grey
     changed = _has_changed(previous.grey, grey)
-    if changed.mean() > _GREY_MOVING:
+    if np.count_nonzero(changed) > _GREY_MOVING * changed.size:
         return None
     known = np.isfinite(disparity) & np.isfinite(previous.disparity)
     expected = previous.disparity
@@ -104,14 +104,22 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
         if expected is None:
             return None
     differs = _differs(disparity, expected, known)
-    if differs.mean() > _DEPTH_MOVING:
+    if np.count_nonzero(differs) > _DEPTH_MOVING * differs.size:
         return None
-    still = ~_spread(changed | differs)
-    weight = np.float32(min(keep, previous.image_count / (previous.image_count + 1)))
-    return FilteredDisparity(
-        np.where(still & known, weight * expected + (1 - weight) * disparity, disparity),
-        np.where(still, weight * previous.grey + (1 - weight) * grey, grey),
-        previous.image_count + 1)
+    weight = min(keep, previous.image_count / (previous.image_count + 1))
+    moving = changed | differs
+    still = ~_spread(moving) if moving.any() else ~moving
+    return FilteredDisparity(_mixed(expected, disparity, weight, still & known),
+                             _mixed(previous.grey, grey, weight, still),
+                             previous.image_count + 1)
+
+
+def _mixed(old: np.ndarray, new: np.ndarray, weight: float, where: np.ndarray) -> np.ndarray:
+    """Return the average of images (H, W) float32; that of the new one elsewhere."""
+    mixed = cv2.addWeighted(old, weight, new, 1 - weight, 0)
+    if not where.all():
+        np.copyto(mixed, new, where=~where)
+    return mixed
 
 
 def _shows_motion(grey: np.ndarray) -> bool:
@@ -123,9 +131,10 @@ def _shows_motion(grey: np.ndarray) -> bool:
 
 def _has_changed(before: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Return where the brightness has changed, (H, W) bool."""
-    difference = np.abs(grey - before)
-    sigma = np.clip(SIGMA_PER_MEDIAN * np.median(difference[::_STEP_PX, ::_STEP_PX]), *_GREY_NOISE)
-    return difference > _GREY_SIGMAS * sigma
+    difference = cv2.absdiff(grey, before)
+    least, most = _GREY_NOISE
+    sigma = SIGMA_PER_MEDIAN * median(difference[::_STEP_PX, ::_STEP_PX].ravel())
+    return difference > _GREY_SIGMAS * min(max(sigma, least), most)
 
 
 def _spread(mask: np.ndarray) -> np.ndarray:
@@ -155,12 +164,14 @@ def _differs(disparity: np.ndarray, expected: np.ndarray, known: np.ndarray) -> 
     thinned = (slice(None, None, _STEP_PX),) * 2
     if not known[thinned].any():
         return np.zeros(known.shape, bool)
-    difference = np.subtract(disparity, expected, out=np.zeros_like(disparity), where=known)
+    difference = disparity - expected
+    if not known.all():
+        difference[~known] = 0
     share = _block_means(known.astype(np.float32))
     mean = np.abs(_block_means(difference)) / np.maximum(share, 1e-6)
-    flicker = SIGMA_PER_MEDIAN * np.median(mean[share > 0])
-    span = np.ptp(np.quantile(expected[thinned][known[thinned]], (0.05, 0.95)))
-    far = mean > max(_DEPTH_SIGMAS * flicker, _DEPTH_SHARE * span)
+    flicker = SIGMA_PER_MEDIAN * median(mean[share > 0])
+    low, high = quantiles(expected[thinned][known[thinned]], (0.05, 0.95))
+    far = mean > max(_DEPTH_SIGMAS * flicker, _DEPTH_SHARE * (high - low))
     return cv2.resize(far.view(np.uint8), known.shape[::-1],
                       interpolation=cv2.INTER_NEAREST).view(bool)
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.geometry.robust import quantiles
 
 # derived: nearer than any camera measures; the inverse of smaller depths exceeds the precision of
 # float32 for the rest of the image.
@@ -21,6 +22,7 @@ RANGE_QUANTILES = (0.02, 0.98)
 # derived: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
 # it only applies if one surface fills the image.
 MIN_RANGE_OF_LEVEL = 0.25
+_LEAST_RANGE = float(np.finfo(np.float32).tiny)
 
 
 def valid_depth(depth_m: np.ndarray) -> np.ndarray:
@@ -155,8 +157,10 @@ def noise_reference(disparity: np.ndarray) -> float:
     """
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
-    level = abs(float(np.median(sample))) if sample.size else 0.0
-    return max(disparity_range(disparity), MIN_RANGE_OF_LEVEL * level)
+    if not sample.size:
+        return _LEAST_RANGE
+    low, level, high = quantiles(sample, (RANGE_QUANTILES[0], 0.5, RANGE_QUANTILES[1]))
+    return max(high - low, MIN_RANGE_OF_LEVEL * abs(level), _LEAST_RANGE)
 
 
 def disparity_range(disparity: np.ndarray) -> float:
@@ -175,5 +179,5 @@ def disparity_range(disparity: np.ndarray) -> float:
     """
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
-    low, high = np.quantile(sample, RANGE_QUANTILES) if sample.size else (0.0, 0.0)
-    return max(float(high - low), float(np.finfo(np.float32).tiny))
+    low, high = quantiles(sample, RANGE_QUANTILES) if sample.size else (0.0, 0.0)
+    return max(high - low, _LEAST_RANGE)

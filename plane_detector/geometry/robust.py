@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -25,6 +27,25 @@ def median(values: np.ndarray) -> float:
     low, high = middle - 1 + len(values) % 2, middle
     ordered = np.partition(values, (low, high))
     return float((ordered[low] + ordered[high]) / 2)
+
+
+def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:
+    """
+    Return quantiles of values (n,), at least one, without NaN; faster than numpy.quantile.
+
+    Examples
+    --------
+    >>> quantiles(np.array([4.0, 1.0, 3.0, 2.0, 5.0]), (0.0, 0.375, 1.0))
+    [1.0, 2.5, 5.0]
+
+    """
+    ordered, found = np.sort(values), []
+    for share in shares:
+        place = share * (len(ordered) - 1)
+        low = int(place)
+        first, second = float(ordered[low]), float(ordered[min(low + 1, len(ordered) - 1)])
+        found.append(first + (place - low) * (second - first))
+    return found
 
 
 def dilated(mask: np.ndarray, reach: int) -> np.ndarray:

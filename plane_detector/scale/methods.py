@@ -19,6 +19,7 @@ import numpy as np
 
 from plane_detector.config import ScaleConfig
 from plane_detector.geometry.gravity import unit_direction
+from plane_detector.geometry.robust import quantiles
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
@@ -95,9 +96,9 @@ class ScaleEvidence:
     @cached_property
     def _quantiles(self) -> tuple[float, ...]:
         sample = self.disparity[::4, ::4]
-        sample = np.sort(sample[np.isfinite(sample)])  # several quantiles are then found sooner
+        sample = sample[np.isfinite(sample)]
         wanted = (FAR_QUANTILE, *SPAN_QUANTILES)
-        return tuple(np.quantile(sample, wanted).tolist()) if sample.size else (0.0,) * 4
+        return tuple(quantiles(sample, wanted)) if sample.size else (0.0,) * 4
 
 
 def estimate_scale(evidence: ScaleEvidence, config: ScaleConfig | None = None) -> ScaleEstimate:

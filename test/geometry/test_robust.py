@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated, median
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, dilated, median, quantiles
 
 
 @pytest.mark.parametrize('count', [1, 2, 3, 10, 101])
@@ -13,6 +13,15 @@ def test_median_is_that_of_numpy(count):
     values = np.random.default_rng(count).normal(size=count)
     before = values.copy()
     assert median(values) == np.median(values)
+    np.testing.assert_array_equal(values, before)
+
+
+@pytest.mark.parametrize('count', [1, 2, 3, 10, 101])
+def test_quantiles_are_those_of_numpy(count):
+    values = np.random.default_rng(count).normal(size=count).astype(np.float32)
+    before, shares = values.copy(), (0.0, 0.02, 0.5, 0.98, 1.0)
+    assert quantiles(values, shares) == pytest.approx(
+        np.quantile(values.astype(float), shares).tolist(), abs=1e-12)
     np.testing.assert_array_equal(values, before)
 
 

@@ -22,6 +22,7 @@ SCALE = 2
 # Noise of the image must not act as an edge.
 # tuned: on real images; the range was not swept.
 SMOOTHING_PX = 1.0
+_UNMOVED = -3  # no label
 
 
 @dataclass(frozen=True)
@@ -67,15 +68,23 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage) -> np.ndarray:
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     counted = known.astype(np.uint16)
     band = cv2.dilate(counted, square) != cv2.erode(counted, square)
-    narrow = ~np.isin(small, np.unique(small[~band]))
+    is_wide = np.zeros(int(known.max()) + 1, bool)
+    is_wide[known[~band]] = True
+    narrow = ~is_wide[known]
     markers = np.where(band & ~narrow, 0, known).astype(np.int32)
     small_rgb = cv2.resize(guide.rgb, small.shape[::-1], interpolation=cv2.INTER_AREA)
     cv2.watershed(cv2.GaussianBlur(small_rgb, (0, 0), SMOOTHING_PX), markers)
     # Watershed leaves lines of -1 between the basins: they take the label of a neighbour.
     filled = cv2.dilate(np.maximum(markers, 0).astype(np.uint16), np.ones((3, 3), np.uint8))
     snapped = np.where(markers > 0, markers, filled).astype(np.int32) - 2
-    moved = band & ~narrow & (snapped >= -1)
-    height, width = labels.shape
-    moved, snapped = (image.repeat(SCALE, axis=0).repeat(SCALE, axis=1)[:height, :width]
-                      for image in (moved, snapped))
-    return np.where(moved, snapped, labels)
+    snapped[~band | narrow | (snapped < -1)] = _UNMOVED
+    return _replaced(labels, snapped)
+
+
+def _replaced(labels: np.ndarray, snapped: np.ndarray) -> np.ndarray:
+    """Return labels (H, W) with those of a reduced image where that has moved them."""
+    # Nearest neighbour copies the elements, whatever their type.
+    large = cv2.resize(snapped.view(np.float32), None, fx=SCALE, fy=SCALE,
+                       interpolation=cv2.INTER_NEAREST).view(np.int32)
+    large = large[:labels.shape[0], :labels.shape[1]]
+    return np.where(large == _UNMOVED, labels, large)
