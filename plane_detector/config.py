@@ -44,8 +44,11 @@ class DepthConfig(Settings, section='depth'):
         'from the aspect ratio of the image; 0: default of the network', 'px', 0, 8192)
     target_rate: float = fixed_setting(
         0.0, 'rate to keep on this machine: at configure the network is timed beside the plane '
-        'stage and the largest input size that keeps this rate is used, if the network accepts '
-        'any size; 0: best quality', 'Hz', 0.0, 1000.0)
+        'stage and the largest input size that keeps this rate is used or, if its size is fixed, '
+        'the largest number of views; 0: best quality', 'Hz', 0.0, 1000.0)
+    views: int = fixed_setting(
+        0, 'views of an image that a metric network averages: 1: the whole image; 2, 3: also one '
+        'or two crops; 0: as stated in the zoo, or 1', '', 0, 3)
     side_multiple: int = fixed_setting(
         14, 'the input sides of a network that accepts any size are multiples of this; ignored '
         'for networks of the zoo', 'px', 1, 1024)
@@ -100,7 +103,7 @@ class ScaleConfig(Settings, section='scale'):
     disparity_shift: float = setting(
         0.0, 'added to the scaled disparity', '1/m', -1e3, 1e3)
     reference_focal_px: float = setting(
-        0.0, 'focal length, at the width of this image, of the camera that a metric network '
+        -1.0, 'focal length, at the width of this image, of the camera that a metric network '
         'assumes: depth is multiplied by fx / this; 0: no correction; -1: the focal length that '
         'the zoo states for its training', 'px', -1.0, 1e5)
     camera_height: float = setting(

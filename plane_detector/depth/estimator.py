@@ -18,8 +18,7 @@ from plane_detector.depth.input_rate import (
     median_seconds,
     side_for,
 )
-from plane_detector.depth.model_zoo import choose, fetch
-from plane_detector.depth.networks import NETWORKS, Network
+from plane_detector.depth.network_settings import interface_of, reader_of, resolve, view_count
 from plane_detector.depth.onnx_file import check_external_data
 from plane_detector.depth.onnx_session import (
     Interface,
@@ -29,7 +28,8 @@ from plane_detector.depth.onnx_session import (
 )
 from plane_detector.depth.plausibility import ImplausibleDepthError
 from plane_detector.depth.preprocessing import InputRecipe, prepare_input
-from plane_detector.depth.readers import DepthImageReader, OutputError, Reader
+from plane_detector.depth.readers import OutputError
+from plane_detector.depth.views import VIEWS, average_views
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # Largest error of depth edges, in pixels of the network input.
@@ -75,18 +75,19 @@ class DepthEstimator:
     """
 
     def __init__(self, config: DepthConfig) -> None:
-        network, self._path, reason = _resolve(config)
+        network, self._path, reason = resolve(config)
         self.name = network.name if network else str(self._path)
-        self._reader = _reader(config, network)
+        self._reader = reader_of(config, network)
         self.output, self.needs_lens = self._reader.kind, self._reader.needs_lens
         self.noise_share = network.noise_share if network else config.noise_share
         self.focal_per_height = network.focal_per_height if network else 0.0
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)
+        self._views = view_count(config, network, self._reader)
         self._input_reason, self._target_rate_hz = '', 0.0
         check_external_data(self._path)
         self._session, self.provider, passed_over, arrays = _first_that_runs(
-            self._path, config, _interface(config, network, self._reader), self._recipe)
+            self._path, config, interface_of(config, network, self._reader), self._recipe)
         self._check_on_corridor(arrays)
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
 
@@ -125,50 +126,62 @@ class DepthEstimator:
             raise ValueError(f'the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}')
         if self.needs_lens and intrinsics is None:
             raise ValueError(f'{self.name} needs the intrinsics of the image')
-        input_size = self._session.input_size(rgb.shape[1], rgb.shape[0])
-        arrays = self._session.run(prepare_input(rgb, input_size, self._recipe))
-        return self._read(arrays, rgb, intrinsics)
+        if self._views == 1:
+            return self._predict_view(rgb, intrinsics)
+        return average_views([self._predict_view(view.of(rgb), None)
+                              for view in VIEWS[:self._views]])
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
         """
-        Choose the largest input that keeps a rate beside the plane stage, if its size is free.
+        Choose the largest input, or number of views, that keeps a rate beside the plane stage.
 
         Parameters
         ----------
         rate_hz : float
-            0: the input size does not change.
+            0: nothing changes.
         plane_stage : callable
             The rest of the work on a frame; runs once per period while the network is timed.
 
         """
-        session, width_height = self._session, plausibility.CORRIDOR_SIZE
+        rgb, lens = plausibility.corridor()[0], plausibility.CORRIDOR_LENS
+        choices = self._session.short_sides or tuple(range(1, self._views + 1))
         self._target_rate_hz = rate_hz
         if rate_hz == 0:
             return
-        if not session.short_sides:
+        if len(choices) == 1:
             self._input_reason = f'depth.target_rate {rate_hz:g} Hz: its input has a fixed size'
             return
-        rgb, lens = plausibility.corridor()[0], plausibility.CORRIDOR_LENS
 
-        def seconds_of(short_side: int) -> float:
-            self._session = session.resized(short_side)
+        def seconds_of(choice: int) -> float:
+            self._take(choice)
             return median_seconds(lambda: self.predict(rgb, lens))
         plane_stage()  # compiles what is compiled on the first call
         with beside(plane_stage, 1 / rate_hz):
-            side, seconds = largest_within(session.short_sides, seconds_of, LOAD / rate_hz)
-        self._session = session.resized(side)
-        measured = ', '.join('{} x {} {:.0f} ms'.format(
-            *session.resized(one).input_size(*width_height), 1e3 * seconds[one])
-            for one in sorted(seconds))
-        kept = 'kept' if seconds[side] <= LOAD / rate_hz else 'not kept by the smallest input'
+            chosen, seconds = largest_within(choices, seconds_of, LOAD / rate_hz)
+        measured = []
+        for one in sorted(seconds):
+            self._take(one)
+            measured.append(f'{self.facts["network_input"]} {1e3 * seconds[one]:.0f} ms')
+        self._take(chosen)
+        kept = 'kept' if seconds[chosen] <= LOAD / rate_hz else 'not kept by the smallest input'
         self._input_reason = (f'depth.target_rate {rate_hz:g} Hz is {kept}; beside the plane '
-                              f'stage: {measured}')
+                              f'stage: {", ".join(measured)}')
+
+    def _take(self, choice: int) -> None:
+        """Use another short side or, if the input has a fixed size, another number of views."""
+        if self._session.short_sides:
+            self._session = self._session.resized(choice)
+        else:
+            self._views = choice
 
     def advise(self, share: float) -> str:
         """Return the setting that would reduce the time of the network to a given share."""
-        sides = self._session.short_sides
-        if not sides:
+        sides, views = self._session.short_sides, int(share * self._views)
+        if not sides and views < 1:
             return 'its input has a fixed size: use a smaller network or a GPU'
+        if not sides:
+            return (f'depth.views {views} (now {self._views}) would keep up, or '
+                    "depth.target_rate at the camera's rate")
         side = side_for(self._session.short_side, share, sides)
         if side is None:
             return 'it has no input size that is small enough: use a smaller network or a GPU'
@@ -181,8 +194,10 @@ class DepthEstimator:
     def facts(self) -> Mapping[str, str]:
         """Description for the log and the diagnostics."""
         width, height = self.input_size(*plausibility.CORRIDOR_SIZE)
+        views = f', {self._views} views' if self._views > 1 else ''
         facts = {'depth_model': self.name, 'depth_model_reason': self.reason,
-                 'execution_provider': self.provider, 'network_input': f'{width} x {height}'}
+                 'execution_provider': self.provider,
+                 'network_input': f'{width} x {height}{views}'}
         if self._input_reason:
             facts['network_input_reason'] = self._input_reason
         return facts
@@ -194,6 +209,11 @@ class DepthEstimator:
     def input_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the width and height of the network's input for an image of this size."""
         return self._session.input_size(width, height)
+
+    def _predict_view(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None) -> Prediction:
+        input_size = self._session.input_size(rgb.shape[1], rgb.shape[0])
+        arrays = self._session.run(prepare_input(rgb, input_size, self._recipe))
+        return self._read(arrays, rgb, intrinsics)
 
     def _read(self, arrays: Sequence[np.ndarray], rgb: np.ndarray,
               intrinsics: CameraIntrinsics | None) -> Prediction:
@@ -234,38 +254,3 @@ def _first_that_runs(path: Path, config: DepthConfig, interface: Interface, reci
             return session, provider, passed_over, arrays
     raise ValueError(f'no execution provider runs {path}. {"; ".join(passed_over)}. Providers '
                      f'here: {", ".join(available_providers())}')
-
-
-def _resolve(config: DepthConfig) -> tuple[Network | None, Path, str]:
-    """Return the network of the zoo (None for a path), its file and the reason."""
-    if config.model == 'auto':
-        return choose(config.cache_dir, config.output)
-    if config.model in NETWORKS:
-        path = fetch(config.model, config.cache_dir)
-        return NETWORKS[config.model], path, f'{config.model} as requested'
-    path = Path(config.model).expanduser()
-    if not path.is_file():
-        raise FileNotFoundError(f'depth.model {config.model!r} is neither a file nor one of auto, '
-                                f'{", ".join(NETWORKS)}')
-    return None, path, f'{path} as requested'
-
-
-def _reader(config: DepthConfig, network: Network | None) -> Reader:
-    """Return the reader of the outputs, from the zoo or, for a path, from the settings."""
-    if network is None and config.output == 'auto':
-        raise ValueError(f'depth.output must state the output of {config.model}: metric_depth, '
-                         'disparity or relative_disparity')
-    if network and config.output not in ('auto', network.output):
-        raise ValueError(f'depth.output is {config.output}, but {network.name} gives '
-                         f'{network.output}: leave it at auto')
-    return network.reader if network else DepthImageReader(config.output)
-
-
-def _interface(config: DepthConfig, network: Network | None, reader: Reader) -> Interface:
-    """Return the required interface of the file; size settings override those of the zoo."""
-    wanted = (config.input_width, config.input_height)
-    if network is None:
-        return Interface(reader.outputs, {}, wanted, config.short_side, config.side_multiple)
-    return Interface(reader.outputs, network.scalars,
-                     wanted if any(wanted) else network.input_size,
-                     config.short_side or network.short_side, network.side_multiple)

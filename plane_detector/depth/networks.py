@@ -60,6 +60,8 @@ class Network:
         Focal length over height of the training images, as given to the network; 0 if the output
         does not depend on the lens. The metric depth of another camera is wrong by about the
         ratio of the two.
+    views : int
+        Number of views of an image that are averaged for best quality.
     scalars : mapping of str to int
         Additional integer inputs and their values.
     is_opt_in : bool
@@ -81,6 +83,7 @@ class Network:
     short_side: int = 0
     side_multiple: int = 1
     focal_per_height: float = 0.0
+    views: int = 1
     scalars: Mapping[str, int] = field(default_factory=dict)
     is_opt_in: bool = False
 
@@ -149,7 +152,7 @@ _FASTDEPTH = Network(
     licence='MIT', summary='metres, indoors up to 10 m (NYU Depth V2)',
     recipe=replace(_UNIT_RANGE, resize='area'), reader=DepthImageReader('metric_depth'),
     noise_share=FASTDEPTH_NOISE_SHARE, short_side=224, side_multiple=32,
-    focal_per_height=519.47 / (480 * (1 - 22 / 250)))
+    focal_per_height=519.47 / (480 * (1 - 22 / 250)), views=3)
 # 1200 tokens are the minimum of its training; an input of 560 x 420 has that many patches of
 # 14 x 14, so that nothing is resized twice.
 _MOGE = Network(

@@ -25,14 +25,14 @@ def test_factor(reference_px, own, factor):
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity'])
-def test_the_pipeline_corrects_the_lens_when_told_to(output):
+def test_the_pipeline_corrects_the_lens_unless_told_not_to(output):
     scene = single_wall(distance_m=3.0)
     network = wide_network(scene.depth_m, output)
-    own = Config(scale=ScaleConfig(reference_focal_px=OWN_FOCAL))
-    corrected = PlaneDetector(own, network).detect(scene.rgb, VGA)
+    corrected = PlaneDetector(Config(), network).detect(scene.rgb, VGA)
     assert corrected.planes[0].offset_m == pytest.approx(scene.planes[0, 3], rel=1e-3)
     np.testing.assert_allclose(corrected.depth_m, scene.depth_m, rtol=1e-5)
-    as_it_is = PlaneDetector(Config(), network).detect(scene.rgb, VGA)
+    uncorrected = Config(scale=ScaleConfig(reference_focal_px=0.0))
+    as_it_is = PlaneDetector(uncorrected, network).detect(scene.rgb, VGA)
     assert as_it_is.planes[0].offset_m == pytest.approx(scene.planes[0, 3] / 2, rel=1e-3)
 
 

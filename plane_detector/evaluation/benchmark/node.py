@@ -83,8 +83,12 @@ def views_of(data: Path, name: str) -> tuple[str, list[Frame]]:
     return f'{len(found)} frames of {name}, each for {HELD_S:g} s', found
 
 
-def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
-    """Yield name and settings of each source of depth; prints why one is not available."""
+def sources(model: str, rate_hz: float) -> Iterator[tuple[str, DepthConfig]]:
+    """
+    Yield name and settings of each source of depth; prints why one is not available.
+
+    A network is run at best quality, the default, and told to keep the rate.
+    """
     yield 'depth topic', DepthConfig(source='topic')
     if model != 'none':
         try:
@@ -93,6 +97,8 @@ def sources(model: str) -> Iterator[tuple[str, DepthConfig]]:
             emit(f'{model}: absent, {error}')
         else:
             yield model, DepthConfig(model=model)
+            yield (f'{model}, depth.target_rate {rate_hz:g}',
+                   DepthConfig(model=model, target_rate=rate_hz))
 
 
 def report_load(found: Sequence[tuple[str, DepthConfig]], views: tuple[str, Sequence[Frame]],
@@ -120,7 +126,8 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], views: tuple[str, Sequ
 def _load(depth: DepthConfig, outputs: Sequence[str], shown: Sequence[Frame], rate_hz: float,
           seconds: float) -> Load:
     """Start a node and a receiver, feed them, and end them."""
-    parameters = {'depth.source': depth.source, 'depth.model': depth.model}
+    parameters = {'depth.source': depth.source, 'depth.model': depth.model,
+                  'depth.target_rate': depth.target_rate}
     with (tempfile.TemporaryDirectory() as folder, Receiver(outputs) as receiver,
           NodeProcess(parameters, Path(folder) / 'node.log') as process):
         camera = CameraLoad(process.check_running, shown, rate_hz, depth.source == 'topic',
@@ -143,10 +150,10 @@ def run(options: argparse.Namespace) -> None:
     retain_freed_memory()  # as the node does
     use_private_domain()
     views = views_of(options.data, options.views)
-    found = list(sources(options.model))
+    found = list(sources(options.model, options.rate))
     rclpy.init()
     try:
         report_load(found, views, options.rate, options.seconds)
-        report_parts(found, views[1])
+        report_parts([one for one in found if not one[1].target_rate], views[1])
     finally:
         rclpy.try_shutdown()

@@ -102,6 +102,6 @@ def test_an_unavailable_network_is_named(monkeypatch, capsys):
     def missing(name):
         raise FileNotFoundError('no way to get it')
     monkeypatch.setattr(benchmark_node, 'fetch', missing)
-    assert [name for name, _ in benchmark_node.sources('fastdepth')] == ['depth topic']
+    assert [name for name, _ in benchmark_node.sources('fastdepth', 30.0)] == ['depth topic']
     assert 'fastdepth: absent, no way to get it' in capsys.readouterr().out
-    assert [name for name, _ in benchmark_node.sources('none')] == ['depth topic']
+    assert [name for name, _ in benchmark_node.sources('none', 30.0)] == ['depth topic']

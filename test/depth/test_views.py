@@ -1,0 +1,117 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The average of several views of an image, and networks that are run on them."""
+
+import numpy as np
+import pytest
+from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network
+
+from plane_detector.config import DepthConfig
+from plane_detector.depth import estimator as estimators
+from plane_detector.depth.estimator import DepthEstimator
+from plane_detector.depth.input_rate import LOAD
+from plane_detector.depth.views import VIEWS, View, average_views
+from plane_detector.types import Prediction
+
+KINDS = ('metric_depth', 'disparity')
+
+
+def ramp(height=48, width=64):
+    """Return depth that no view of another part shows."""
+    v, u = np.mgrid[:height, :width].astype(np.float32)
+    return 2 + 0.03 * u + 0.01 * v
+
+
+def predictions(depth_m, kind, factors=(1.0, 1.0, 1.0)):
+    values = depth_m if kind == 'metric_depth' else 1 / depth_m
+    return [Prediction(kind, view.of(values) * np.float32(factor))
+            for view, factor in zip(VIEWS, factors, strict=True)]
+
+
+def test_a_view_is_a_part_of_the_image():
+    image = np.arange(10 * 20).reshape(10, 20)
+    assert (View().of(image) == image).all()
+    assert (View(0.5).of(image) == image[:5, :10]).all()
+    mirrored = View(0.5, is_at_end=True, is_mirrored=True).of(image)
+    assert (mirrored == image[5:, :9:-1]).all()
+    assert mirrored.flags.c_contiguous
+    assert View(0.1).of(image[:1, :1]).shape == (1, 1)
+
+
+@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('count', [1, 2, 3])
+def test_views_that_agree_up_to_scale_give_the_whole_image(kind, count):
+    views = predictions(ramp(), kind, (1.0, 1.2, 0.7))
+    averaged = average_views(views[:count])
+    assert averaged.output == kind
+    np.testing.assert_allclose(averaged.values, views[0].values, rtol=1e-5)
+
+
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_view_fills_what_another_lacks(kind):
+    views = predictions(ramp(), kind)
+    whole = views[0].values.copy()
+    views[0].values[20:24, 30:34] = np.nan
+    np.testing.assert_allclose(average_views(views).values, whole, rtol=1e-5)
+    views[0].values[:] = np.nan
+    assert np.isnan(average_views(views[:1]).values).all()
+
+
+def test_errors_that_differ_between_views_are_averaged_without_a_seam():
+    """A step at the side of a crop would look like an edge."""
+    views = predictions(ramp(96, 128), 'disparity')
+    for view in views[1:]:
+        view.values[:] += np.float32(0.1)
+    error = average_views(views).values - views[0].values
+    assert np.abs(error).max() > 0.005
+    assert max(np.abs(np.diff(error, axis=axis)).max() for axis in (0, 1)) < 0.002
+
+
+def test_independent_errors_become_smaller():
+    rng, views = np.random.default_rng(3), predictions(ramp(96, 128), 'disparity')
+    truth = views[0].values.copy()
+    for view in views:
+        view.values[:] += 0.01 * rng.standard_normal(view.values.shape).astype(np.float32)
+    middle = np.s_[24:-24, 32:-32]
+    before, after = (np.std((values - truth)[middle])
+                     for values in (views[0].values, average_views(views).values))
+    assert after < 0.7 * before
+
+
+@pytest.fixture
+def fixed(tmp_path):
+    """Return a maker of networks with a fixed input."""
+    path = write_depth_network(tmp_path / 'fixed.onnx', height=48, width=64)
+    return lambda **settings: DepthEstimator(DepthConfig(
+        model=str(path), **{'output': 'metric_depth', **PLAIN, **settings}))
+
+
+def test_a_network_on_three_views_sees_the_same_plain_wall(fixed):
+    rgb = millimetres_as_rgb(np.full((48, 64), 2.0))
+    once, thrice = fixed().predict(rgb), fixed(views=3).predict(rgb)
+    np.testing.assert_allclose(thrice.values, once.values, rtol=1e-5)
+    assert fixed(views=3).facts['network_input'] == '64 x 48, 3 views'
+
+
+def test_views_need_a_known_shift(fixed):
+    with pytest.raises(ValueError, match=r'depth\.views 2 needs .* metres'):
+        fixed(views=2, output='relative_disparity')
+
+
+def test_fewer_views_keep_the_rate(fixed, monkeypatch):
+    estimate = fixed(views=3)
+
+    def pretend(run):
+        run()
+        return 0.01 * estimate._views
+    monkeypatch.setattr(estimators, 'median_seconds', pretend)
+    estimate.fit_to_rate(LOAD / 0.02, lambda: None)
+    facts = estimate.facts
+    assert facts['network_input'] == '64 x 48, 2 views'
+    assert 'is kept' in facts['network_input_reason']
+    assert '64 x 48, 3 views 30 ms' in facts['network_input_reason']
+
+
+def test_advice_names_the_views_that_keep_up(fixed):
+    assert fixed(views=3).advise(0.7).startswith('depth.views 2 (now 3) would keep up')
+    assert 'fixed size' in fixed(views=3).advise(0.3)
