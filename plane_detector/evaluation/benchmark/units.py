@@ -22,6 +22,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from plane_detector.config import Config, DepthConfig, DirectionsConfig
+from plane_detector.depth.networks import FASTDEPTH_NOISE_SHARE
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.drawing import overlay
 from plane_detector.evaluation.benchmark import options as shared
@@ -127,8 +128,8 @@ def row(frame: Frame, share: float, config: Config) -> tuple[list[str], Found]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--shares', type=float, nargs='+', default=[0.006, 0.0175],
-                        help='noise of the network; 0.0175 is that of fastdepth')
+    parser.add_argument('--shares', type=float, nargs='+', default=[0.006, FASTDEPTH_NOISE_SHARE],
+                        help='noise of the network; the default ends with that of fastdepth')
     parser.add_argument('--rooms', type=shared.at_least_one, default=5)
     parser.add_argument('--first-seed', type=int, default=HELD_OUT)
     shared.add_data(parser)
