@@ -16,7 +16,7 @@ from plane_detector.planes.pixel_sums import sum_over_pixels
 from plane_detector.segmentation.cells.grid import XX, XY, YY, N, X, Y
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import MIN_WIDTH_SQUARED
+from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE
 from plane_detector.types import CameraIntrinsics, Plane
 
 # Number of neighbouring cells with the same smooth noise.
@@ -121,7 +121,7 @@ def _invert(m, variance, fit):
     """Write the covariance (3, 3) of the plane fitted to pixels of moments m and a variance."""
     x, y = m[1] / m[0], m[2] / m[0]
     xx, xy, yy = m[3] - m[0] * x * x, m[4] - m[0] * x * y, m[5] - m[0] * y * y
-    scale = variance / max(xx * yy - xy * xy, MIN_WIDTH_SQUARED * (xx + yy) ** 2)
+    scale = variance / max(xx * yy - xy * xy, MIN_EIGENVALUE * (xx + yy) ** 2)
     fit[0, 0], fit[1, 1] = scale * yy, scale * xx
     fit[0, 1] = fit[1, 0] = -scale * xy
     for i in range(2):

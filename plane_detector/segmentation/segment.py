@@ -10,7 +10,7 @@ change which pixels form a plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
+from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
@@ -111,7 +111,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)
     if normals is not None:
-        grid = with_normals(grid, normals, noise_floor.source_sigma)
+        grid = replace(grid, normal_slope=slopes_of(grid, normals))
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     search = Search(grid, min_pixels, config, rng)
     cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
@@ -154,7 +154,8 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
         graph = graph if split is regions else RegionGraph.of(cells, split)
     min_turn_deg = frame.search.config.segmentation.flatness_angle
     labels, planes = _label_all_pixels(frame, graph, min_turn_deg)
-    curved = find_curved(graph, correlation.density if correlation else np.inf, min_turn_deg)
+    curved = find_curved(graph, correlation.density(cells.grid.shape) if correlation else np.inf,
+                         min_turn_deg)
     return _finish(frame, labels, planes, graph, curved)
 
 

@@ -18,9 +18,6 @@ from plane_detector.segmentation.cells.plane_fit import fit_planes
 MAX_PIXEL_VARIANCES = 4.0
 # derived: avoids division by 0 for cells without depth; any positive number works.
 MIN_VARIANCE = 1e-30
-# Rounding error of float32 sums, as a share of the variance that the slope causes in a cell.
-# derived: from the precision of float32, 1e-7, and some ten additions.
-ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -78,12 +75,12 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
                         noise.disparity_floor / size]) ** 2
     table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
                               grid.residual_rms, grid.usable, squares,
-                              (size**2 / 12, 12 / (grid.size_px * size) ** 2))
+                              12 / (grid.size_px * size) ** 2)
     return WeightedCells(grid, is_planar, table)
 
 
 @kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), float64[::1], '
-        'boolean[::1], float64[::1], UniTuple(float64, 2))')
+        'boolean[::1], float64[::1], float64)')
 def _weigh(cells, residual_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
@@ -94,15 +91,11 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
     for i in range(len(usable)):
         for k in range(3):
             table[i, k] = mean[i, k]
-        slope2 = 0.0
-        for k in range(2):
-            table[i, 3 + k] = slope[i, k]
-            slope2 += slope[i, k] ** 2
+        table[i, 3], table[i, 4] = slope[i, 0], slope[i, 1]
         floor = squares[3] * mean[i, 2] ** 4 + squares[4] + of_plane
         of_mean = squares[0] + floor + squares[2] * sparsity[i, 0]
-        of_slope = (squares[1] + floor * per_slope[1] + squares[5]
-                    + squares[2] * sparsity[i, 1])
-        of_pixel = squares[2] + floor + ROUNDING * per_slope[0] * slope2
+        of_slope = squares[1] + floor * per_slope + squares[5] + squares[2] * sparsity[i, 1]
+        of_pixel = squares[2] + floor
         table[i, 5], table[i, 6] = 1 / max(of_mean, MIN_VARIANCE), 1 / max(of_slope, MIN_VARIANCE)
         table[i, 7] = (of_mean + of_pixel) * moments[i, 0]
         is_planar[i] = usable[i] and residual_rms[i] ** 2 < MAX_PIXEL_VARIANCES * of_pixel

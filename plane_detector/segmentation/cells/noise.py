@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from statistics import NormalDist
 
 import numpy as np
 
@@ -21,15 +22,13 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
-# derived: every third of 4800 cells determines a quantile of their own noise to 1 %.
-SAMPLE_STEP = 3
+# derived: the median of so many is good to 4 %.
+MAX_SAMPLES = 1000
 # Distance of the cells of a second difference: smooth noise is correlated in nearer cells.
 # derived: blur of a standard deviation of 12 px is uncorrelated four cells of 8 px apart.
 LAG_CELLS = 4
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.017.
 QUANTILE = 0.25
-# derived: that quantile of the modulus of a normal deviate, and of chi-squared with 2 degrees.
-NORMAL_QUANTILE, CHI_SQUARED_QUANTILE = 0.3186, 0.5754
 # Disparity counts as quantised if it takes several values on the sampled lines, and these shares
 # of the neighbours are equal and of the steps between values even.
 # tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
@@ -174,12 +173,14 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], LAG_CELLS)
     if not len(curvature) or not len(bend):
         return noise_floor.with_smooth_part(noise_floor.mean_sigma, noise_floor.slope_sigma)
-    # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times.
-    mean_sigma = _quantile(curvature) / NORMAL_QUANTILE / 6**0.5
-    slope_sigma = (_quantile(bend) / CHI_SQUARED_QUANTILE / 2) ** 0.5
+    # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times; the
+    # quantile of chi-squared with 2 degrees of freedom is -2 log(1 - QUANTILE).
+    mean_sigma = _quantile(curvature) / NormalDist().inv_cdf((1 + QUANTILE) / 2) / 6**0.5
+    slope_sigma = (_quantile(bend) / (-4 * np.log(1 - QUANTILE))) ** 0.5
     # Smooth noise changes by at most its slopes times the distance of the cells; a step does not.
     mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
-    sample = np.flatnonzero(grid.usable)[::SAMPLE_STEP]
+    sample = np.flatnonzero(grid.usable)
+    sample = sample[::len(sample) // MAX_SAMPLES + 1]
     pixel_sigma = _quantile(grid.residual_rms[sample]) / _rms_quantile(grid.size_px**2 - 3)
     return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), grid.sparsity[sample])
 
@@ -193,7 +194,8 @@ def _rms_quantile(freedom: int) -> float:
     """Return QUANTILE of the rms about a fitted plane, over the deviation (Wilson-Hilferty)."""
     freedom = max(freedom, 1)
     spread = 2 / (9 * freedom)
-    return ((1 - spread - 0.6745 * spread**0.5) ** 3 * freedom / (freedom + 3)) ** 0.5
+    normal = NormalDist().inv_cdf(QUANTILE)
+    return ((1 - spread + normal * spread**0.5) ** 3 * freedom / (freedom + 3)) ** 0.5
 
 
 @kernel('UniTuple(float64[::1], 2)(float64[:, ::1], float64[:, ::1], boolean[::1], int64, int64)')

@@ -10,7 +10,7 @@ the same error many times, and misses how little the error changes from one cell
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,10 +24,8 @@ MIN_REGION_CELLS = 100
 # derived: bounds of the share that is independent from cell to cell, and of the correlation of
 # neighbouring cells.
 MIN_SHARE = 0.01
-# derived: about 1, exponential, and 2, Gaussian.
-POWER_RANGE = (0.5, 2.0)
-# derived: errors correlated over a larger distance are a bend, not noise.
-MAX_LAG_CELLS = 20
+# derived: a larger power is no covariance; 2 is a Gaussian.
+MAX_POWER = 2.0
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Correlation:
                                MIN_SHARE, 1 - MIN_SHARE)
         smooth = square - own
         decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, MIN_SHARE, 1 - MIN_SHARE))
-        power = np.clip(np.log2(at_two / decay), *POWER_RANGE)
+        power = np.clip(np.log2(at_two / decay), MIN_SHARE, MAX_POWER)
         return cls(float(smooth), float(own), float(decay), float(power))
 
     def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -76,11 +74,10 @@ class Correlation:
         decayed = np.exp(-self.decay * square ** (self.power / 2))
         return self.smooth * decayed + self.own * (square == 0)
 
-    @cached_property
-    def density(self) -> float:
-        """The variance of a cell times the number of cells that share their noise."""
-        apart = np.arange(-MAX_LAG_CELLS, MAX_LAG_CELLS + 1.0)
-        return float(self.covariance(apart[:, None], apart).sum())
+    def density(self, shape: tuple[int, int]) -> float:
+        """Return the variance of a cell times the number of cells that share their noise."""
+        table = self.table(shape)
+        return float(4 * table.sum() - 2 * (table[0].sum() + table[:, 0].sum()) + table[0, 0])
 
     def table(self, shape: tuple[int, int]) -> np.ndarray:
         """Return the covariance of two cells by their distance in rows and columns, (R, C)."""

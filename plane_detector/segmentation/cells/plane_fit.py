@@ -8,10 +8,8 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 
-# derived: pixels on a line determine no plane; a width of a thousandth of their length suffices.
-MIN_WIDTH_SQUARED = 1e-6
-# derived: far above float64's rounding. A smaller eigenvalue, relative to the largest one,
-# counts as zero: too few cells for the fit.
+# derived: far above the rounding of float64. A smaller eigenvalue, relative to the largest one,
+# counts as zero: the pixels lie on a line, or there are too few cells for the fit.
 MIN_EIGENVALUE = 1e-10
 
 
@@ -36,7 +34,7 @@ def fit_plane(moments):
     xx, xy, yy = moments[3] / n - x * x, moments[4] / n - x * y, moments[5] / n - y * y
     xd, yd = moments[7] / n - x * d, moments[8] / n - y * d
     determinant = xx * yy - xy * xy
-    if not determinant > MIN_WIDTH_SQUARED * (xx + yy) ** 2:
+    if not determinant > MIN_EIGENVALUE * (xx + yy) ** 2:
         return np.nan, np.nan, np.nan
     a, b = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
     return a, b, d - a * x - b * y

@@ -17,7 +17,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
-from plane_detector.segmentation.cells.noise import Noise, estimate_noise
+from plane_detector.segmentation.cells.noise import MAX_SAMPLES, Noise, estimate_noise
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 
@@ -29,8 +29,6 @@ START_SHARE = 0.7
 CALIBRATION_PLANES = 3
 # tuned: on walls under smooth noise, which are in pieces after fewer; more change nothing there.
 CALIBRATION_ROUNDS = 3
-# derived: the median of so many is good to 4 %.
-MAX_SAMPLES = 1000
 # derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
 # derived: focal length over image width for 64 degrees, for angles if the camera is unknown.
