@@ -79,13 +79,14 @@ def _sum_columns(labels, top, bottom, columns):
 
 @kernel('void(int32[:, ::1], float32[:, ::1], UniTuple(int64, 3), int32[::1], float32[:, ::1])')
 def _load(labels, disparity, corner, own, pixels):
-    """Copy the labels of a cell, and 1/z to the last row of its pixels, behind their u and v."""
+    """Copy the labels of a cell, and z to the last row of its pixels, behind their u and v."""
     top, left, size = corner
     own[:] = -1
     for i in range(min(size, labels.shape[0] - top)):
         for j in range(min(size, labels.shape[1] - left)):
             own[i * size + j] = labels[top + i, left + j]
-            pixels[2, i * size + j] = disparity[top + i, left + j]
+            pixels[2, i * size + j] = np.float32(1) / max(disparity[top + i, left + j],
+                                                          np.float32(TINY_DISPARITY))
 
 
 @kernel('void(int32[::1], float32[:, ::1], '
@@ -101,8 +102,7 @@ def _sum_parts(own, pixels, cell, place, frame, sums):
                        + plane[1] * (frame[2] + top / frame[0]) + plane[2])
         count, square = np.int32(0), np.float32(0)
         for p in range(len(own)):
-            relative = np.float32(1) - (a * pixels[0, p] + b * pixels[1, p] + c) / max(
-                pixels[2, p], np.float32(TINY_DISPARITY))
+            relative = np.float32(1) - (a * pixels[0, p] + b * pixels[1, p] + c) * pixels[2, p]
             count += np.int32(own[p] == this)
             square += relative * relative if own[p] == this else np.float32(0)
             below = max(below, own[p] if own[p] < this else np.int32(-1))

@@ -87,7 +87,7 @@ class CellGrid:
     @cached_property
     def typical_disparity(self) -> float:
         """The median disparity of the usable cells; 0 when there is none."""
-        return median(self.mean[self.usable, 2]) if self.usable.any() else 0.0
+        return median(self.mean[:, 2][self.usable]) if self.usable.any() else 0.0
 
 
 def cell_size(shape: tuple[int, int]) -> int:

@@ -237,11 +237,9 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     # Whole rows and columns are sampled, so that no value of a slope is missed.
     rows, columns = (np.arange(1, ROUNDING_LINES + 1) * (side - 1) // (ROUNDING_LINES + 1)
                      for side in disparity.shape)
-    lines = disparity[rows], disparity[:, columns].T
-    # A vertical wall has equal values along its columns even without quantisation, but not along
-    # its rows.
-    if any(np.mean(line[:, 1:] == line[:, :-1]) < MIN_EQUAL_SHARE for line in lines):
+    if not _repeats(disparity, rows, columns):
         return noise_floor
+    lines = disparity[rows].ravel(), disparity[:, columns].ravel()
     # Invalid pixels are 0.
     values = np.unique(np.concatenate([line[line != 0] for line in lines])).astype(float)
     if len(values) < MIN_VALUES:
@@ -253,3 +251,22 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
                    disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
+
+
+@kernel('boolean(float32[:, ::1], int64[::1], int64[::1])')
+def _repeats(disparity, rows, columns):
+    """
+    Return whether enough neighbours are equal, along some rows and along some columns.
+
+    A vertical wall has equal values along its columns even without quantisation, but not along
+    its rows.
+    """
+    (height, width), in_rows, in_columns = disparity.shape, 0, 0
+    for row in rows:
+        for u in range(width - 1):
+            in_rows += disparity[row, u] == disparity[row, u + 1]
+    for column in columns:
+        for v in range(height - 1):
+            in_columns += disparity[v, column] == disparity[v + 1, column]
+    return (in_rows >= MIN_EQUAL_SHARE * len(rows) * (width - 1)
+            and in_columns >= MIN_EQUAL_SHARE * len(columns) * (height - 1))

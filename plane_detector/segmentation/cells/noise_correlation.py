@@ -9,6 +9,7 @@ the same error many times, and misses how little the error changes from one cell
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -57,16 +58,15 @@ class Correlation:
 
         None if no region is large enough.
         """
-        square, *at_lags = _covariances(np.ascontiguousarray(regions.labels),
-                                        regions.coefficients, model.table, model.is_planar)
+        square, *at_lags = _covariances(np.ascontiguousarray(regions.labels), regions.coefficients,
+                                        model.table, model.is_planar).tolist()
         if square <= 0:
             return None
-        own = square * np.clip((noise.pixel_sigma / model.grid.size_px) ** 2 / square,
-                               MIN_SHARE, 1 - MIN_SHARE)
+        own = square * _bounded((noise.pixel_sigma / model.grid.size_px) ** 2 / square)
         smooth = square - own
-        decay, at_two = -np.log(np.clip(np.array(at_lags) / smooth, MIN_SHARE, 1 - MIN_SHARE))
-        power = np.clip(np.log2(at_two / decay), MIN_SHARE, MAX_POWER)
-        return cls(float(smooth), float(own), float(decay), float(power))
+        decay, at_two = (-math.log(_bounded(at_lag / smooth)) for at_lag in at_lags)
+        power = min(max(math.log2(at_two / decay), MIN_SHARE), MAX_POWER)
+        return cls(smooth, own, decay, power)
 
     def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return the covariance of cells at these distances in rows and columns, broadcast."""
@@ -82,6 +82,10 @@ class Correlation:
     def table(self, shape: tuple[int, int]) -> np.ndarray:
         """Return the covariance of two cells by their distance in rows and columns, (R, C)."""
         return _table(self, shape)
+
+
+def _bounded(share: float) -> float:
+    return min(max(share, MIN_SHARE), 1 - MIN_SHARE)
 
 
 @lru_cache(maxsize=4)
