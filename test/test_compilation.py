@@ -116,6 +116,34 @@ def test_a_second_process_that_fails_or_hangs_holds_nobody_up(body, tmp_path, mo
     assert [process.returncode is not None for process in started] == [True]
 
 
+@pytest.mark.parametrize('is_short', [False, True])
+def test_other_threads_run_beside_a_kernel_unless_it_is_short(is_short, tmp_path, monkeypatch):
+    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
+    monkeypatch.setattr(compilation, '_KERNELS', [])
+    one = compilation.Kernel(last_of_sequence, 'i8(i8)', is_short)
+    one(1)
+    turns, ended = [], threading.Event()
+
+    def take_turns():
+        while not ended.wait(0.001):
+            turns.append(1)
+    thread = threading.Thread(target=take_turns)
+    thread.start()
+    before = len(turns)
+    one(50_000_000)
+    during = len(turns) - before
+    ended.set()
+    thread.join()
+    assert (during <= 1) == is_short
+
+
+def last_of_sequence(steps):
+    value = steps
+    for _ in range(steps):  # no formula: a compiler cannot leave the loop out
+        value = (value ^ (value >> 7)) * 6364136223846793005 + 1442695040888963407
+    return value
+
+
 def abs_of(number):
     return abs(number)
 

@@ -51,7 +51,7 @@ def misalignment(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
     return sine.reshape(len(segments), *directions.shape[:-1])
 
 
-@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1])')
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1])', is_short=True)
 def _sines(normals, midpoints, directions):
     sines = np.empty((len(normals), len(directions)))
     for i in range(len(normals)):
@@ -174,7 +174,7 @@ def _regular(sums: np.ndarray) -> np.ndarray:
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1], '
-        'float64)')
+        'float64)', is_short=True)
 def _normal_equations(normals, midpoints, lengths, directions, widest):
     """
     Return moment (3, 3), gradient (3,) and (sum w, sum w^2, sum w s^2) of the misalignments s.

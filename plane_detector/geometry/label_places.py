@@ -48,7 +48,7 @@ def label_places(labels: np.ndarray) -> dict[int, LabelPlace]:
             half_width_px in zip(found.tolist(), *places.tolist(), strict=True)}
 
 
-@kernel('Tuple((int64[::1], float32[::1]))(int32[:, ::1], float32[:, ::1], int64)')
+@kernel('Tuple((int64[::1], float32[::1]))(int32[:, ::1], float32[:, ::1], int64)', is_short=True)
 def _widest(labels, half_width, count):
     """Return the pixel, row by row, of each label's largest value, -1 without one, and that."""
     pixels, largest = np.full(count, -1, np.int64), np.full(count, -1, np.float32)

@@ -79,7 +79,7 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], '
-        'UniTuple(float64, 2), UniTuple(float64, 6))')
+        'UniTuple(float64, 2), UniTuple(float64, 6))', is_short=True)
 def _measured(sums, planes, jacobian, variance, camera):
     """
     Return the measurements (K, 26) of planes.

@@ -70,7 +70,8 @@ def _sum_over_pixels(labels, disparity, planes, cells, frame):
 @kernel('void(int32[:, ::1], int64, int64, int32[:, ::1])')
 def _sum_columns(labels, top, bottom, columns):
     """Write the largest label and the sum of label + 1 of each column from top to bottom."""
-    columns[0], columns[1] = -1, 0
+    for u in range(labels.shape[1]):
+        columns[0, u], columns[1, u] = -1, 0
     for v in range(top, bottom):
         for u in range(labels.shape[1]):
             columns[0, u] = max(columns[0, u], labels[v, u])
@@ -81,7 +82,8 @@ def _sum_columns(labels, top, bottom, columns):
 def _load(labels, disparity, corner, own, pixels):
     """Copy the labels of a cell, and z to the last row of its pixels, behind their u and v."""
     top, left, size = corner
-    own[:] = -1
+    for p in range(size**2):
+        own[p] = -1
     for i in range(min(size, labels.shape[0] - top)):
         for j in range(min(size, labels.shape[1] - left)):
             own[i * size + j] = labels[top + i, left + j]

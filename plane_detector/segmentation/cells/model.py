@@ -80,7 +80,7 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
 
 
 @kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), float64[::1], '
-        'boolean[::1], float64[::1], float64)')
+        'boolean[::1], float64[::1], float64)', is_short=True)
 def _weigh(cells, residual_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
@@ -122,7 +122,7 @@ def region_moments(cells: WeightedCells, labels: np.ndarray, count: int) -> np.n
                   count)
 
 
-@kernel('float64[:, ::1](float64[:, ::1], int32[::1], boolean[::1], int64)')
+@kernel('float64[:, ::1](float64[:, ::1], int32[::1], boolean[::1], int64)', is_short=True)
 def add_up(values, labels, is_used, count):
     """Add up the rows of values (n, m) of each label among the used ones, (count, m)."""
     total = np.zeros((count, values.shape[1]))

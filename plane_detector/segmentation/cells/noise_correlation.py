@@ -93,7 +93,8 @@ def _table(correlation: Correlation, shape: tuple[int, int]) -> np.ndarray:
     return correlation.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
 
 
-@kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])')
+@kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])',
+        is_short=True)
 def _covariances(labels, planes, table, is_planar):
     """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
     (rows, columns), size = labels.shape, np.zeros(len(planes), np.int64)

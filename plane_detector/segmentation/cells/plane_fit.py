@@ -48,7 +48,7 @@ def squared_error(a, b, c, moments):
             + b * (b * moments[5] - 2 * moments[8]))
 
 
-@kernel('float64[:, ::1](float64[:, ::1])')
+@kernel('float64[:, ::1](float64[:, ::1])', is_short=True)
 def fit_planes(moments):
     """Fit a plane to each row of moments (K, 10), as :func:`fit_plane` does; (K, 3)."""
     planes = np.empty((len(moments), 3))

@@ -112,7 +112,7 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -
 
 
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
-        'UniTuple(float64, 2))')
+        'UniTuple(float64, 2))', is_short=True)
 def _bends(planes, sums, borders, limits):
     """Return 2 for regions and pairs that are clearly bent, 1 for weak bends, 0 for others."""
     (noise_density, min_deg), count = limits, len(planes)
@@ -155,7 +155,7 @@ def _is_curved(sums, noise_density, min_deg):
             and np.degrees(np.arctan2(slope, mean)) > min_deg)
 
 
-@kernel('boolean[::1](int8[:, ::1])')
+@kernel('boolean[::1](int8[:, ::1])', is_short=True)
 def _in_bends(bends):
     """Return which regions bends link to a clear one (hysteresis, Canny 1986) or to a chain."""
     count = len(bends)
@@ -174,5 +174,6 @@ def _in_bends(bends):
                         queue[tail], is_seen[other] = other, True
                         tail += 1
             head += 1
-        curved[queue[:tail]] = is_clear or tail >= MIN_CHAIN
+        for k in range(tail):
+            curved[queue[k]] = is_clear or tail >= MIN_CHAIN
     return curved

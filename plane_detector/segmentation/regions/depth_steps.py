@@ -212,7 +212,7 @@ def _sums(pieces, values, count):
     return total[:count].copy()
 
 
-@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int64, int64, int64)')
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int64, int64, int64)', is_short=True)
 def _with_piece(labels, pieces, piece, label, new):
     """Return labels, ``new`` in the cells that a piece and half the step around it half fill."""
     (rows, columns), reach, found = pieces.shape, BLOCKS // 2, labels.copy()

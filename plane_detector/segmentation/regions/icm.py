@@ -79,7 +79,9 @@ def _compete(given, model, threshold2):
                 best = _best_label(labels, row, column, work, model, threshold2)
                 if best != labels[row, column]:
                     labels[row, column], has_converged = best, False
-                    is_open[max(row - 1, 0):row + 2, max(column - 1, 0):column + 2] = True
+                    for v in range(max(row - 1, 0), min(row + 2, rows)):
+                        for u in range(max(column - 1, 0), min(column + 2, columns)):
+                            is_open[v, u] = True
     return labels
 
 

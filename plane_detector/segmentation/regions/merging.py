@@ -171,7 +171,7 @@ def misfits(graph: RegionGraph, test: OnePlane) -> np.ndarray:
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
-        'Tuple((int64, float64, float64, float64, int64)))')
+        'Tuple((int64, float64, float64, float64, int64)))', is_short=True)
 def _misfits(planes, sums, borders, test):
     surface, tolerance, max_gap, max_fold_deg, min_pairs = test
     misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
@@ -246,7 +246,7 @@ def normals_differ(sums, i, j):
 
 
 @kernel('boolean(int32[:, ::1], float64[:, ::1], boolean[::1], float64[:, ::1], '
-        'UniTuple(int64, 2))')
+        'UniTuple(int64, 2))', is_short=True)
 def _is_hidden_between(labels, table, is_planar, sums, pair):
     """Sample straight lines from cells of one region to the nearest cells of the other."""
     (rows, columns), first, second = labels.shape, pair[0], pair[1]

@@ -67,7 +67,8 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
 
 
-@kernel('Tuple((int64[::1], boolean[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])')
+@kernel('Tuple((int64[::1], boolean[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])',
+        is_short=True)
 def _cells_about(labels, is_planar, pair):
     """Return the cells (n,) nearest to a border, which of them are the smaller region's or cut."""
     columns = labels.shape[1]
@@ -141,7 +142,8 @@ def _distance(labels, label):
     return distance
 
 
-@kernel('float64(float64[:, ::1], int64[::1], boolean[::1], boolean[::1], float64[:, ::1])')
+@kernel('float64(float64[:, ::1], int64[::1], boolean[::1], boolean[::1], float64[:, ::1])',
+        is_short=True)
 def _gain(table, cell, is_small, is_cut, covariance):
     """Return twice the gain in log-likelihood of two planes over one."""
     basis = _design(table, cell, is_small)

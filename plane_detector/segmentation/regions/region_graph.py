@@ -139,7 +139,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))'
-        '(int32[:, ::1], UniTuple(float64[:, ::1], 3), boolean[::1], int64)')
+        '(int32[:, ::1], UniTuple(float64[:, ::1], 3), boolean[::1], int64)', is_short=True)
 def _sum_up(labels, values, is_planar, count):
     (table, moments, slope), (rows, columns) = values, labels.shape
     pixels, sums = np.zeros((count, 10)), np.zeros((count, 28))
@@ -203,7 +203,7 @@ def _add_cell(table, slope, sums, i, k):
 
 
 @kernel('void(int32[:, ::1], int64[::1], UniTuple(float64[:, ::1], 3), float64[:, :, ::1], '
-        'UniTuple(int64, 2))')
+        'UniTuple(int64, 2))', is_short=True)
 def _merge(labels, owner, parts, borders, pair):
     (planes, pixels, sums), (target, source) = parts, pair
     for row in range(labels.shape[0]):
@@ -228,7 +228,7 @@ def _merge(labels, owner, parts, borders, pair):
     planes[target, 0], planes[target, 1], planes[target, 2] = fit_plane(pixels[target])
 
 
-@kernel('int8[:, ::1](float64[:, ::1], float64[:, :, ::1])')
+@kernel('int8[:, ::1](float64[:, ::1], float64[:, :, ::1])', is_short=True)
 def _intersections(planes, borders):
     signs = np.zeros((len(planes), len(planes)), np.int8)
     for i in range(len(planes)):

@@ -65,7 +65,7 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
     return _cluster(np.ascontiguousarray(labels), near.offsets, near.min_samples)
 
 
-@kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], int64[:, ::1], int64)')
+@kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], int64[:, ::1], int64)', is_short=True)
 def _cluster(labels, offsets, min_samples):
     (rows, columns), margin, count = labels.shape, offsets.max(), 0
     stride, found = columns + 2 * margin, np.empty_like(labels)

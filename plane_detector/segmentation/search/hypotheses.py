@@ -45,7 +45,9 @@ def draw_planes(left, free, stride, cells, draws):
                     filled += free[p] >= 0
             if filled < WINDOW_MIN_FREE * height * width:
                 continue
-            total[:], expected = 0.0, 0.0
+            expected = 0.0
+            for j in range(10):
+                total[j] = 0.0
             for i in inside[:filled]:
                 for j in range(10):
                     total[j] += moments[i, j]

@@ -80,7 +80,7 @@ def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise
 
 
 @kernel('Tuple((int64[::1], float64[::1], float64[::1]))(int32[:, ::1], float64[:, ::1], '
-        'float64[:, ::1])')
+        'float64[:, ::1])', is_short=True)
 def _deviations(labels, planes, table):
     """Return some cells (n,) of large planes, moduli of residuals (n,) and slopes' (2 * n,)."""
     cells, size = np.empty(labels.size, np.int64), np.zeros(len(planes), np.int64)

@@ -169,8 +169,9 @@ def _take_best(hypotheses, search, labels, planes, limits):
         for p in left:
             left[n] = p
             n += free[p] >= 0
-        left, planes[taken], failures = left[:n], plane, 0
-        taken += 1
+        for axis in range(3):  # an assignment of an array takes a second to compile
+            planes[taken, axis] = plane[axis]
+        left, failures, taken = left[:n], 0, taken + 1
     return taken, left
 
 
@@ -211,7 +212,8 @@ def _refine(plane, search, threshold2):
         grown, kept = _cluster_about(members, plane, (free, table, threshold2), near)
         if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break
-        total[:] = 0.0
+        for j in range(10):
+            total[j] = 0.0
         for p in grown:
             for j in range(10):
                 total[j] += moments[free[p], j]
