@@ -38,7 +38,9 @@ class FrameWorker:
 
     def __init__(self, *stages: Callable[[Any], Any]):
         self._stages = stages
-        self._changed = threading.Condition()
+        self._lock = threading.RLock()
+        # One for each stage: to wake them all takes as long as a short stage.
+        self._changed = [threading.Condition(self._lock) for _ in stages]
         # By stage: what waits for it, how long it took last, and since when it works.
         self._waiting: list[tuple[Any, Stop] | None] = [None] * len(stages)
         self._last_s = [0.0] * len(stages)
@@ -50,10 +52,10 @@ class FrameWorker:
 
     def put(self, frame: Frame) -> bool:
         """Set the next frame; return whether it replaced one that was waiting."""
-        with self._changed:
+        with self._lock:
             replaced = self._waiting[0] is not None
             self._waiting[0] = frame, Stop()
-            self._changed.notify_all()
+            self._wake()
             return replaced
 
     def drop(self) -> None:
@@ -63,19 +65,19 @@ class FrameWorker:
         The next frame starts when the work on the last one has ended, at the latest at its next
         check for a stop.
         """
-        with self._changed:
+        with self._lock:
             stops = tuple(self._stops)
             for waiting in self._waiting[1:]:
                 if waiting is not None:
                     self._stops.remove(waiting[1])
             self._waiting = [None] * len(self._stages)
-            self._changed.notify_all()
+            self._wake()
         for stop in stops:
             stop.set()
 
     def stop(self) -> None:
         """Drop all frames, accept no more, and return at once."""
-        with self._changed:
+        with self._lock:
             self._ended = True
         self.drop()
 
@@ -85,6 +87,13 @@ class FrameWorker:
         ended = [thread.wait(max(end_s - time.monotonic(), 0.0)) for thread in self._threads]
         return all(ended)
 
+    def _wake(self) -> None:
+        """Wake the stages that may begin, or begin sooner; the caller holds the lock."""
+        for waiting, after, changed in zip(self._waiting, (*self._waiting[1:], None),
+                                           self._changed, strict=True):
+            if self._ended or (waiting is not None and after is None):
+                changed.notify()
+
     def _run(self, index: int) -> None:
         while (taken := self._take(index)) is not None:
             given, stop = taken
@@ -93,16 +102,16 @@ class FrameWorker:
 
     def _take(self, index: int) -> tuple[Any, Stop] | None:
         """Wait for the next input of a stage; None at the end."""
-        with self._changed:
+        with self._lock:
             while not self._ended and (delay_s := self._delay_s(index)) != 0:
-                self._changed.wait(delay_s)
+                self._changed[index].wait(delay_s)
             if self._ended:
                 return None
             taken, self._waiting[index] = self._waiting[index], None
             if index == 0:
                 self._stops.append(taken[1])
             self._since_s[index] = time.monotonic()
-            self._changed.notify_all()  # the stage before may begin the next frame
+            self._wake()  # the stage before may begin the next frame
             return taken
 
     def _delay_s(self, index: int) -> float | None:
@@ -136,14 +145,14 @@ class FrameWorker:
             there_s = free_s[index] = max(there_s, free_s[index]) + self._last_s[index]
 
     def _hand_over(self, index: int, result: Any, stop: Stop) -> None:
-        with self._changed:
+        with self._lock:
             self._last_s[index] = time.monotonic() - self._since_s[index]
             self._since_s[index] = None
             if index + 1 == len(self._stages) or result is SKIPPED or stop.is_set:
                 self._stops.remove(stop)
             else:
                 self._waiting[index + 1] = result, stop
-            self._changed.notify_all()
+            self._wake()
 
 
 def _called(stage: Callable[[Any], Any], given: Any, stop: Stop) -> Any:

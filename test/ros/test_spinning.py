@@ -9,6 +9,7 @@ import sys
 import textwrap
 from pathlib import Path
 
+import cv2
 import pytest
 
 pytest.importorskip('rclpy')
@@ -132,11 +133,13 @@ def test_the_shared_memory_of_the_middleware_is_released():
     assert not [name for name in segments if os.path.exists(name)]
 
 
-def test_stages_of_the_node_wait_at_most_a_millisecond_for_the_interpreter(monkeypatch):
+def test_stages_of_the_node_share_the_interpreter_and_the_cores(monkeypatch):
     monkeypatch.setattr(spinning, 'retain_freed_memory', lambda: True)
-    before_s = sys.getswitchinterval()
+    before_s, threads = sys.getswitchinterval(), cv2.getNumThreads()
     try:
         spinning.prepare_process()
         assert sys.getswitchinterval() == pytest.approx(0.001)
+        assert cv2.getNumThreads() == 1
     finally:
         sys.setswitchinterval(before_s)
+        cv2.setNumThreads(threads)
