@@ -24,9 +24,9 @@ def median(values: np.ndarray) -> float:
 
     """
     middle = len(values) // 2
-    low, high = middle - 1 + len(values) % 2, middle
-    ordered = np.partition(values, (low, high))
-    return float((ordered[low] + ordered[high]) / 2)
+    ordered = np.partition(values, middle)  # both of the middle take three times as long
+    low = ordered[middle] if len(values) % 2 else ordered[:middle].max()
+    return float((low + ordered[middle]) / 2)
 
 
 def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:

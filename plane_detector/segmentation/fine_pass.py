@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
 from plane_detector.segmentation.cells.labels import connected_pieces
 from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.curved import find_curved
-from plane_detector.segmentation.regions.region_graph import RegionGraph
+from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
 
@@ -56,12 +56,15 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     room = config.segmentation.max_planes - len(coefficients)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(coarse, noise):
         return labels, coefficients
-    left, pixels = _unlabelled(image.valid, labels, size)
-    wanted = _large_pieces(pixels, size, search.min_pixels / MIN_CELL_SHARE)
+    wanted = _large_pieces(_count_unlabelled(image.valid, labels, size), size,
+                           search.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return labels, coefficients
-    left = DisparityImage(image.values, left)
-    grid = build_cell_grid(left, size, wanted)
+    box = _box_around(wanted)
+    part = np.s_[box[0].start * size:box[0].stop * size, box[1].start * size:box[1].stop * size]
+    left = DisparityImage(np.ascontiguousarray(image.values[part]),
+                          image.valid[part] & (labels[part] < 0))
+    grid = build_cell_grid(left, size, wanted[box].ravel(), pixel_frame(image.valid.shape, part))
     noise = noise.at_cell_size(coarse.grid.size_px, size)
     cells = weigh_cells(grid, noise)
     regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
@@ -70,8 +73,9 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
     is_flat[find_curved(graph, 0.0, min_turn_deg)] = 0
     graph = graph.only(is_flat)
     if len(graph.planes):
-        labels = label_pixels(left, cells, graph, noise, config.ransac.inlier_threshold,
-                              (labels, len(coefficients)))
+        labels = labels.copy()
+        labels[part] = label_pixels(left, cells, graph, noise, config.ransac.inlier_threshold,
+                                    (labels[part], len(coefficients)))
     return labels, np.vstack([coefficients, graph.planes])
 
 
@@ -81,26 +85,24 @@ def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
     return noise.mean_sigma < width * cells.grid.typical_disparity
 
 
-@kernel('Tuple((boolean[:, ::1], int64[:, ::1]))(boolean[:, ::1], int32[:, ::1], int64)')
-def _unlabelled(valid, labels, size):
-    """Return which valid pixels have no label, and their number in each cell."""
-    height, width = valid.shape
-    left, of_columns = np.empty(valid.shape, np.bool_), np.empty(width, np.int32)
+@kernel('int64[:, ::1](boolean[:, ::1], int32[:, ::1], int64)')
+def _count_unlabelled(valid, labels, size):
+    """Return the number of valid pixels without a label in each cell."""
+    (height, width), of_columns = valid.shape, np.empty(valid.shape[1], np.int32)
     pixels = np.zeros((-(-height // size), -(-width // size)), np.int64)
     for row in range(pixels.shape[0]):
         for u in range(width):
             of_columns[u] = 0
         for v in range(row * size, min(row * size + size, height)):
             for u in range(width):
-                left[v, u] = valid[v, u] & (labels[v, u] < 0)
-                of_columns[u] += np.int32(left[v, u])
+                of_columns[u] += np.int32(valid[v, u] & (labels[v, u] < 0))
         for column in range(pixels.shape[1]):
             for u in range(column * size, min(column * size + size, width)):
                 pixels[row, column] += of_columns[u]
-    return left, pixels
+    return pixels
 
 
-@kernel('boolean[::1](int64[:, ::1], int64, float64)')
+@kernel('boolean[:, ::1](int64[:, ::1], int64, float64)')
 def _large_pieces(pixels, size, min_pixels):
     """Return the cells in connected pieces with enough pixels; cells are at least half full."""
     labels, inside = np.empty(pixels.shape, np.int32), pixels.reshape(-1)
@@ -114,4 +116,11 @@ def _large_pieces(pixels, size, min_pixels):
     total[-1] = 0.0
     for i in range(len(flat)):
         is_large[i] = total[flat[i]] >= min_pixels
-    return is_large
+    return is_large.reshape(pixels.shape)
+
+
+def _box_around(mask: np.ndarray) -> tuple[slice, slice]:
+    """Return the rows and columns around the cells of a mask, with those that planes grow into."""
+    sides = [np.flatnonzero(mask.any(axis)) for axis in (1, 0)]
+    return tuple(slice(max(side[0] - BORDER_REACH_CELLS, 0), side[-1] + 1 + BORDER_REACH_CELLS)
+                 for side in sides)

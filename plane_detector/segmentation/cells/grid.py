@@ -102,8 +102,16 @@ def image_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
             (np.arange(height) - (height - 1) / 2) / width)
 
 
-def build_cell_grid(image: DisparityImage, size: int = 0,
-                    wanted: np.ndarray | None = None) -> CellGrid:
+def pixel_frame(shape: tuple[int, int],
+                part: tuple[slice, slice] = np.s_[0:, 0:]) -> tuple[float, float, float]:
+    """Return the width of an image in pixels, and x and y of the first pixel of a part of it."""
+    height, width = shape
+    return (float(width), (part[1].start - (width - 1) / 2) / width,
+            (part[0].start - (height - 1) / 2) / width)
+
+
+def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | None = None,
+                    frame: tuple[float, float, float] | None = None) -> CellGrid:
     """
     Build the grid of cells of a disparity image.
 
@@ -114,6 +122,8 @@ def build_cell_grid(image: DisparityImage, size: int = 0,
         Side of the cells in pixels; 0: that of :func:`cell_size`.
     wanted : (R * C,) bool, optional
         Cells to fill; the others stay empty. Default: all.
+    frame : (float, float, float), optional
+        If the image is a part of another one: the :func:`pixel_frame` of this part.
 
     Returns
     -------
@@ -122,12 +132,12 @@ def build_cell_grid(image: DisparityImage, size: int = 0,
     """
     height, width = image.valid.shape
     size = size or cell_size((height, width))
-    origin = (1 - width) / 2 / width, (1 - height) / 2 / width
+    frame = frame or pixel_frame((height, width))
     shape = -(-height // size), -(-width // size)
     if wanted is None:
         wanted = np.ones(shape[0] * shape[1], bool)
-    sums = _sum_up(image.values, image.valid, size, (width, *origin), wanted)
-    return CellGrid(size, width, origin, shape, *sums, _no_slopes(shape[0] * shape[1]))
+    sums = _sum_up(image.values, image.valid, size, frame, wanted)
+    return CellGrid(size, int(frame[0]), frame[1:], shape, *sums, _no_slopes(shape[0] * shape[1]))
 
 
 @lru_cache(maxsize=4)

@@ -84,11 +84,13 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
 def _weigh(cells, residual_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
-    table, is_planar = np.empty((len(usable), 8)), np.zeros(len(usable), np.bool_)
+    table, is_planar = np.zeros((len(usable), 8)), np.zeros(len(usable), np.bool_)
     of_plane = 0.0
     for i in range(len(usable)):
         of_plane += squares[3] * mean[i, 2] ** 4 / len(usable) ** 2
     for i in range(len(usable)):
+        if moments[i, 0] == 0:
+            continue
         for k in range(3):
             table[i, k] = mean[i, k]
         table[i, 3], table[i, 4] = slope[i, 0], slope[i, 1]

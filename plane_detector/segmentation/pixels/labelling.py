@@ -58,9 +58,8 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph
 
     """
     grid, (values, pixel_sigma) = cells.grid, _smoothed(image, cells, noise)
-    found, first = np.full(image.valid.shape, np.int32(-1)), 0
-    if others is not None:
-        found, first = others[0].copy(), others[1]
+    found, first = (np.full(image.valid.shape, np.int32(-1)), 0) if others is None else (
+        others[0].copy(), others[1])
     sweeps = SWEEPS if others is None and sees_creases(grid, noise, threshold) else 1
     to_pixels = np.array([[1 / grid.width_px, 0, grid.origin[0]],
                           [0, 1 / grid.width_px, grid.origin[1]], [0, 0, 1]])

@@ -148,3 +148,16 @@ def test_input_is_not_modified():
 def test_median_is_that_of_numpy(count):
     values = np.random.default_rng(count).normal(size=count)
     assert median(values) == np.median(values)
+
+
+def test_the_cells_of_a_part_are_those_of_the_whole_image():
+    disparity, valid = disparity_image(np.random.default_rng(3))
+    whole = cells.build_cell_grid(cells.DisparityImage(disparity, valid), 10)
+    part = np.s_[40:130, 200:340]
+    image = cells.DisparityImage(*(np.ascontiguousarray(one[part]) for one in (disparity, valid)))
+    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame(SHAPE, part))
+    assert grid.shape == (9, 14)
+    assert grid.width_px == whole.width_px
+    for name in ('moments', 'mean', 'slope', 'residual_rms', 'usable'):
+        values = getattr(whole, name).reshape(*whole.shape, -1)[4:13, 20:34]
+        np.testing.assert_allclose(getattr(grid, name).reshape(values.shape), values, atol=1e-9)
