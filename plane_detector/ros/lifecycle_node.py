@@ -207,6 +207,8 @@ class PlaneDetectorNode(ReloadableNode):
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
             return DiagnosticStatus.OK, facts['state'], facts
+        for key, misfit in self._outputs.misfits().items():
+            self._health.tell_once(key, misfit)
         silence = self._inputs.problem()
         self._requests.expire(silence)
         is_idle = self._live.settings.mode == 'continuous' and not self._outputs.wanted()

@@ -13,9 +13,9 @@ from onnx_models import millimetres_as_rgb, write_depth_network
 from rcl_interfaces.srv import SetParameters
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
 
@@ -254,6 +254,19 @@ def test_reliable_asked_for_of_a_best_effort_camera_names_the_parameter(robot):
     robot.node.create_publisher(
         Image, 'image', QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert robot.is_logged('the parameter input_reliability asks for reliable')
+
+
+def test_a_subscriber_whose_qos_does_not_fit_is_named_once(robot):
+    start(robot, lambda rgb: None)
+    robot.node.create_subscription(
+        PointCloud2, 'plane_detector/planes', lambda _: None,
+        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+    misfit = f'{robot.node.get_name()} subscribes to /plane_detector/planes, but receives nothing'
+    assert robot.is_logged(f'{misfit}, because its QoS does not fit (volatile publisher and '
+                           'transient local subscription)')
+    robot.spin(timeout_s=1.5)
+    assert robot.log().count(misfit) == 1
+    assert '/plane_detector/points, but' not in robot.log()
 
 
 def test_an_override_of_the_reliability_is_kept(robot):
