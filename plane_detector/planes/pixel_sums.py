@@ -12,9 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.labels import TINY_DISPARITY
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import squared_error
+
+# Lower bound of the disparity, to avoid division by 0.
+# derived: far below what any sensor measures.
+TINY_DISPARITY = 1e-9
 
 
 def sum_over_pixels(regions: PixelRegions) -> np.ndarray:

@@ -36,9 +36,6 @@ from plane_detector.stopping import raise_if_stopped
 from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics
 
-# derived: about 50 ms with 20 000 points; a stop is checked in between.
-ITERATIONS_AT_ONCE = 100
-
 
 @one_blas_thread
 def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_floor: Noise,
@@ -183,14 +180,13 @@ def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.
     """
     Return the equation (4,) of the best plane and the indices of its inliers.
 
-    pyransac3d is called for a part of the iterations at a time, so that it can be stopped; the
-    result is that of a single call.
+    pyransac3d is called for one iteration at a time, so that it can be stopped; the result is that
+    of a single call.
     """
     equation, inliers = np.zeros(4), np.zeros(0, np.int64)
-    for done in range(0, paper.max_iterations, ITERATIONS_AT_ONCE):
+    for _ in range(paper.max_iterations):
         raise_if_stopped()
-        found = plane().fit(points_m, paper.distance_threshold,
-                            maxIteration=min(ITERATIONS_AT_ONCE, paper.max_iterations - done))
+        found = plane().fit(points_m, paper.distance_threshold, maxIteration=1)
         if len(found[1]) > len(inliers):
             equation, inliers = found
     return equation, inliers

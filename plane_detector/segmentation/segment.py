@@ -22,12 +22,12 @@ from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
+from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG, NormalMap, slopes_of
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import MIN_TURN_DEG, find_curved
+from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.icm import compete_for_cells
 from plane_detector.segmentation.regions.merging import (
@@ -137,8 +137,7 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     """Return pixel labels and planes of exact depth."""
     graph = RegionGraph.of(frame.cells, _compete(frame, regions))
     graph = merge_coplanar(frame.cells, graph, None)
-    labels, planes = _label_all_pixels(frame, graph, MIN_TURN_DEG)
-    return _finish(frame, labels, planes, graph, find_curved(graph, 0.0, MIN_TURN_DEG))
+    return _label_flat_ones(frame, graph, None, (0.0, MIN_ANGLE_DEG))
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -152,11 +151,9 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
         split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
                                      frame.search.min_pixels)
         graph = graph if split is regions else RegionGraph.of(cells, split)
-    min_turn_deg = frame.search.config.segmentation.flatness_angle
-    labels, planes = _label_all_pixels(frame, graph, min_turn_deg)
-    curved = find_curved(graph, correlation.density(cells.grid.shape) if correlation else np.inf,
-                         min_turn_deg)
-    return _finish(frame, labels, planes, graph, curved)
+    density = correlation.density(cells.grid.shape) if correlation else np.inf
+    return _label_flat_ones(frame, graph, correlation,
+                            (density, frame.search.config.segmentation.flatness_angle))
 
 
 def _hides_steps(frame: Frame) -> bool:
@@ -172,10 +169,14 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
     return _label_pixels(frame, graph), graph.planes
 
 
-def _finish(frame: Frame, labels: np.ndarray, planes: np.ndarray, graph: RegionGraph,
-            curved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Remove curved regions last, so that no plane grows into them, and merge nearly flat ones."""
-    owner, joined = join_nearly_flat(graph, curved, frame.search.config.segmentation)
+def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
+                     limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Label pixels; remove curved regions last, so that no plane grows into them."""
+    labels, planes = add_small_planes(frame.image, _label_pixels(frame, graph), frame.cells,
+                                      graph.planes, (frame.search, frame.noise), limits[1])
+    curved = find_curved(graph, *limits)
+    owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
+                                     frame.search.config.segmentation)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
@@ -191,10 +192,3 @@ def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
 def _label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
     return label_pixels(frame.image, frame.cells, graph, frame.noise,
                         frame.search.config.ransac.inlier_threshold)
-
-
-def _label_all_pixels(frame: Frame, graph: RegionGraph,
-                      min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return labels and planes, with those that are too small for the cells."""
-    return add_small_planes(frame.image, _label_pixels(frame, graph), frame.cells, graph.planes,
-                            (frame.search, frame.noise), min_turn_deg)

@@ -153,12 +153,16 @@ def test_a_missing_package_is_named(monkeypatch):
         segment_planes(single_wall(SMALL).depth_m, SMALL, PAPER)
 
 
-def test_the_search_in_parts_is_the_search_in_one_go(monkeypatch):
-    scene = corner()
-    found = [paper_labels(scene.depth_m, SMALL, PAPER, np.random.default_rng(1))]
-    monkeypatch.setattr(baselines, 'ITERATIONS_AT_ONCE', 7)
-    found.append(paper_labels(scene.depth_m, SMALL, PAPER, np.random.default_rng(1)))
-    np.testing.assert_array_equal(*found)
+def test_the_search_iteration_by_iteration_is_that_of_a_single_call():
+    import pyransac3d
+    points_m = np.random.default_rng(0).random((60, 3))
+    random.seed(1)
+    paper = PaperConfig(max_iterations=50)
+    equation, inliers = baselines._fit(pyransac3d.Plane, points_m, paper)
+    random.seed(1)
+    expected = pyransac3d.Plane().fit(points_m, paper.distance_threshold, maxIteration=50)
+    np.testing.assert_array_equal(equation, expected[0])
+    np.testing.assert_array_equal(inliers, expected[1])
 
 
 def test_the_search_can_be_stopped():

@@ -9,9 +9,9 @@ from cell_helpers import EXACT, best_iou, cell_model, disparity_image, view, wal
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
 from plane_detector.segmentation.cells.grid import build_cell_grid, image_coordinates
+from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.curved import MIN_TURN_DEG
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes
 from plane_detector.segmentation.search.ransac import Search
@@ -37,7 +37,7 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0))
     cells, regions, noise = search_planes(search, noise_floor)
     labels = label_pixels(image, cells, RegionGraph.of(cells, regions), noise, 3.0)
-    return image, labels, cells, regions.coefficients, (search, noise), MIN_TURN_DEG
+    return image, labels, cells, regions.coefficients, (search, noise), MIN_ANGLE_DEG
 
 
 @pytest.mark.parametrize('width_px', [8, 10, 12, 14, 16, 18])

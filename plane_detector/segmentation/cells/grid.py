@@ -17,14 +17,14 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
+from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE
 
 # The number of cells hardly depends on the image size: the cells grow with the image.
 # tuned: benchmark sensitivity; not flat: precision -0.044 at 0.7 times, -0.013 at 1.4 times.
 CELLS_PER_IMAGE = 4800
-# A few lidar lines determine the plane of a cell, one line does not.
-# tuned: rooms and lived-in rooms of seeds below 9000, both at once: flat from 0.7 to 1.4 times; on
-# sensor frames at 1.4 times 1 % of the pixels lose their label; on sparse lidar not swept.
-MIN_VALID_SHARE, MIN_SPREAD = 0.15, 0.01
+# tuned: rooms and lived-in rooms of seeds below 9000: flat from 0.05 to 0.5; of lidar frames 0.05
+# of the pixels lose their label at 0.3, 0.27 at 0.5, and none gains one at 0.05.
+MIN_VALID_SHARE = 0.15
 # Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.
 N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
 
@@ -63,7 +63,7 @@ class CellGrid:
     residual_rms : (R * C,) float64
         Root mean square of d about that plane.
     usable : (R * C,) bool
-        The valid pixels are enough, and spread well enough, to determine the cell's own plane.
+        The valid pixels are enough, and not on one line, to determine the cell's own plane.
     sparsity : (R * C, 2) float64
         Additional variances of the cell's mean and slope due to missing pixels, as multiples of
         the variance of a pixel; 0 for full cells.
@@ -188,7 +188,7 @@ def _fit_cell(m, size, width):
     xx, xy, yy = m[3] * per - mx * mx, m[4] * per - mx * my, m[5] * per - my * my
     xd, yd, dd = m[7] * per - mx * md, m[8] * per - my * md, m[9] * per - md * md
     determinant = xx * yy - xy * xy
-    is_usable = n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_SPREAD * whole**2
+    is_usable = n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_EIGENVALUE * whole**2
     slope_x = slope_y = of_mean = of_slope = 0.0
     if is_usable:
         inverse = 1 / determinant

@@ -9,10 +9,6 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
 
-# Lower bound of the disparity, to avoid division by 0.
-# derived: far below what any sensor measures.
-TINY_DISPARITY = 1e-9
-
 
 def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.ndarray:
     """Return labels in which ``kept`` of ``count`` labels are 0, 1, ..., all others -1."""

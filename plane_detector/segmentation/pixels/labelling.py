@@ -26,8 +26,6 @@ from plane_detector.segmentation.search.plane_search import sees_creases
 
 # derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
 MEDIAN_NOISE_SHARE = 0.41
-# derived: a border moves by one cell per sweep, and almost none is further off.
-SWEEPS = 16
 
 
 def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph, noise: Noise,
@@ -60,7 +58,8 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph
     grid, (values, pixel_sigma) = cells.grid, _smoothed(image, cells, noise)
     found, first = (np.full(image.valid.shape, np.int32(-1)), 0) if others is None else (
         others[0].copy(), others[1])
-    sweeps = SWEEPS if others is None and sees_creases(grid, noise, threshold) else 1
+    # A border moves by one cell per sweep.
+    sweeps = sum(grid.shape) if others is None and sees_creases(grid, noise, threshold) else 1
     to_pixels = np.array([[1 / grid.width_px, 0, grid.origin[0]],
                           [0, 1 / grid.width_px, grid.origin[1]], [0, 0, 1]])
     variance = noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2

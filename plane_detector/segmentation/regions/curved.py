@@ -20,7 +20,6 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
-    MIN_BORDER_PAIRS,
     PLANE_TERMS,
     PRODUCTS,
     RegionGraph,
@@ -28,29 +27,23 @@ from plane_detector.segmentation.regions.region_graph import (
 )
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
-# derived: coefficients of a quadric over the image.
-QUADRIC_TERMS = 6
+# The coefficients of a quadric over the image.
+QUADRIC_TERMS = len(PRODUCTS) - 1
 # Threshold of the F-statistic: improvement of the fit by the quadric over the noise.
 # derived: planes reach it once in 40 000 times (chi-squared with 3 degrees of freedom is 24).
 MIN_F = 8.0
-# Exact surfaces that turn by less are planes: errors below the noise floor may be smooth.
-# tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.
-MIN_TURN_DEG = 2.0
 # Planes that meet at more than this have an edge between them.
 # tuned: curved scenes, rooms and lived-in rooms below seed 9000; 0.03 more of curved surfaces have
 # labels at noise 0.01 at 60, recall of lived-in rooms -0.016 at 90.
 MAX_FOLD_DEG = 70.0
-# One plane fits worse than the quadric by more than the noise: a clear bend; by more than this
-# share of it: a weak one.
-# tuned: as above; flat from 0.7 to 1.4 times.
-LOW_THRESHOLD = 0.5
 # Largest ratio of the quadric's error to the plane's error in one of the regions.
 # tuned: evaluation.benchmark curved; flat from 1.4 to 2; at 1.3 0.04 more of the curved surfaces
 # have labels at noise 0.01; from 1.5 on walls of real frames are lost.
 MAX_RATIO = 1.4
-# derived: small regions fit their noise: lower bound of a plane's error as a share of the noise.
-# Flat to 1.4 times, but for precision of rooms at noise 0.01, +0.027 there.
-MIN_NOISE_SHARE = 0.25
+# What counts of the noise. Small regions fit it: lower bound of the error of their planes. A pair
+# is bent if one plane fits worse than the quadric by the noise; weakly if by more than this share.
+# tuned: curved scenes, rooms, lived-in rooms and sensor frames: flat from 0.1 to 0.35.
+MIN_NOISE_SHARE = 0.2
 # derived: as many regions in a row turn twice.
 MIN_CHAIN = 3
 
@@ -120,14 +113,14 @@ def _bends(planes, sums, borders, limits):
     for i in range(count):
         bends[i, i] = 2 * _is_curved(sums[i], noise_density, min_deg)
         for j in range(i + 1, count):
-            if (borders[i, j, 0] < MIN_BORDER_PAIRS
+            if (borders[i, j, 0] == 0
                     or min(sums[i, 0], sums[j, 0]) <= PLANE_TERMS):
                 continue
             fold_deg, gap = fold(planes, sums, borders, i, j)
             if gap >= MAX_DEVIATIONS or not min_deg < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
-            if gain > LOW_THRESHOLD and worst < MAX_RATIO:
+            if gain > MIN_NOISE_SHARE and worst < MAX_RATIO:
                 _, total, worst = fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)
                 bends[i, j] = bends[j, i] = 1 + (gain > 1 and total < 1 and worst < MAX_RATIO)
     return bends

@@ -30,21 +30,24 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
-from plane_detector.segmentation.cells.model import WeightedCells, has_no_depth
+from plane_detector.segmentation.cells.model import (
+    MAX_JOINT_VARIANCES,
+    WeightedCells,
+    has_no_depth,
+)
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_RAD
-from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
-from plane_detector.segmentation.regions.curved import fit_quadric
+from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG
+from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE, fit_plane, squared_error
+from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
-    MIN_BORDER_PAIRS,
     PLANE_TERMS,
     RegionGraph,
     fold,
     merge_pairs,
 )
-from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
+from plane_detector.segmentation.search.plane_search import MIN_CREASE_DEG, TYPICAL_FOCAL_SHARE
 
 # What is fitted to a pair, and the unit of its misfit: a joint plane (to a bulge, that of the
 # larger region), variances; a joint plane, metres; a quadric, errors of the regions' own planes.
@@ -66,7 +69,7 @@ class OnePlane(NamedTuple):
     max_fold_deg : float
         Largest angle between them.
     min_pairs : int
-        Pairs of cells along their border, at least.
+        Pairs of cells along their border: 1 if they must touch, else 0.
 
     """
 
@@ -74,29 +77,18 @@ class OnePlane(NamedTuple):
     tolerance: float
     max_gap: float = np.inf
     max_fold_deg: float = np.inf
-    min_pairs: int = MIN_BORDER_PAIRS
+    min_pairs: int = 1
 
 
-# The mean of chi-squared of either piece about a joint plane is 1 if they are coplanar.
-# tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
-MAX_JOINT_VARIANCES = 2.0
-# Smooth noise changes from cell to cell by less than its deviation times this; a step does not.
-# tuned: benchmark sensitivity; flat to 1.5 times; at 0.7 times precision -0.018.
-MAX_GAP_DEVIATIONS = 2.0
 # Largest mean square of the cells of a bulge about the plane, in variances: 3.5 deviations.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.123.
 MAX_BULGE_VARIANCES = 3.5**2
-# If the shift of the disparity is unknown, the angle is approximate.
-# tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat from 0.7
-# to 1.4 times in each. Without it SC there +0.002, precision of lived-in rooms whose disparity is
-# rounded to 0.003 per metre -0.016.
-BOWED, MIN_BOW_NOISE_SHARE = OnePlane(QUADRIC, 3.0, 4.0, 35.0), 0.1
+# Largest ratio of the error of a joint quadric to that of the own plane, in each region of a wall.
+# tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat to 1.4
+# times; at 0.7 times precision -0.013.
+MAX_BOW_RATIO = 3.0
 # derived: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
-# Of the cells between two pieces no more than this share may be farther than their plane.
-# tuned: rooms, lived-in rooms and curved scenes below seed 9000; flat from 0.7 to 1.4 times; only
-# recall of lived-in rooms at noise 0.01 differs, by +0.014 at 0.7 times.
-MAX_SEEN_THROUGH = 0.2
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
@@ -118,12 +110,12 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
 
     """
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
-        if graph.borders[i, j, 0] < MIN_BORDER_PAIRS and not _is_hidden_between(
+        if graph.borders[i, j, 0] == 0 and not _is_hidden_between(
                 graph.labels, cells.table, cells.is_planar, graph.sums, (i, j)):
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
-    for min_pairs in (MIN_BORDER_PAIRS, 0):  # neighbours first
+    for min_pairs in (1, 0):  # neighbours first
         test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs)
         graph = merge_pairs(graph, partial(misfits, test=test), is_apart)
     return graph.without_merged()
@@ -131,21 +123,27 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:
     """Merge adjacent regions that one slightly bent quadric fits as well as their planes do."""
-    return merge_pairs(graph, partial(misfits, test=BOWED),
+    # The angle is approximate, since the shift of the disparity may be unknown.
+    bowed = OnePlane(QUADRIC, MAX_BOW_RATIO, max_fold_deg=MIN_CREASE_DEG)
+    return merge_pairs(graph, partial(misfits, test=bowed),
                        lambda graph, i, j: False).without_merged()
 
 
-def join_nearly_flat(graph: RegionGraph, removed: np.ndarray,
+def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarray,
+                     correlation: Correlation | None,
                      config: SegmentationConfig) -> tuple[np.ndarray, np.ndarray]:
     """
     Merge adjacent regions that are flat within the settings, flattest pair first.
 
     Parameters
     ----------
+    cells : WeightedCells
     graph : RegionGraph
         Of 1/z in 1/metres.
     removed : (n,) int
         Regions that are not joined to others.
+    correlation : Correlation or None
+        Of the noise, for model selection; if None, all pairs that fit are merged.
     config : SegmentationConfig
         Its ``flatness_distance`` and ``flatness_angle`` are used.
 
@@ -157,11 +155,14 @@ def join_nearly_flat(graph: RegionGraph, removed: np.ndarray,
         Refitted for regions that others joined.
 
     """
+    def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
+        return i in removed or j in removed or prefer_two_planes(
+            cells, graph.labels, correlation, i, j)
+
     if config.flatness_distance > 0:
-        flat = OnePlane(PLANE_M, config.flatness_distance, MAX_GAP_DEVIATIONS,
-                        max(config.flatness_angle, 1e-9))
-        graph = merge_pairs(graph, partial(misfits, test=flat),
-                            lambda graph, i, j: i in removed or j in removed)
+        flat = OnePlane(PLANE_M, config.flatness_distance, MAX_DEVIATIONS,
+                        max(config.flatness_angle, MIN_EIGENVALUE))
+        graph = merge_pairs(graph, partial(misfits, test=flat), is_apart)
     return graph.owner, graph.planes
 
 
@@ -181,13 +182,13 @@ def _misfits(planes, sums, borders, test):
                     or normals_differ(sums, i, j)):
                 continue
             fold_deg, gap = 0.0, 0.0
-            if np.isfinite(max_gap):
+            if np.isfinite(max_fold_deg):
                 fold_deg, gap = fold(planes, sums, borders, i, j)
             if gap < max_gap and fold_deg <= max_fold_deg:
                 misfit[i, j] = _joint_misfit(sums, i, j, joint, surface) / tolerance
             if fold_deg > 0:
                 misfit[i, j] = max(misfit[i, j], fold_deg / max_fold_deg)
-            if surface == PLANE and borders[i, j, 0] >= MIN_BORDER_PAIRS:
+            if surface == PLANE and borders[i, j, 0] > 0:
                 large, small = (i, j) if sums[i, 0] >= sums[j, 0] else (j, i)
                 misfit[i, j] = min(misfit[i, j], _bulge_misfit(planes[large], sums, borders,
                                                                large, small))
@@ -198,7 +199,7 @@ def _misfits(planes, sums, borders, test):
 def _joint_misfit(sums, i, j, joint, surface):
     """Return the misfit of a surface to the worse of two regions; ``joint`` is overwritten."""
     if surface == QUADRIC:
-        return fit_quadric(sums[i], sums[j], MIN_BOW_NOISE_SHARE)[2]
+        return fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)[2]
     for k in range(len(joint)):
         joint[k] = sums[i, k] + sums[j, k]
     a, b, c = fit_plane(joint)
@@ -222,7 +223,7 @@ def _bulge_misfit(plane, sums, borders, large, small):
             - plane[1] * (here[2] - there[2])) / here[0]
     square = max(squared_error(plane[0], plane[1], plane[2], sums[small]), 0.0)
     return max(square / sums[small, 10] / MAX_BULGE_VARIANCES,
-               step**2 * sums[large, 0] / sums[large, 10] / MAX_GAP_DEVIATIONS**2)
+               step**2 * sums[large, 0] / sums[large, 10] / MAX_DEVIATIONS**2)
 
 
 @kernel('boolean(float64[:, ::1], int64, int64)')
@@ -239,7 +240,8 @@ def normals_differ(sums, i, j):
     for k in range(12, 14):
         apart += (sums[i, k] / sums[i, 11] - sums[j, k] / sums[j, 11]) ** 2
     for k in (i, j):
-        n, min_slope = sums[k, 11], MIN_ANGLE_RAD * sums[k, 15] / sums[k, 11] / TYPICAL_FOCAL_SHARE
+        n = sums[k, 11]
+        min_slope = np.radians(MIN_ANGLE_DEG) * sums[k, 15] / n / TYPICAL_FOCAL_SHARE
         spread = sums[k, 14] / n - (sums[k, 12] / n) ** 2 - (sums[k, 13] / n) ** 2
         variance += max(spread, 0.0) / 2 + min_slope**2
     return apart > MAX_DEVIATIONS**2 * variance
@@ -260,7 +262,7 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
                 side = int(labels[row, column] == second)
                 at[side, count[side], 0], at[side, count[side], 1] = row, column
                 count[side] += 1
-    between, tested, farther, last = 0, 0, 0, SIGHT_LINES - 1
+    between, farther, last = 0, 0, SIGHT_LINES - 1
     for line in range(SIGHT_LINES):
         start = at[0, (count[0] - 1) * line // last]
         end, nearest = start, np.inf
@@ -276,7 +278,6 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
                 continue
             between += 1
             if is_planar[i]:  # a cell that straddles an edge is neither nearer nor farther
-                tested += 1
                 expected = a * table[i, 0] + b * table[i, 1] + c
                 farther += expected - table[i, 2] > MAX_DEVIATIONS / np.sqrt(table[i, 5])
-    return between > 0 and farther <= MAX_SEEN_THROUGH * tested
+    return between > 0 and farther == 0

@@ -21,8 +21,8 @@ from plane_detector.segmentation.cells.plane_fit import fit_plane
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
-# them; and a border needs more than one pair of cells, which may touch by chance.
-BORDER_REACH_CELLS = MIN_BORDER_PAIRS = 2
+# them.
+BORDER_REACH_CELLS = 2
 # derived: one normal deviate in 370 is larger.
 MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
@@ -233,7 +233,7 @@ def _intersections(planes, borders):
     signs = np.zeros((len(planes), len(planes)), np.int8)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
-            if borders[i, j, 0] < MIN_BORDER_PAIRS:
+            if borders[i, j, 0] == 0:
                 continue
             a, b, c = (planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1],
                        planes[i, 2] - planes[j, 2])

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 
 # Rows and columns: small windows find small planes, long ones narrow planes, large ones planes
@@ -16,8 +17,6 @@ WINDOWS_CELLS = np.array([[3, 3], [2, 7], [7, 2], [9, 9]])
 # tuned: rooms, lived-in rooms and real frames; flat from 0.5 to 0.7; at 1.0 precision of lived-in
 # rooms -0.015.
 WINDOW_MIN_FREE = 0.7
-# derived: a window across a crease exceeds the mean of chi-squared, 1, by far.
-WINDOW_MAX_VARIANCES = 2.5
 # derived: multiples of the golden ratio modulo 1 cover an interval evenly (Weyl 1916).
 GOLDEN_RATIO = 0.6180339887498949
 # Types of kernels' arguments. Cells: their table and their moments. Free cells: the index of the
@@ -53,7 +52,7 @@ def draw_planes(left, free, stride, cells, draws):
                     total[j] += moments[i, j]
                 expected += table[i, 7]
             a, b, c = fit_plane(total)
-            if squared_error(a, b, c, total) < WINDOW_MAX_VARIANCES * expected:
+            if squared_error(a, b, c, total) < MAX_JOINT_VARIANCES * expected:
                 planes[n, 0], planes[n, 1], planes[n, 2] = a, b, c
                 n += 1
     return planes[:n]

@@ -19,7 +19,7 @@ from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import MAX_SAMPLES, Noise, estimate_noise
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
-from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
+from plane_detector.segmentation.search.ransac import MAX_TRIALS, Search, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.
 # tuned: benchmark sensitivity; 1.0 doubles the labelled share of curved surfaces at 0.01.
@@ -27,14 +27,13 @@ START_SHARE = 0.7
 # The largest planes reveal noise that is smooth over more than neighbouring cells.
 # tuned: benchmark sensitivity; flat from 0.7 to 1.4 times.
 CALIBRATION_PLANES = 3
-# tuned: on walls under smooth noise, which are in pieces after fewer; more change nothing there.
-CALIBRATION_ROUNDS = 3
 # derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
 # derived: focal length over image width for 64 degrees, for angles if the camera is unknown.
 TYPICAL_FOCAL_SHARE = 0.8
-# derived: the tangent of 30 degrees; neighbours on planes at this angle must not link.
-MIN_CREASE_SLOPE = 0.577
+# Neighbours on planes at this angle must not link; walls that a network bends by less are one.
+# tuned: 14 real frames through FastDepth: SC -0.009 at 20 and at 70; for links flat from 20 to 45.
+MIN_CREASE_DEG = 35.0
 
 
 def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, PlaneRegions, Noise]:
@@ -60,7 +59,7 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
     cells, floor = weigh_cells(grid, noise), np.finfo(float).tiny
     floor += np.sqrt(noise.variance_floor(grid.typical_disparity))
-    for _ in range(CALIBRATION_ROUNDS):
+    for _ in range(MAX_TRIALS):
         regions = add_planes(search, cells, no_planes(grid), min(CALIBRATION_PLANES, most))
         shown = _noise_from_planes(cells, regions, noise)
         if abs(max(shown.mean_sigma, floor) / max(noise.mean_sigma, floor) - 1) < TOLERANCE:
@@ -102,4 +101,5 @@ def _deviations(labels, planes, table):
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
     """Return whether neighbouring cells on two planes differ by more than this many deviations."""
     tolerance = threshold * 2**0.5 * noise.slope_sigma * TYPICAL_FOCAL_SHARE
-    return noise.source_sigma == 0 and tolerance < MIN_CREASE_SLOPE * grid.typical_disparity
+    crease = np.tan(np.radians(MIN_CREASE_DEG)) * grid.typical_disparity
+    return noise.source_sigma == 0 and tolerance < crease

@@ -35,11 +35,11 @@ from plane_detector.stopping import raise_if_stopped
 # One draw finds, with the configured confidence, the planes with this share of the free cells.
 # tuned: on rooms, lived-in rooms and real frames; flat from 0.05 to 0.1.
 ROUND_PLANE_SHARE = 0.07
-# A hypothesis that refines to nothing costs time; after this many in a row others are drawn.
-# tuned: rooms, lived-in rooms and real frames; flat from 2 to 4.
-MAX_FAILURES = 3
-# tuned: as above; flat from 3 to 6.
-REFINEMENTS = 4
+# What is repeated until it settles: refinements of a plane, estimates of the noise, and hypotheses
+# in a row that refine to nothing.
+# tuned: rooms, lived-in rooms and real frames; flat from 3 to 9, from 2 to 4 and from 2 to 4;
+# walls under smooth noise are in pieces after fewer than 3 estimates.
+MAX_TRIALS = 3
 # A plane has settled when its cells change by no more than this share.
 # tuned: as above; flat from 0.02 to 0.043, where 1 % of the pixels of real frames lose a label.
 SETTLED_SHARE = 0.03
@@ -153,7 +153,7 @@ def _take_best(hypotheses, search, labels, planes, limits):
     gain, label = np.zeros(len(hypotheses), np.float32), labels.reshape(-1)
     taken = failures = 0
     _add_support(gain, hypotheses, (cells, free), left, (1, threshold2))
-    while taken < len(planes) and failures < MAX_FAILURES and len(gain):
+    while taken < len(planes) and failures < MAX_TRIALS and len(gain):
         best = np.argmax(gain)
         if gain[best] < min_pixels / 2:
             break
@@ -208,7 +208,7 @@ def _add_support(gain, planes, free, places, limits):
 def _refine(plane, search, threshold2):
     """Refit a plane to a cluster of its inliers until they settle; return it and them."""
     (members, free, (table, moments), near), total = search, np.empty(10)
-    for _ in range(REFINEMENTS):
+    for _ in range(MAX_TRIALS):
         grown, kept = _cluster_about(members, plane, (free, table, threshold2), near)
         if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break

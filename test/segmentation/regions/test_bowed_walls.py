@@ -43,7 +43,7 @@ def test_the_halves_of_a_bowed_wall_are_one():
     assert (joined.labels == 0).all()
 
 
-@pytest.mark.parametrize('angle_deg', [30, 45, 90])
+@pytest.mark.parametrize('angle_deg', [40, 90])
 def test_planes_that_meet_in_a_fold_stay_two(angle_deg):
     scene = view(fold(angle_deg, width_m=5))
     assert len(merge_bowed_walls(*halves(scene.depth_m)).coefficients) == 2

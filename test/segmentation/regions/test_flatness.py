@@ -29,7 +29,8 @@ def joined(scene, settings, removed=NONE):
     labels = np.zeros(model.grid.shape, int)
     labels[:, model.grid.shape[1] // 2:] = 1
     regions = hand_made(model, labels)
-    return join_nearly_flat(RegionGraph.of(model, regions), removed, settings), regions
+    return join_nearly_flat(model, RegionGraph.of(model, regions), removed, None,
+                            settings), regions
 
 
 @pytest.mark.parametrize(('scene', 'settings', 'count'), [
