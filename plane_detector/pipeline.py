@@ -28,7 +28,6 @@ from plane_detector.stages import (
     rescaled,
     scaled_depth,
 )
-from plane_detector.threads import one_blas_thread
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
@@ -189,7 +188,6 @@ class PlaneDetector:
         self._shapes.reset()
 
 
-@one_blas_thread
 def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config | None = None,
                    *, disparity_noise: float = 0.0,
                    rng: np.random.Generator | None = None) -> PlaneSegmentation:

@@ -22,7 +22,6 @@ from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage
 from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
-from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 
@@ -83,7 +82,6 @@ def rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> 
             if scale.has_true_angles else regions)
 
 
-@one_blas_thread
 def measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
                     config: Config, lines: ImageDirections | None = None) -> PlaneSegmentation:
     """Measure the planes that are large enough, rotated by the lines of the image if given."""

@@ -62,8 +62,7 @@ def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: Weighted
         return labels, coefficients
     box = _box_around(wanted)
     part = np.s_[box[0].start * size:box[0].stop * size, box[1].start * size:box[1].stop * size]
-    left = DisparityImage(np.ascontiguousarray(image.values[part]),
-                          image.valid[part] & (labels[part] < 0))
+    left = DisparityImage(*_cut_out(image.values[part], image.valid[part], labels[part]))
     grid = build_cell_grid(left, size, wanted[box].ravel(), pixel_frame(image.valid.shape, part))
     noise = noise.at_cell_size(coarse.grid.size_px, size)
     cells = weigh_cells(grid, noise)
@@ -100,6 +99,16 @@ def _count_unlabelled(valid, labels, size):
             for u in range(column * size, min(column * size + size, width)):
                 pixels[row, column] += of_columns[u]
     return pixels
+
+
+@kernel('Tuple((float32[:, ::1], boolean[:, ::1]))(float32[:, :], boolean[:, :], int32[:, :])')
+def _cut_out(values, valid, labels):
+    """Copy a part of the image, and return which of its valid pixels have no label."""
+    part, left = np.empty(values.shape, np.float32), np.empty(values.shape, np.bool_)
+    for v in range(values.shape[0]):
+        for u in range(values.shape[1]):
+            part[v, u], left[v, u] = values[v, u], valid[v, u] & (labels[v, u] < 0)
+    return part, left
 
 
 @kernel('boolean[:, ::1](int64[:, ::1], int64, float64)')

@@ -38,7 +38,6 @@ from plane_detector.segmentation.regions.merging import (
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 from plane_detector.segmentation.search.ransac import Search
-from plane_detector.threads import one_blas_thread
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
@@ -77,7 +76,6 @@ def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) ->
     return Noise(0.0, RELATIVE_FLOOR * disparity_range(disparity), disparity_noise)
 
 
-@one_blas_thread
 def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
             rng: np.random.Generator | None = None,
             guide: GuideImage | None = None, normals: NormalMap | None = None) -> PixelRegions:

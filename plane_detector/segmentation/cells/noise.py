@@ -245,8 +245,10 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     if len(values) < MIN_VALUES:
         return noise_floor
     gaps = np.diff(values)
-    step, sigma = median(gaps), noise_floor.variance_floor(median(values)) ** 0.5
-    if np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE or step / 2 < 2 * sigma:
+    step = median(gaps)
+    if np.count_nonzero(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE * len(gaps):
+        return noise_floor
+    if step / 2 < 2 * noise_floor.variance_floor(median(values)) ** 0.5:
         return noise_floor
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
