@@ -12,8 +12,11 @@ import numpy as np
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
 from plane_detector.depth.input_rate import (
+    ALL_OF_STAGES,
     LOAD,
     beside,
+    core_count,
+    core_seconds,
     largest_within,
     median_seconds,
     side_for,
@@ -151,13 +154,15 @@ class DepthEstimator:
         if len(choices) == 1:
             self._input_reason = f'depth.target_rate {rate_hz:g} Hz: its input has a fixed size'
             return
+        other_s = ALL_OF_STAGES * core_seconds(plane_stage)
 
         def seconds_of(choice: int) -> float:
+            """Return the time of the network or, if longer, that of the cores for the frame."""
             self._take(choice)
-            return median_seconds(lambda: self.predict(rgb, lens))
-        plane_stage()  # compiles what is compiled on the first call
-        with beside(plane_stage, 1 / rate_hz):
-            chosen, seconds = largest_within(choices, seconds_of, LOAD / rate_hz)
+            busy_s = core_seconds(lambda: self.predict(rgb, lens)) + other_s
+            with beside(plane_stage, 1 / rate_hz):
+                return max(median_seconds(lambda: self.predict(rgb, lens)), busy_s / core_count())
+        chosen, seconds = largest_within(choices, seconds_of, LOAD / rate_hz)
         measured = []
         for one in sorted(seconds):
             self._take(one)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,8 +19,12 @@ REPEATS = 3
 # derived: one other busy program leaves a network with two threads two thirds of two cores. What
 # takes no longer than that may have been disturbed, and is timed a second time.
 DISTURBED = 1.5
-# Largest share of the period for the network, so that a slow frame is not late.
+# Largest share of the period for the network, and of the cores for all work on a frame, so that a
+# slow frame is not late.
 LOAD = 0.9
+# Core time of all work beside the network, as a multiple of that of the stages alone. derived: 53
+# ms with all outputs, with receiving, publishing and their subscriber, for 25 ms of the stages.
+ALL_OF_STAGES = 2.0
 
 
 def largest_within(sizes: Sequence[int], seconds_of: Callable[[int], float],
@@ -79,6 +84,22 @@ def median_seconds(run: Callable[[], object]) -> float:
         run()
         times.append(time.perf_counter() - start_s)
     return float(np.median(times))
+
+
+def core_seconds(run: Callable[[], object]) -> float:
+    """Return the core time of a call, of all threads of this process, after a warm-up call."""
+    run()
+    times = []
+    for _ in range(2):  # other threads may work meanwhile, but only now and then
+        start_s = time.process_time()
+        run()
+        times.append(time.process_time() - start_s)
+    return min(times)
+
+
+def core_count() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count()
 
 
 @contextmanager

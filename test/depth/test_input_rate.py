@@ -120,6 +120,19 @@ def test_the_network_becomes_as_large_as_the_rate_allows(free, timed):
     assert 'x 280 78 ms' in facts['network_input_reason'], 'the size that is too slow too'
 
 
+def test_the_cores_must_have_time_for_the_other_stages_too(free, timed, monkeypatch):
+    """A network that fits into the period alone, but not beside 9 ms of a period of 10."""
+    timed.estimator = free
+    monkeypatch.setattr(estimators, 'core_count', lambda: 1)
+    monkeypatch.setattr(estimators, 'core_seconds',
+                        lambda run: 0.009 if run is other else seconds_of(280) / 100)
+    def other():
+        pass
+    free.fit_to_rate(100.0, other)
+    assert free.input_size(640, 480)[1] == 70
+    assert 'not kept by the smallest input' in free.facts['network_input_reason']
+
+
 def test_an_unreachable_rate_is_reported(free, timed):
     timed.estimator = free
     free.fit_to_rate(900.0, lambda: None)

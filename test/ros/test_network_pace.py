@@ -58,14 +58,17 @@ def test_the_warning_is_logged_once():
     assert logger == ['takes 200 ms']
 
 
-def test_the_plane_stage_of_the_timing_finds_planes():
+def test_beside_the_timing_runs_all_that_a_frame_needs():
     stages = []
     detector = PlaneDetector(Config(depth=DepthConfig(target_rate=5.0)),
                              lambda rgb: small_room().depth_m)
     detector.source.fit_to_rate = lambda rate_hz, stage: stages.append((rate_hz, stage()))
     fit_to_rate(detector)
-    ((rate_hz, found),) = stages
+    ((rate_hz, made),) = stages
+    found = made.result.detection
     assert rate_hz == 5.0
+    assert set(made.messages) >= {'planes', 'points', 'overlay/compressed'}
+    assert made.result.detection.gravity_source == 'image', 'the lines of the image are found too'
     assert len(found.planes) >= 3, 'four faces of the corridor and its end'
     assert found.disparity_noise > 0.001
 
