@@ -235,8 +235,8 @@ def _write_centred(rgb: np.ndarray, text: str, centre_px: tuple[int, int]) -> No
     """Write white text on a black box, which is legible on every colour."""
     scale = max(0.35, rgb.shape[0] / 480 * 0.5)
     (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
-    left = int(np.clip(centre_px[0] - width // 2, 2, max(2, rgb.shape[1] - width - 3)))
-    base = int(np.clip(centre_px[1] + height // 2, height + 2, max(height + 2, rgb.shape[0] - 4)))
+    left = max(min(centre_px[0] - width // 2, rgb.shape[1] - width - 3), 2)
+    base = max(min(centre_px[1] + height // 2, rgb.shape[0] - 4), height + 2)
     cv2.rectangle(rgb, (left - 2, base - height - 2), (left + width + 1, base + 3), _BLACK, -1)
     cv2.putText(rgb, text, (left, base), _FONT, scale, _WHITE, 1, cv2.LINE_AA)
 

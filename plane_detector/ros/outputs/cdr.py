@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -125,6 +126,7 @@ def _header(header: Header) -> bytes:
     return stamp + _string(header.frame_id)
 
 
+@lru_cache(maxsize=256)
 def _string(text: str) -> bytes:
     """Return length and characters, and zeros up to the next multiple of 4."""
     characters = text.encode() + b'\0'
