@@ -47,8 +47,9 @@ class DepthConfig(Settings, section='depth'):
         'stage and the largest input size that keeps this rate is used or, if its size is fixed, '
         'the largest number of views; 0: best quality', 'Hz', 0.0, 1000.0)
     views: int = fixed_setting(
-        0, 'views of an image that a metric network averages: 1: the whole image; 2, 3: also one '
-        'or two crops; 0: as stated in the zoo, or 1', '', 0, 3)
+        0, 'views that a metric network averages: 1: the whole image; 2, 3: also one or two crops '
+        'with the field of view of its training, if that of the image is wider; 0: as stated in '
+        'the zoo, or 1', '', 0, 3)
     side_multiple: int = fixed_setting(
         14, 'the input sides of a network that accepts any size are multiples of this; ignored '
         'for networks of the zoo', 'px', 1, 1024)

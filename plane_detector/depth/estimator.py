@@ -11,6 +11,7 @@ import numpy as np
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
+from plane_detector.depth.focal_correction import OWN_FOCAL, lens_factor
 from plane_detector.depth.input_rate import (
     ALL_OF_STAGES,
     LOAD,
@@ -32,7 +33,7 @@ from plane_detector.depth.onnx_session import (
 from plane_detector.depth.plausibility import ImplausibleDepthError
 from plane_detector.depth.preprocessing import InputRecipe, prepare_input
 from plane_detector.depth.readers import OutputError
-from plane_detector.depth.views import VIEWS, average_views
+from plane_detector.depth.views import average_views, choose_views
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # Largest error of depth edges, in pixels of the network input.
@@ -86,7 +87,7 @@ class DepthEstimator:
         self.focal_per_height = network.focal_per_height if network else 0.0
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)
-        self._views = view_count(config, network, self._reader)
+        self._views = view_count(config, network)
         self._input_reason, self._target_rate_hz = '', 0.0
         check_external_data(self._path)
         self._session, self.provider, passed_over, arrays = _first_that_runs(
@@ -129,10 +130,11 @@ class DepthEstimator:
             raise ValueError(f'the image must be (H, W, 3) uint8, not {rgb.shape} {rgb.dtype}')
         if self.needs_lens and intrinsics is None:
             raise ValueError(f'{self.name} needs the intrinsics of the image')
-        if self._views == 1:
+        ratio = lens_factor(intrinsics, OWN_FOCAL, self.focal_per_height) if intrinsics else 1.0
+        views = choose_views(ratio, self._views)
+        if len(views) == 1:
             return self._predict_view(rgb, intrinsics)
-        return average_views([self._predict_view(view.of(rgb), None)
-                              for view in VIEWS[:self._views]])
+        return average_views(views, [self._predict_view(view.of(rgb), None) for view in views])
 
     def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
         """
@@ -199,7 +201,7 @@ class DepthEstimator:
     def facts(self) -> Mapping[str, str]:
         """Description for the log and the diagnostics."""
         width, height = self.input_size(*plausibility.CORRIDOR_SIZE)
-        views = f', {self._views} views' if self._views > 1 else ''
+        views = f', up to {self._views} views' if self._views > 1 else ''
         facts = {'depth_model': self.name, 'depth_model_reason': self.reason,
                  'execution_provider': self.provider,
                  'network_input': f'{width} x {height}{views}'}

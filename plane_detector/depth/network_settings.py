@@ -38,12 +38,12 @@ def reader_of(config: DepthConfig, network: Network | None) -> Reader:
     return network.reader if network else DepthImageReader(config.output)
 
 
-def view_count(config: DepthConfig, network: Network | None, reader: Reader) -> int:
+def view_count(config: DepthConfig, network: Network | None) -> int:
     """Return the number of views to average, from the settings or the zoo."""
     count = config.views or (network.views if network else 1)
-    if count > 1 and (reader.needs_lens or reader.kind == 'relative_disparity'):
-        raise ValueError(f'depth.views {count} needs a network that gives metres or 1/metres and '
-                         f'no normals; use 1 with {network.name if network else config.model}')
+    if count > 1 and not (network and network.focal_per_height):
+        raise ValueError(f'depth.views {count} needs a metric network whose lens in training the '
+                         f'zoo states; use 1 with {network.name if network else config.model}')
     return count
 
 

@@ -3,9 +3,10 @@
 """
 Average of a network's depth over several views of one image (test-time augmentation).
 
-The errors of a small network depend on where an object is in its input and how large. Two crops,
-one of them mirrored, have other errors than the whole image. Each is brought to the scale of the
-whole image, since a crop looks like the image of a longer lens.
+A small network is best on images with the field of view that it was trained with. Of the image of
+a wider lens, two crops have that; one is mirrored, so that their errors differ. Each is brought to
+the scale of the whole image, since a crop looks like the image of a longer lens. Crops of an image
+that is already narrower would only be worse.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import numpy as np
 
 from plane_detector.types import Prediction
 
-# derived: share of NYU Depth V2's images that FastDepth was trained with, 1 - 22 / 250.
-CROP_SHARE = 0.912
+# Smallest crop, and the largest one that is worth its time.
+# tuned: benchmark orientation, flat from 0.85 to 0.95.
+MIN_CROP_SHARE, MAX_CROP_SHARE = 0.85, 0.97
 # The weight of a crop rises from its inner sides over this share of its width.
 # tuned: benchmark orientation; steps at the sides of crops cut planes.
 FEATHER_SHARE = 0.25
@@ -58,18 +60,41 @@ class View:
         return tuple(slice(start, start + size) for start, size in zip(starts, sizes, strict=True))
 
 
-VIEWS = (View(), View(CROP_SHARE, False, True), View(CROP_SHARE, True, False))
-"""The whole image, then crops: the first n of them are used."""
-
-
-def average_views(predictions: Sequence[Prediction]) -> Prediction:
+def choose_views(lens_ratio: float, most: int) -> tuple[View, ...]:
     """
-    Average the disparity of the first views.
+    Return the views of an image: the whole of it, then crops with a longer lens.
 
     Parameters
     ----------
+    lens_ratio : float
+        Focal length over height of the image, over that of the training images.
+    most : int
+        Number of views, at most; 1 to 3.
+
+    Examples
+    --------
+    >>> [view.share for view in choose_views(0.9, 3)]
+    [1.0, 0.9, 0.9]
+    >>> len(choose_views(1.5, 3))
+    1
+
+    """
+    share = max(lens_ratio, MIN_CROP_SHARE)
+    if share > MAX_CROP_SHARE:
+        return (View(),)
+    return (View(), View(share, False, True), View(share, True, False))[:most]
+
+
+def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> Prediction:
+    """
+    Average the disparity of views.
+
+    Parameters
+    ----------
+    views : sequence of View
+        The whole image first.
     predictions : sequence of Prediction
-        Metric depth or disparity of ``VIEWS``, in their order; at least the whole image.
+        Metric depth or disparity of each.
 
     Returns
     -------
@@ -81,7 +106,7 @@ def average_views(predictions: Sequence[Prediction]) -> Prediction:
     whole = _inverted(predictions[0].values, kind)
     is_valid = np.isfinite(whole)
     total, weight = np.where(is_valid, whole, 0), is_valid.astype(np.float32)
-    for view, prediction in zip(VIEWS[1:], predictions[1:], strict=False):
+    for view, prediction in zip(views[1:], predictions[1:], strict=True):
         part, crop = view.slices(whole.shape), _inverted(prediction.values, kind)
         crop = crop[:, ::-1] if view.is_mirrored else crop
         crop = crop * _median_ratio(whole[part], crop)
