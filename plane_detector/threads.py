@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Limits to one thread: for the matrix products of the plane stage, or for a whole worker.
+Limits to one thread: for the matrix products of the paper's method, or for a whole worker.
 
 The products are so small that waking a second thread takes longer than the product. With the
 other cores busy with the network or other programs, a product takes twice as long.
