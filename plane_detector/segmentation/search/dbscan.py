@@ -65,16 +65,34 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
     return _cluster(np.ascontiguousarray(labels), near.offsets, near.min_samples)
 
 
+@kernel('int64(int64[:, ::1])')
+def reach_of(offsets):
+    """Return the largest row of a symmetric neighbourhood; a loop compiles faster than max."""
+    reach = 0
+    for k in range(len(offsets)):
+        reach = max(reach, offsets[k, 0])
+    return reach
+
+
+@kernel('int64[::1](int64[:, ::1], int64)')
+def steps_of(offsets, stride):
+    """Return the distances of neighbours in a flat grid with this length of a row."""
+    steps = np.empty(len(offsets), np.int64)
+    for k in range(len(offsets)):
+        steps[k] = offsets[k, 0] * stride + offsets[k, 1]
+    return steps
+
+
 @kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], int64[:, ::1], int64)', is_short=True)
 def _cluster(labels, offsets, min_samples):
-    (rows, columns), margin, count = labels.shape, offsets.max(), 0
+    (rows, columns), margin, count = labels.shape, reach_of(offsets), 0
     stride, found = columns + 2 * margin, np.empty_like(labels)
     # Loops, as numba takes a second to compile each assignment to a slice.
     padded = np.full((rows + 2 * margin) * stride, np.int32(-1))
     for row in range(rows):
         for column in range(columns):
             padded[(row + margin) * stride + column + margin] = labels[row, column]
-    steps = offsets[:, 0] * stride + offsets[:, 1]
+    steps = steps_of(offsets, stride)
     clusters, queue = np.full(len(padded), np.int32(-1)), np.empty(len(padded), np.int64)
     for start in range(margin * stride, len(padded) - margin * stride):
         if padded[start] >= 0 and clusters[start] < 0:

@@ -14,6 +14,7 @@ from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 # under noise.
 # tuned: on rooms and lived-in rooms of seeds below 9000; their range was not swept.
 WINDOWS_CELLS = np.array([[3, 3], [2, 7], [7, 2], [9, 9]])
+WIDEST_WINDOW_CELLS = int(WINDOWS_CELLS.max())
 # tuned: rooms, lived-in rooms and real frames; flat from 0.5 to 0.7; at 1.0 precision of lived-in
 # rooms -0.015.
 WINDOW_MIN_FREE = 0.7
@@ -31,7 +32,7 @@ def draw_planes(left, free, stride, cells, draws):
     """Return the planes (h, 3) of windows that are flat, about some of the cells left."""
     (table, moments), (wanted, share) = cells, draws
     planes, total, n = np.empty((wanted * len(WINDOWS_CELLS), 3)), np.empty(10), 0
-    inside = np.empty(WINDOWS_CELLS.max()**2, np.int64)
+    inside = np.empty(WIDEST_WINDOW_CELLS**2, np.int64)
     for window in range(len(WINDOWS_CELLS)):
         height, width = WINDOWS_CELLS[window, 0], WINDOWS_CELLS[window, 1]
         for _ in range(wanted):

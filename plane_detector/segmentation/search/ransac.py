@@ -22,12 +22,12 @@ from plane_detector.config import Config
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, chi_squared
 from plane_detector.segmentation.cells.plane_fit import fit_plane
-from plane_detector.segmentation.search.dbscan import neighbourhood
+from plane_detector.segmentation.search.dbscan import neighbourhood, reach_of, steps_of
 from plane_detector.segmentation.search.hypotheses import (
     CELLS,
     FREE,
     GOLDEN_RATIO,
-    WINDOWS_CELLS,
+    WIDEST_WINDOW_CELLS,
     draw_planes,
 )
 from plane_detector.stopping import raise_if_stopped
@@ -104,10 +104,10 @@ def find_planes(cells, is_planar, labels, near, counts, limits):
     """Draw hypotheses and take the best until a draw yields none; return the planes (n, 3)."""
     (offsets, min_samples), (first, most, wanted, max_drawn) = near, counts
     min_pixels, threshold2, share = limits
-    margin = max(offsets.max(), WINDOWS_CELLS.max() // 2)
+    margin = max(reach_of(offsets), WIDEST_WINDOW_CELLS // 2)
     stride = (labels.shape[1] + 2 * margin) | 1  # odd: places of one parity are a checkerboard
     free, left = _free_cells(is_planar, labels, margin, stride)
-    near = offsets[:, 0] * stride + offsets[:, 1], min_samples
+    near = steps_of(offsets, stride), min_samples
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
         hypotheses = draw_planes(left, free, stride, cells,
