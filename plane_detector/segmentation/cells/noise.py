@@ -29,11 +29,11 @@ MAX_SAMPLES = 1000
 LAG_CELLS = 4
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.017.
 QUANTILE = 0.25
-# Disparity counts as quantised if it takes several values on the sampled lines, and these shares
-# of the neighbours are equal and of the steps between values even.
+# Disparity counts as quantised if it takes as many values as there are lines sampled in both
+# directions, and these shares of the neighbours are equal and of the steps between values even.
 # tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
-# that are not: flat from 3 to 4 lines, 6 to 8 values, .07 to .4 and .6 to .7.
-ROUNDING_LINES, MIN_VALUES, MIN_EQUAL_SHARE, MIN_EVEN_SHARE = 4, 8, 0.2, 0.6
+# that are not: flat from 3 to 4 lines, .07 to .4 and .6 to .7.
+ROUNDING_LINES, MIN_EQUAL_SHARE, MIN_EVEN_SHARE = 4, 0.2, 0.6
 # Noise specified for a network tilts cells by about this much per unit of image width.
 # tuned: 14 real frames through FastDepth and rooms with rounded disparity, all the same from 0 to
 # 1.4 times; walls with smooth bows, which no cell shows, are in pieces at 0.
@@ -242,7 +242,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     lines = disparity[rows].ravel(), disparity[:, columns].ravel()
     # Invalid pixels are 0.
     values = np.unique(np.concatenate([line[line != 0] for line in lines])).astype(float)
-    if len(values) < MIN_VALUES:
+    if len(values) < 2 * ROUNDING_LINES:
         return noise_floor
     gaps = np.diff(values)
     step = median(gaps)
