@@ -22,6 +22,8 @@ from plane_detector.types import CameraIntrinsics, Plane
 # as share of the distance per radian, and as share of the distance.
 # tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 0.1 to 0.15.
 SAME_NORMAL_DEG, OFFSET_PER_RAD, MAX_OFFSET_SHARE, BORDER_REACH_PX = 5.0, 0.5, 0.1, 5
+# derived: the orientation of a piece is more likely wrong than right below this.
+MIN_PROBABILITY = 0.5
 # The depth may jump by this share for each radian that the normals are off, where they touch.
 # tuned: as above, flat from 0.06 to 0.1; saved depth of a strong network (corridor wall), in which
 # samples on a wall jump by 0.1 and more.
@@ -76,8 +78,8 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     Returns
     -------
     PixelRegions
-        One region per plane; those merged into another have no pixels. Pixels that see their
-        rotated plane edge-on or from behind have no label.
+        One region per plane, without pixels if merged into another or too uncertain. Pixels that
+        see their rotated plane edge-on or from behind have no label.
 
     """
     evidence = collect_evidence(lines.segments, lines.all_axes, regions.labels, len(planes))
@@ -88,9 +90,10 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
-    agree = _agreeing(normals, offsets, found.sigmas_rad)
+    is_sure = found.probability > MIN_PROBABILITY
+    agree = _agreeing(normals, offsets, found.sigmas_rad) & is_sure & is_sure[:, None]
     group = _groups(agree & _continuous(regions, planes, intrinsics, found.sigmas_rad))
-    joined = replace(regions, labels=rename_labels(regions.labels, group))
+    joined = replace(regions, labels=rename_labels(regions.labels, np.where(is_sure, group, -1)))
     grown = np.bincount(group, minlength=len(group)) > 1
     if grown.any():
         again = samples.joined(group).offsets(normals)

@@ -119,6 +119,23 @@ def test_an_inaccurate_network_has_less_weight():
     assert orient(BAD, directions(), no_lines(4)).sigmas_rad.min() > np.radians(8.0)
 
 
+def test_the_probability_tells_a_settled_normal_from_a_guess():
+    near = tuple(plane(turned(normal, 15, about)) for normal, about in (
+        (-AXES[0], AXES[1]), (-AXES[2], AXES[0]), (AXES[1], AXES[0]), (-AXES[2], AXES[1])))
+    between = plane(turned(turned(-AXES[2], 30, AXES[0]), 20, AXES[1]))
+    found = orient((*near, between), directions(), no_lines(5))
+    assert found.probability[:4].min() > 0.8
+    assert found.probability[4] < 0.5
+
+
+@pytest.mark.parametrize(('rms_m', 'is_settled'), [(0.0, True), (0.3, False)])
+def test_the_azimuth_of_a_plane_along_no_axis_is_as_sure_as_the_network(rms_m, is_settled):
+    away = plane(turned(-AXES[2], 30, AXES[0]), 0.3, rms_m)
+    found = orient((*BAD, away), directions(pairs=False),
+                   LineEvidence(AXES[:1], np.zeros((5, 1))))
+    assert (found.probability[-1] > 0.95) == is_settled
+
+
 def test_an_upright_plane_without_axes_stands_upright():
     leaning = turned(-AXES[2], 10, AXES[1])
     found = orient((plane(leaning),), directions(pairs=False),
