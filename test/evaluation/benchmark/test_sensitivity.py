@@ -16,7 +16,7 @@ def test_the_numbers_of_the_segmentation_are_found():
     name = 'MIN_OFFSET_DEVIATIONS'
     assert found['regions.depth_steps', name] == depth_steps.MIN_OFFSET_DEVIATIONS
     assert found['fine_pass', 'MIN_CELL_SHARE'] == fine_pass.MIN_CELL_SHARE
-    assert ('search.ransac', 'MAX_FAILURES') not in found  # compiled in
+    assert ('search.ransac', 'MAX_TRIALS') not in found  # compiled in
 
 
 def test_a_constant_is_changed_where_it_is_imported_and_restored():
@@ -27,8 +27,8 @@ def test_a_constant_is_changed_where_it_is_imported_and_restored():
 
 
 def test_a_constant_is_restored_after_an_error():
-    before = depth_steps.HIGH_THRESHOLD
+    before = depth_steps.MIN_OFFSET_DEVIATIONS
     with pytest.raises(ZeroDivisionError), changed(
-            Constant('regions.depth_steps', 'HIGH_THRESHOLD', before), 1.4):
+            Constant('regions.depth_steps', 'MIN_OFFSET_DEVIATIONS', before), 1.4):
         raise ZeroDivisionError
-    assert before == depth_steps.HIGH_THRESHOLD
+    assert before == depth_steps.MIN_OFFSET_DEVIATIONS
