@@ -171,7 +171,8 @@ class SegmentationConfig(Settings, section='segmentation'):
     flatness_distance: float = setting(
         0.015, 'adjacent planes of measured depth are merged if the depth deviates from their '
         'common plane by at most this (rms, including noise) and the angle between them is at '
-        'most flatness_angle; 0: only the noise decides', 'm', 0.0, 1.0)
+        'most flatness_angle, unless there is a step between them; 0: only the noise decides', 'm',
+        0.0, 1.0)
     flatness_angle: float = setting(
         4.0, 'largest angle between planes that flatness_distance merges', 'deg', 0.0, 45.0)
     snap_to_picture: bool = setting(

@@ -135,6 +135,8 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
     """
     Merge adjacent regions that are flat within the settings, flattest pair first.
 
+    A step between them that model selection confirms keeps them apart.
+
     Parameters
     ----------
     cells : WeightedCells
@@ -156,8 +158,11 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
 
     """
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
-        return i in removed or j in removed or prefer_two_planes(
-            cells, graph.labels, correlation, i, j)
+        if i in removed or j in removed:
+            return True
+        _, gap = fold(graph.planes, graph.sums, graph.borders, i, j)
+        # The difference of two cells has this deviation: a smaller gap is a dip, not a step.
+        return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j)
 
     if config.flatness_distance > 0:
         flat = OnePlane(PLANE_M, config.flatness_distance, MAX_DEVIATIONS,
