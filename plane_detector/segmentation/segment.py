@@ -10,7 +10,7 @@ change which pixels form a plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG, NormalMap, slopes_of
+from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG, NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
@@ -109,7 +109,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)
     if normals is not None:
-        grid = replace(grid, normal_slope=slopes_of(grid, normals))
+        grid = with_normals(grid, normals, noise_floor.source_sigma)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     search = Search(grid, min_pixels, config, rng)
     cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
