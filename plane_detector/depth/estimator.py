@@ -87,7 +87,7 @@ class DepthEstimator:
         self.focal_per_height = network.focal_per_height if network else 0.0
         self._recipe = network.recipe if network else InputRecipe(
             config.input_scale, config.mean, config.std)
-        self._views = view_count(config, network)
+        self._views = self._views_used = view_count(config, network)
         self._input_reason, self._target_rate_hz = '', 0.0
         check_external_data(self._path)
         self._session, self.provider, passed_over, arrays = _first_that_runs(
@@ -132,6 +132,7 @@ class DepthEstimator:
             raise ValueError(f'{self.name} needs the intrinsics of the image')
         ratio = lens_factor(intrinsics, OWN_FOCAL, self.focal_per_height) if intrinsics else 1.0
         views = choose_views(ratio, self._views)
+        self._views_used = len(views)
         if len(views) == 1:
             return self._predict_view(rgb, intrinsics)
         return average_views(views, [self._predict_view(view.of(rgb), None) for view in views])
@@ -183,11 +184,11 @@ class DepthEstimator:
 
     def advise(self, share: float) -> str:
         """Return the setting that would reduce the time of the network to a given share."""
-        sides, views = self._session.short_sides, int(share * self._views)
+        sides, views = self._session.short_sides, int(share * self._views_used)
         if not sides and views < 1:
             return 'its input has a fixed size: use a smaller network or a GPU'
         if not sides:
-            return (f'depth.views {views} (now {self._views}) would keep up, or '
+            return (f'depth.views {views} (now {self._views_used}) would keep up, or '
                     "depth.target_rate at the camera's rate")
         side = side_for(self._session.short_side, share, sides)
         if side is None:

@@ -138,3 +138,10 @@ def test_fewer_views_keep_the_rate(fixed, monkeypatch):
 def test_advice_names_the_views_that_keep_up(fixed):
     assert fixed().advise(0.7).startswith('depth.views 2 (now 3) would keep up')
     assert 'fixed size' in fixed().advise(0.3)
+
+
+def test_fewer_views_are_no_advice_for_a_lens_that_needs_one(fixed):
+    estimate = fixed()
+    rgb = millimetres_as_rgb(np.full((48, 64), 2.0))
+    estimate.predict(rgb, dataclasses.replace(WIDE, fx=80.0, fy=80.0))
+    assert 'fixed size' in estimate.advise(0.7)
