@@ -37,7 +37,7 @@ from plane_detector.segmentation.cells.model import (
 )
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG
-from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE, fit_plane, squared_error
+from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
@@ -165,8 +165,7 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
         return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j)
 
     if config.flatness_distance > 0:
-        flat = OnePlane(PLANE_M, config.flatness_distance, MAX_DEVIATIONS,
-                        max(config.flatness_angle, MIN_EIGENVALUE))
+        flat = OnePlane(PLANE_M, config.flatness_distance, MAX_DEVIATIONS, config.flatness_angle)
         graph = merge_pairs(graph, partial(misfits, test=flat), is_apart)
     return graph.owner, graph.planes
 
