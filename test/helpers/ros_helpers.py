@@ -141,9 +141,9 @@ class Robot:
     def spin(self, condition: Callable[[], Any] = lambda: False, timeout_s: float = 20.0) -> bool:
         """Spin until a condition holds; return whether it came to hold."""
         end_s = time.monotonic() + timeout_s
-        while not condition() and time.monotonic() < end_s:
+        while not (holds := bool(condition())) and time.monotonic() < end_s:
             self.executor.spin_once(timeout_sec=0.02)
-        return bool(condition())
+        return holds  # what was seen: a second look could find the next state of the node
 
     def wait_for(self, name: str, count: int = 1) -> list[Any]:
         """Spin until so many messages have been received under a name, and return them."""
