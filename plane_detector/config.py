@@ -150,9 +150,9 @@ class DirectionsConfig(Settings, section='directions'):
         True, 'planes in the depth of a network are rotated to the orientation that is most '
         'likely given their lines and the axes of the scene; measured depth is not changed')
     hold_time: float = setting(
-        0.1, 'with measured depth, lines only tell gravity: that of an image is kept for the '
-        'images of this time after it, by their stamps; 0: lines are found in every image', 's',
-        0.0, 1.0)
+        0.1, 'the lines of an image are kept for the images of this time after it, by their '
+        'stamps, with measured depth, where they only tell gravity, and with a network while '
+        'nothing moves; 0: lines are found in every image', 's', 0.0, 1.0)
 
 
 @dataclass(frozen=True)

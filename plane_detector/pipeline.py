@@ -121,13 +121,13 @@ class PlaneDetector:
 
     def look(self, seen: Observation, gravity_camera: np.ndarray | None = None,
              may_hold: bool = False) -> Surroundings:
-        """Run the second stage: gravity and lines, those of the image before if allowed."""
+        """Run the second stage: gravity and lines, those found last if allowed."""
         given = None if seen.is_measured or seen.output == 'relative_disparity' else seen.disparity
         image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
-        need = Need.PLANES if is_turned(seen) else Need.GRAVITY_HELD if may_hold else Need.GRAVITY
+        need = Need.PLANES if is_turned(seen) else Need.GRAVITY
         stages = StageTimer()
         with stages('directions'):
-            around = self._directions.look(image, gravity_camera, seen.config, need)
+            around = self._directions.look(image, gravity_camera, seen.config, need, may_hold)
         return replace(around, seconds=stages.seconds['directions'])
 
     def find_planes(self, seen: Observation, around: Surroundings,

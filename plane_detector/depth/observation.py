@@ -45,6 +45,8 @@ class Observation:
         Time of the prediction.
     covered : (H, W) bool or None
         Pixels that the image covers after rectification; None: all.
+    is_still : bool
+        Nothing has moved since the image before: its prediction is averaged with the earlier ones.
 
     """
 
@@ -58,6 +60,7 @@ class Observation:
     edge_blur_px: float = 0.0
     depth_seconds: float = 0.0
     covered: np.ndarray | None = None
+    is_still: bool = False
 
     @property
     def output(self) -> str:
@@ -194,7 +197,8 @@ class ModelDepth:
         if self._average.image_count == 1:
             return seen
         values = self._average.disparity
-        return seen.with_values(to_depth(values) if seen.output == 'metric_depth' else values)
+        return replace(seen.with_values(
+            to_depth(values) if seen.output == 'metric_depth' else values), is_still=True)
 
 
 @dataclass(frozen=True)

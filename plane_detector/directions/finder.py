@@ -99,8 +99,6 @@ class Need(Enum):
     """For the planes; found in every image, even if gravity is known."""
     GRAVITY = auto()
     """Only for gravity, if it is not known otherwise."""
-    GRAVITY_HELD = auto()
-    """As GRAVITY; those found last are accurate enough."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,7 @@ class DirectionFinder:
         self._tracked: TrackedDirections | None = None
 
     def look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
-             need: Need = Need.GRAVITY) -> Surroundings:
+             need: Need = Need.GRAVITY, may_hold: bool = False) -> Surroundings:
         """
         Determine gravity, and find the lines of the image if they are needed.
 
@@ -158,6 +156,8 @@ class DirectionFinder:
             Its ``scale`` and ``directions`` are used.
         need : Need
             What the lines are needed for.
+        may_hold : bool
+            The lines found last are accurate enough for this image.
 
         """
         choose = partial(choose_gravity, measured_down, config.scale.gravity,
@@ -165,7 +165,7 @@ class DirectionFinder:
         known = choose(None)
         if need != Need.PLANES and (known.is_sure or not config.directions.gravity):
             return Surroundings(known, None)
-        if self._tracked is None or need != Need.GRAVITY_HELD:
+        if self._tracked is None or not may_hold:
             alone = find_in_image(image, np.random.default_rng(self._seed), known.gravity_camera)
             self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
         lines = ImageDirections(self._tracked.segments, self._tracked.directions)

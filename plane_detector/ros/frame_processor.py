@@ -204,7 +204,8 @@ class FrameProcessor:
             self._looked_past, self._looked_s = observed.past, -math.inf
         down, stamp_s = _down(observed.frame, observed.pose), _stamp_s(observed.frame)
         seen, age_s = observed.seen, stamp_s - self._looked_s
-        may_hold = seen.is_measured and 0 < age_s < seen.config.directions.hold_time
+        may_hold = ((seen.is_measured or seen.is_still)
+                    and 0 < age_s < seen.config.directions.hold_time)
         around = self.detector.look(seen, down, may_hold)
         if not may_hold:
             self._looked_s = stamp_s
