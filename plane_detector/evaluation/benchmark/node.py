@@ -22,7 +22,7 @@ from tqdm import tqdm
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.model_zoo import fetch
-from plane_detector.evaluation.benchmark.node_load import HELD_S, CameraLoad, Load
+from plane_detector.evaluation.benchmark.node_load import HELD_S, CameraLoad, Load, Show
 from plane_detector.evaluation.benchmark.node_parts import report_parts
 from plane_detector.evaluation.benchmark.node_receiver import Receiver
 from plane_detector.evaluation.benchmark.options import add_data
@@ -49,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--model', default='fastdepth',
                         help='network of the second source, as depth.model; none: leave it out')
     parser.add_argument('--rate', type=_rate, default=30.0, help='of the images, Hz')
+    parser.add_argument('--motion', type=int, default=0, metavar='PIXELS',
+                        help='by which each image is moved sideways against the one before; 0: a '
+                             'still camera, with which the node has less work')
     parser.add_argument('--seconds', type=_seconds, default=10.0, help='of every row')
 
 
@@ -101,17 +104,17 @@ def sources(model: str, rate_hz: float) -> Iterator[tuple[str, DepthConfig]]:
                    DepthConfig(model=model, target_rate=rate_hz))
 
 
-def report_load(found: Sequence[tuple[str, DepthConfig]], views: tuple[str, Sequence[Frame]],
-                rate_hz: float, seconds: float) -> None:
+def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: float) -> None:
     """Print measurements of the running node, by source of depth and by subscribed outputs."""
-    rows, (title, shown) = [], views
+    rows, lens = [], show.views[0].intrinsics
     for name, depth in found:
         for subscribed, outputs in tqdm(SUBSCRIPTIONS.items(), name, leave=False):
             load_before = os.getloadavg()[0]
-            load = _load(depth, outputs, shown, rate_hz, seconds)
+            load = _load(depth, outputs, show, seconds)
             rows.append([name, subscribed, *_cells(load), f'{load_before:.1f}'])
-    size = f'{shown[0].intrinsics.width} x {shown[0].intrinsics.height}'
-    emit(f'### The node over DDS: {title}, {size}, images at {rate_hz:g} Hz',
+    camera = f'moved by {show.motion_px} px from image to image' if show.motion_px else 'still'
+    emit(f'### The node over DDS: {show.title}, {lens.width} x {lens.height}, '
+         f'images at {show.rate_hz:g} Hz, {camera}',
          table(('depth', 'subscribed', 'rate (Hz)', *(f'{one} (ms)' for one in _STAGES),
                 'messages\' share', 'node: core time (ms)', 'without a core (ms)',
                 'camera: core time (ms)', 'receiver: core time (ms)', 'load before'), rows),
@@ -123,15 +126,13 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], views: tuple[str, Sequ
          'before.')
 
 
-def _load(depth: DepthConfig, outputs: Sequence[str], shown: Sequence[Frame], rate_hz: float,
-          seconds: float) -> Load:
+def _load(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: float) -> Load:
     """Start a node and a receiver, feed them, and end them."""
     parameters = {'depth.source': depth.source, 'depth.model': depth.model,
                   'depth.target_rate': depth.target_rate}
     with (tempfile.TemporaryDirectory() as folder, Receiver(outputs) as receiver,
           NodeProcess(parameters, Path(folder) / 'node.log') as process):
-        camera = CameraLoad(process.check_running, shown, rate_hz, depth.source == 'topic',
-                            receiver)
+        camera = CameraLoad(process.check_running, show, depth.source == 'topic', receiver)
         try:
             return camera.measure(process.process_id, seconds)
         finally:
@@ -149,11 +150,11 @@ def run(options: argparse.Namespace) -> None:
     """Print the tables."""
     retain_freed_memory()  # as the node does
     use_private_domain()
-    views = views_of(options.data, options.views)
+    title, views = views_of(options.data, options.views)
     found = list(sources(options.model, options.rate))
     rclpy.init()
     try:
-        report_load(found, views, options.rate, options.seconds)
-        report_parts([one for one in found if not one[1].target_rate], views[1])
+        report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
+        report_parts([one for one in found if not one[1].target_rate], views)
     finally:
         rclpy.try_shutdown()

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +24,35 @@ from plane_detector.tools.demo.node_client import FRAME_ID, NODE, camera_info_to
 
 HELD_S = 0.5
 """Each view is shown for this long, as by a slowly moving camera, so that labels are tracked."""
+_SHIFTS = 0, 1, 2, 1
+"""Sideways positions of consecutive images of a view, in units of the motion."""
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
 _SETTLING_S = 3.0
 _START_TIMEOUT_S = 120.0
 _SPIN_S = 0.05
+
+
+@dataclass(frozen=True)
+class Show:
+    """
+    What the camera shows.
+
+    Attributes
+    ----------
+    title : str
+    views : sequence of Frame
+        Shown in turn, each for HELD_S.
+    rate_hz : float
+        Of the images.
+    motion_px : int
+        By which each image is moved sideways against the one before; 0: the camera is still.
+
+    """
+
+    title: str
+    views: Sequence[Frame]
+    rate_hz: float
+    motion_px: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,9 +90,7 @@ class CameraLoad:
     ----------
     check_running : callable
         Raises if the node has ended; called while waiting.
-    views : sequence of Frame
-        Shown in turn, each for HELD_S.
-    rate_hz : float
+    show : Show
     with_depth : bool
         Whether to publish depth too.
     receiver : Receiver
@@ -75,10 +98,12 @@ class CameraLoad:
 
     """
 
-    def __init__(self, check_running: Callable[[], None], views: Sequence[Frame], rate_hz: float,
-                 with_depth: bool, receiver: Receiver) -> None:
+    def __init__(self, check_running: Callable[[], None], show: Show, with_depth: bool,
+                 receiver: Receiver) -> None:
         self._check_running, self._receiver = check_running, receiver
-        self._views = [input_messages(Header(frame_id=FRAME_ID), view) for view in views]
+        self._views = [[input_messages(Header(frame_id=FRAME_ID),
+                                       _moved(view, shift * show.motion_px))
+                        for shift in _SHIFTS] for view in show.views]
         self._node = rclpy.create_node('plane_detector_load')
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
@@ -87,7 +112,7 @@ class CameraLoad:
             for name, msg_type in _INPUTS.items() if with_depth or name != 'depth'}
         self._statuses: list[dict[str, str]] = []
         self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
-        self._rate_hz, self._sent = rate_hz, 0
+        self._rate_hz, self._sent = show.rate_hz, 0
 
     def close(self) -> None:
         """Destroy the ROS node."""
@@ -148,10 +173,11 @@ class CameraLoad:
     def _publish(self) -> None:
         stamp = self._node.get_clock().now().to_msg()
         view = self._views[int(self._sent / self._rate_hz / HELD_S) % len(self._views)]
+        image = view[self._sent % len(view)]
         self._sent += 1
         for name, publisher in self._publishers.items():
-            view[name].header.stamp = stamp
-            publisher.publish(view[name])
+            image[name].header.stamp = stamp
+            publisher.publish(image[name])
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         self._statuses += [{pair.key: pair.value for pair in status.values}
@@ -163,6 +189,12 @@ def input_messages(header: Header, view: Frame) -> dict[str, Any]:
     return {'camera_info': camera_info_to_msg(header, view.intrinsics),
             'depth': messages.depth_to_msg(header, view.depth_m),
             'image': messages.rgb_to_msg(header, view.rgb)}
+
+
+def _moved(view: Frame, shift_px: int) -> Frame:
+    """Return a view moved sideways; what leaves the image comes in at the other side."""
+    return replace(view, rgb=np.roll(view.rgb, shift_px, axis=1),
+                   depth_m=np.roll(view.depth_m, shift_px, axis=1))
 
 
 def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from frame_files import write_frame
 from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark import node as benchmark_node
 from plane_detector.evaluation.benchmark import node_parts
-from plane_detector.evaluation.benchmark.node_load import median_stages, scheduled_ms
+from plane_detector.evaluation.benchmark.node_load import Show, median_stages, scheduled_ms
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.demo.node_process import use_private_domain
@@ -47,8 +47,10 @@ def ros(monkeypatch):
 
 def test_the_running_node_is_measured(ros, room, monkeypatch, capsys):
     monkeypatch.setattr(benchmark_node, 'SUBSCRIPTIONS', {'all': tuple(OUTPUTS)})
-    benchmark_node.report_load(TOPIC, ('two rooms', views(room)), rate_hz=5.0, seconds=3.0)
-    (row,) = rows(capsys.readouterr().out)
+    benchmark_node.report_load(TOPIC, Show('two rooms', views(room), 5.0, motion_px=8), 3.0)
+    printed = capsys.readouterr().out
+    assert 'moved by 8 px' in printed
+    (row,) = rows(printed)
     assert row[:2] == ['depth topic', 'all']
     assert 0 < float(row[2]) < 6
     *stages, total = map(float, row[3:15])
