@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.config import Config
+from plane_detector.depth.depth_function import wrapped
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.far import knowable
 from plane_detector.depth.focal_correction import lens_factor
@@ -201,58 +202,6 @@ class ModelDepth:
             to_depth(values) if seen.output == 'metric_depth' else values), is_still=True)
 
 
-@dataclass(frozen=True)
-class DepthFunction:
-    """
-    A function as a depth model.
-
-    Attributes
-    ----------
-    function : callable
-        Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) floating, NaN invalid.
-    output : str
-        Its output: ``metric_depth``, ``disparity`` or ``relative_disparity``.
-    noise_share, focal_per_height
-        As in :class:`~plane_detector.types.DepthModel`.
-    blur_px : float
-        Largest error of depth edges, in pixels.
-
-    Examples
-    --------
-    >>> camera = CameraIntrinsics(3.0, 3.0, 1.0, 0.0, 3, 1)
-    >>> wall = DepthFunction(lambda rgb: np.full(rgb.shape[:2], 2.0))
-    >>> wall.predict(np.zeros((1, 3, 3), np.uint8), camera)
-    Prediction(output='metric_depth', values=array([[2., 2., 2.]]), ...)
-
-    """
-
-    function: Callable[[np.ndarray], np.ndarray]
-    output: str = 'metric_depth'
-    noise_share: float = 0.0
-    focal_per_height: float = 0.0
-    blur_px: float = 0.0
-
-    @property
-    def facts(self) -> Mapping[str, str]:
-        """Name of the function."""
-        return {'depth_model': getattr(self.function, '__name__', type(self.function).__name__)}
-
-    def edge_blur_px(self, width: int, height: int) -> float:
-        """Return the largest error of depth edges."""
-        return self.blur_px
-
-    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
-        """Do nothing: a function has only one speed."""
-
-    def advise(self, share: float) -> str:
-        """Return no advice."""
-        return ''
-
-    def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
-        """Call the function; the intrinsics are not used."""
-        return Prediction(self.output, self.function(rgb))
-
-
 DepthSource = SensorDepth | ModelDepth
 ModelOrFunction = DepthModel | Callable[[np.ndarray], np.ndarray]
 
@@ -271,27 +220,16 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
     Raises
     ------
     ValueError
-        Only some attributes of :class:`~plane_detector.types.DepthModel` are present; or as
-        raised by :class:`~plane_detector.depth.estimator.DepthEstimator`.
+        As raised by :func:`~plane_detector.depth.depth_function.wrapped` or
+        :class:`~plane_detector.depth.estimator.DepthEstimator`.
 
     """
     if model is None:
         return (SensorDepth() if config.depth.source == 'topic'
                 else ModelDepth(DepthEstimator(config.depth)))
-    return ModelDepth(model if isinstance(model, DepthModel) else _wrapped(model, config))
-
-
-def _wrapped(function: Callable[[np.ndarray], np.ndarray], config: Config) -> DepthFunction:
-    """Return a function wrapped as a depth model."""
-    wanted = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'fit_to_rate',
-              'advise', 'predict')
-    there = [name for name in wanted if hasattr(function, name)]
-    if there:
-        raise ValueError(f'the depth model has {", ".join(there)}, but not '
-                         f'{", ".join(name for name in wanted if name not in there)}: see '
-                         'plane_detector.types.DepthModel, or wrap it in a DepthFunction')
-    output = config.depth.output
-    return DepthFunction(function, 'metric_depth' if output == 'auto' else output)
+    if not isinstance(model, DepthModel):
+        model = wrapped(model, config.depth.output)
+    return ModelDepth(model)
 
 
 def _without_the_far(values: np.ndarray, output: str, max_depth_m: float) -> np.ndarray:

@@ -9,9 +9,9 @@ import pytest
 from onnx_models import write_depth_network
 
 from plane_detector.config import Config, DepthConfig
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.estimator import BLUR_INPUT_PX, DepthEstimator
 from plane_detector.depth.observation import (
-    DepthFunction,
     ModelDepth,
     Observation,
     SensorDepth,

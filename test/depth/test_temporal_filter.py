@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config, DepthConfig, TrackingConfig
-from plane_detector.depth.observation import DepthFunction
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.temporal_filter import filter_disparity
 from plane_detector.evaluation.benchmark import flicker as benchmark_damping
 from plane_detector.evaluation.scenes.sequences import FRAMES, Motion, sequence

@@ -21,7 +21,7 @@ from ros_helpers import (
 )
 from sensor_msgs.msg import CameraInfo, Imu
 
-from plane_detector.depth.observation import DepthFunction
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.drawing import label_colours
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import diagnostics

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from plane_detector.config import Config, DepthConfig, DirectionsConfig
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.networks import FASTDEPTH_NOISE_SHARE
-from plane_detector.depth.observation import DepthFunction
 from plane_detector.drawing import overlay
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT

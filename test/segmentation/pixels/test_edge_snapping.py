@@ -11,7 +11,7 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, SegmentationConfig
-from plane_detector.depth.observation import DepthFunction
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 
