@@ -22,7 +22,8 @@ RANGE_QUANTILES = (0.02, 0.98)
 # derived: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
 # it only applies if one surface fills the image.
 MIN_RANGE_OF_LEVEL = 0.25
-_LEAST_RANGE = float(np.finfo(np.float32).tiny)
+_SMALLEST, _LARGEST = (float(value) for value in (np.finfo(np.float32).tiny,
+                                                   np.finfo(np.float32).max))
 
 
 def valid_depth(depth_m: np.ndarray) -> np.ndarray:
@@ -57,19 +58,7 @@ def to_disparity(depth_m: np.ndarray) -> np.ndarray:
     array([[0.5, nan]], dtype=float32)
 
     """
-    with np.errstate(over='ignore'):  # beyond float32 is infinite
-        return _inverse(np.ascontiguousarray(depth_m, np.float32))
-
-
-@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True))")
-def _inverse(depth_m):
-    disparity, nearest = np.empty(depth_m.shape, np.float32), np.float32(MIN_DEPTH_M)
-    for v in range(depth_m.shape[0]):
-        for u in range(depth_m.shape[1]):
-            is_valid = (depth_m[v, u] >= nearest) & (depth_m[v, u] < np.float32(np.inf))
-            disparity[v, u] = (np.float32(1) / depth_m[v, u] if is_valid
-                               else np.float32(np.nan))
-    return disparity
+    return _inverse(_float32(depth_m), MIN_DEPTH_M, _LARGEST)
 
 
 def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
@@ -94,9 +83,24 @@ def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
     array([[ 2., nan, nan]], dtype=float32)
 
     """
-    valid = (disparity > 0) & (disparity >= 1 / max_depth_m) & (disparity <= 1 / MIN_DEPTH_M)
-    return np.divide(1.0, disparity, out=np.full(disparity.shape, np.nan, np.float32),
-                     where=valid)
+    return _inverse(_float32(disparity), max(1 / max_depth_m, _SMALLEST), 1 / MIN_DEPTH_M)
+
+
+def _float32(values: np.ndarray) -> np.ndarray:
+    """Return the values as a kernel takes them."""
+    with np.errstate(over='ignore'):  # beyond float32 is infinite
+        return np.ascontiguousarray(values, np.float32)
+
+
+@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float32)")
+def _inverse(values, least, most):
+    """Return 1 / values, NaN unless from the least to the most."""
+    inverse = np.empty(values.shape, np.float32)
+    for v in range(values.shape[0]):
+        for u in range(values.shape[1]):
+            is_valid = (values[v, u] >= least) & (values[v, u] <= most)
+            inverse[v, u] = np.float32(1) / values[v, u] if is_valid else np.float32(np.nan)
+    return inverse
 
 
 def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -158,9 +162,9 @@ def noise_reference(disparity: np.ndarray) -> float:
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
     if not sample.size:
-        return _LEAST_RANGE
+        return _SMALLEST
     low, level, high = quantiles(sample, (RANGE_QUANTILES[0], 0.5, RANGE_QUANTILES[1]))
-    return max(high - low, MIN_RANGE_OF_LEVEL * abs(level), _LEAST_RANGE)
+    return max(high - low, MIN_RANGE_OF_LEVEL * abs(level), _SMALLEST)
 
 
 def disparity_range(disparity: np.ndarray) -> float:
@@ -180,4 +184,4 @@ def disparity_range(disparity: np.ndarray) -> float:
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
     low, high = quantiles(sample, RANGE_QUANTILES) if sample.size else (0.0, 0.0)
-    return max(high - low, _LEAST_RANGE)
+    return max(high - low, _SMALLEST)
