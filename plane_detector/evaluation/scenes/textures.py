@@ -106,8 +106,10 @@ def _paint(scene: Scene, rng: np.random.Generator) -> np.ndarray:
 
 
 def _upright_normal(scene: Scene) -> np.ndarray:
-    """Return the normal of the largest vertical plane, which floors are aligned with."""
+    """Return the normal of the largest vertical plane; without one, the camera's view."""
     upright = np.abs(scene.planes[:, :3] @ scene.gravity_camera) < 0.05
+    if not upright.any():
+        return np.array([0.0, 0.0, 1.0])
     pixels = np.bincount(scene.labels[scene.labels >= 0], minlength=len(scene.planes)) * upright
     return scene.planes[pixels.argmax(), :3]
 
