@@ -52,7 +52,7 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
     Parameters
     ----------
     labels : (R, C) int32
-        -1 none.
+        -1 none; below 2**15.
     near : Neighbourhood
 
     Returns
@@ -88,37 +88,56 @@ def _cluster(labels, offsets, min_samples):
     (rows, columns), margin, count = labels.shape, reach_of(offsets), 0
     stride, found = columns + 2 * margin, np.empty_like(labels)
     # Loops, as numba takes a second to compile each assignment to a slice.
-    padded = np.full((rows + 2 * margin) * stride, np.int32(-1))
+    padded = np.full((rows + 2 * margin) * stride, np.int16(-1))
     for row in range(rows):
         for column in range(columns):
             padded[(row + margin) * stride + column + margin] = labels[row, column]
     steps = steps_of(offsets, stride)
     clusters, queue = np.full(len(padded), np.int32(-1)), np.empty(len(padded), np.int64)
+    is_core = core_places(padded, steps, min_samples)
     for start in range(margin * stride, len(padded) - margin * stride):
-        if padded[start] >= 0 and clusters[start] < 0:
-            count += _grow_cluster(queue, start, count, (padded, clusters), (steps, min_samples))
+        if is_core[start] and padded[start] >= 0:
+            for k in range(grow_cluster(queue, 0, start, (padded, is_core), steps)):
+                clusters[queue[k]] = count
+            count += 1
     for row in range(rows):
         for column in range(columns):
             found[row, column] = clusters[(row + margin) * stride + column + margin]
     return found, count
 
 
-@kernel('boolean(int64[::1], int64, int64, UniTuple(int32[::1], 2), Tuple((int64[::1], int64)))')
-def _grow_cluster(queue, start, number, grids, near):
-    """Give a number to the density cluster of a cell in a grid with a margin, if it is a core."""
-    (labels, clusters), (steps, min_samples), end, head, here = grids, near, 0, 0, start
+@kernel('boolean[::1](int16[::1], int64[::1], int64)')
+def core_places(labels, steps, min_samples):
+    """Return the places of cores: labelled, with enough neighbours of their label."""
+    reach, is_core = steps[-1], np.zeros(len(labels), np.bool_)
+    count, least = len(labels) - 2 * reach, np.int16(min_samples)
+    here, found = labels[reach:reach + count], is_core[reach:reach + count]
+    samples = np.zeros(count, np.int16)
+    for j in range(len(steps)):  # step by step, so that the loop over places is vectorised
+        there = labels[reach + steps[j]:reach + steps[j] + count]
+        for k in range(count):
+            samples[k] += np.int16(here[k] == there[k])
+    for k in range(count):
+        found[k] = (here[k] >= 0) & (samples[k] >= least)
+    return is_core
+
+
+@kernel('int64(int64[::1], int64, int64, Tuple((int16[::1], boolean[::1])), int64[::1])')
+def grow_cluster(queue, end, start, grids, steps):
+    """
+    Append the density cluster of a core to a queue of places; return where the queue ends.
+
+    Its cells lose their label, since a cell is in one cluster.
+    """
+    (labels, is_core), head, here = grids, end, start
+    label = labels[start]
     while True:
-        samples, new = 0, end
-        for step in steps:
-            p = np.uint64(here + step)  # unsigned: no wrap-around check
-            is_same = labels[p] == labels[start]
-            queue[new] = p
-            new += is_same & (clusters[p] < 0)
-            samples += is_same
-        if samples >= min_samples:
-            for k in range(end, new):
-                clusters[queue[k]] = number
-            end = new
+        if is_core[here]:
+            for k in range(len(steps)):  # twice as fast as a loop over the array
+                p = np.uint64(here + steps[k])  # unsigned: no wrap-around check
+                if labels[p] == label:
+                    queue[end], labels[p] = p, -1
+                    end += 1
         if head == end:
-            return end > 0
+            return end
         here, head = queue[head], head + 1

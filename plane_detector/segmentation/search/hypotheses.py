@@ -32,7 +32,6 @@ def draw_planes(left, free, stride, cells, draws):
     """Return the planes (h, 3) of windows that are flat, about some of the cells left."""
     (table, moments), (wanted, share) = cells, draws
     planes, total, n = np.empty((wanted * len(WINDOWS_CELLS), 3)), np.empty(10), 0
-    inside = np.empty(WIDEST_WINDOW_CELLS**2, np.int64)
     for window in range(len(WINDOWS_CELLS)):
         height, width = WINDOWS_CELLS[window, 0], WINDOWS_CELLS[window, 1]
         for _ in range(wanted):
@@ -41,17 +40,18 @@ def draw_planes(left, free, stride, cells, draws):
             corner, filled = left[int(share * len(left))] - height // 2 * stride - width // 2, 0
             for left_end in range(corner, corner + height * stride, stride):
                 for p in range(left_end, left_end + width):
-                    inside[filled] = free[p]
-                    filled += free[p] >= 0
+                    filled += free[np.uint64(p)] >= 0  # unsigned: no wrap-around check
             if filled < WINDOW_MIN_FREE * height * width:
                 continue
             expected = 0.0
             for j in range(10):
                 total[j] = 0.0
-            for i in inside[:filled]:
-                for j in range(10):
-                    total[j] += moments[i, j]
-                expected += table[i, 7]
+            for left_end in range(corner, corner + height * stride, stride):
+                for p in range(left_end, left_end + width):
+                    if free[p] >= 0:
+                        for j in range(10):
+                            total[j] += moments[free[p], j]
+                        expected += table[free[p], 7]
             a, b, c = fit_plane(total)
             if squared_error(a, b, c, total) < MAX_JOINT_VARIANCES * expected:
                 planes[n, 0], planes[n, 1], planes[n, 2] = a, b, c

@@ -22,7 +22,13 @@ from plane_detector.config import Config
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, chi_squared
 from plane_detector.segmentation.cells.plane_fit import fit_plane
-from plane_detector.segmentation.search.dbscan import neighbourhood, reach_of, steps_of
+from plane_detector.segmentation.search.dbscan import (
+    core_places,
+    grow_cluster,
+    neighbourhood,
+    reach_of,
+    steps_of,
+)
 from plane_detector.segmentation.search.hypotheses import (
     CELLS,
     FREE,
@@ -48,8 +54,6 @@ SETTLED_SHARE = 0.03
 NEAR = 'Tuple((int64[::1], int64))'
 # What a cell is tested with: free cells, table, squared threshold.
 TEST = f'Tuple(({FREE}, float64[:, ::1], float64))'
-# States of a place in a flood: not tested, no inlier, inlier, inlier in a cluster.
-UNKNOWN, OUTLIER, INLIER, CLUSTERED = range(4)
 
 
 @dataclass(frozen=True)
@@ -162,7 +166,8 @@ def _take_best(hypotheses, search, labels, planes, limits):
             gain[best] = 0
             failures += 1
             continue
-        _add_support(gain, hypotheses, (cells, free), members, (-1, threshold2))
+        if taken + 1 < len(planes):
+            _add_support(gain, hypotheses, (cells, free), members, (-1, threshold2))
         for p in members:
             label[free[p]], free[p] = first + taken, -1
         n = 0
@@ -207,9 +212,13 @@ def _add_support(gain, planes, free, places, limits):
         f'{NEAR})), float64)')
 def _refine(plane, search, threshold2):
     """Refit a plane to a cluster of its inliers until they settle; return it and them."""
-    (members, free, (table, moments), near), total = search, np.empty(10)
-    for _ in range(MAX_TRIALS):
-        grown, kept = _cluster_about(members, plane, (free, table, threshold2), near)
+    (left, free, (table, moments), near), total = search, np.empty(10)
+    inliers, members = np.full(len(free), np.int16(-1)), left
+    for trial in range(MAX_TRIALS):
+        changes = _find_inliers(inliers, left, plane, (free, table, threshold2))
+        if changes == 0 and trial > 0:  # the same cluster
+            break
+        grown, kept = _cluster_about(members, inliers.copy(), near)
         if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break
         for j in range(10):
@@ -224,23 +233,33 @@ def _refine(plane, search, threshold2):
     return plane, members
 
 
-@kernel(f'Tuple((int64[::1], int64))(int64[::1], float64[::1], {TEST}, {NEAR})')
-def _cluster_about(members, plane, test, near):
+@kernel(f'int64(int16[::1], int64[::1], float64[::1], {TEST})')
+def _find_inliers(inliers, left, plane, test):
+    """Write 0 at the places of inliers, -1 at other free cells; return how many have changed."""
+    (free, table, threshold2), changes = test, 0
+    a, b, c = plane[0], plane[1], plane[2]
+    for k in range(len(left)):
+        p = np.uint64(left[k])  # unsigned: no wrap-around check
+        is_inlier = chi_squared(table, np.uint64(free[p]), a, b, c) < threshold2
+        label = np.int16(0) if is_inlier else np.int16(-1)
+        changes += np.int64(inliers[p] != label)
+        inliers[p] = label
+    return changes
+
+
+@kernel(f'Tuple((int64[::1], int64))(int64[::1], int16[::1], {NEAR})')
+def _cluster_about(members, inliers, near):
     """Return the density cluster of inliers that holds most members, and how many it holds."""
-    (free, table, threshold2), end, most, first, last = test, 0, 0, 0, 0
-    state, is_member = np.zeros(len(free), np.uint8), np.zeros(len(free), np.bool_)
-    queue = np.empty(len(free), np.int64)
+    (steps, min_samples), end, most, first, last = near, 0, 0, 0, 0
+    is_core, is_member = core_places(inliers, steps, min_samples), np.zeros(len(inliers), np.bool_)
+    queue = np.empty(len(inliers), np.int64)
+    for k in range(len(members)):
+        is_member[members[k]] = True
     for p in members:
-        is_member[p] = True
-    for p in members:
-        if state[p] == UNKNOWN:
-            state[p] = OUTLIER
-            if chi_squared(table, free[p], plane[0], plane[1], plane[2]) < threshold2:
-                state[p] = INLIER
-        if state[p] != INLIER:
+        if inliers[p] < 0 or not is_core[p]:
             continue
         begin, held = end, 0
-        end = _grow_cluster(queue, begin, p, (state, plane, test), near)
+        end = grow_cluster(queue, begin, p, (inliers, is_core), steps)
         for k in range(begin, end):
             held += is_member[queue[k]]
         if held > most:
@@ -248,32 +267,3 @@ def _cluster_about(members, plane, test, near):
         if 2 * most >= len(members):  # no other can hold more
             break
     return queue[first:last].copy(), most
-
-
-@kernel(f'int64(int64[::1], int64, int64, Tuple((uint8[::1], float64[::1], {TEST})), {NEAR})')
-def _grow_cluster(queue, end, start, search, near):
-    """
-    Append the density cluster of an inlier to a queue of places; return where the queue ends.
-
-    Cells are tested when the cluster reaches them. Nothing is appended unless it is a core cell.
-    """
-    (state, plane, (free, table, threshold2)), (steps, min_samples) = search, near
-    a, b, c, head, here = plane[0], plane[1], plane[2], end, start
-    while True:
-        samples, new = 0, end
-        for step in steps:
-            p = np.uint64(here + step)  # unsigned: no wrap-around check
-            if state[p] == UNKNOWN:
-                state[p] = OUTLIER
-                if free[p] >= 0 and chi_squared(table, free[p], a, b, c) < threshold2:
-                    state[p] = INLIER
-            queue[new] = p
-            new += state[p] == INLIER
-            samples += state[p] >= INLIER
-        if samples >= min_samples:
-            for k in range(end, new):
-                state[queue[k]] = CLUSTERED
-            end = new
-        if head == end:
-            return end
-        here, head = queue[head], head + 1
