@@ -10,6 +10,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, N
+from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 
@@ -91,7 +92,8 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
     table, is_planar = np.zeros((len(usable), 8)), np.zeros(len(usable), np.bool_)
     of_plane = 0.0
     for i in range(len(usable)):
-        of_plane += squares[3] * mean[i, 2] ** 4 / len(usable) ** 2
+        of_plane += mean[i, 2] ** 4
+    of_plane *= squares[3] / len(usable) ** 2
     for i in range(len(usable)):
         if moments[i, 0] == 0:
             continue
@@ -129,13 +131,13 @@ def region_moments(cells: WeightedCells, labels: np.ndarray, count: int) -> np.n
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int32[::1], boolean[::1], int64)', is_short=True)
-def add_up(values, labels, is_used, count):
-    """Add up the rows of values (n, m) of each label among the used ones, (count, m)."""
-    total = np.zeros((count, values.shape[1]))
+def add_up(moments, labels, is_used, count):
+    """Add up the moments of the used cells of each label, (count, 10)."""
+    total = np.zeros((count, 10))
     for i in range(len(labels)):
         if is_used[i] and labels[i] >= 0:
-            for k in range(values.shape[1]):
-                total[labels[i], k] += values[i, k]
+            for k in range(10):
+                total[labels[i], k] += moments[i, k]
     return total
 
 
@@ -145,9 +147,7 @@ def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
     moments = region_moments(cells, labels, count)
     planes = fit_planes(moments)
     kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1)) & np.isfinite(planes[:, 0]))
-    index = np.full(count + 1, -1, np.int32)
-    index[kept] = np.arange(len(kept))
-    return PlaneRegions(index[labels], planes[kept])
+    return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])
 
 
 @kernel('boolean(float64[:, ::1], int64)')

@@ -182,7 +182,8 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     sample = np.flatnonzero(grid.usable)
     sample = sample[::len(sample) // MAX_SAMPLES + 1]
     pixel_sigma = _quantile(grid.residual_rms[sample]) / _rms_quantile(grid.size_px**2 - 3)
-    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), grid.sparsity[sample])
+    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma),
+                                  grid.sparsity.take(sample, axis=0))
 
 
 def _quantile(values: np.ndarray) -> float:
@@ -205,7 +206,8 @@ def _differences(mean, slope, usable, columns, lag):
     curvatures, bends = np.empty(2 * len(usable)), np.empty(2 * len(usable))
     curved, bent = 0, 0
     for i in range(len(usable)):
-        for stride, left in ((1, columns - 1 - i % columns), (columns, rows - 1 - i // columns)):
+        row = i // columns
+        for stride, left in ((1, columns - 1 - i + row * columns), (columns, rows - 1 - row)):
             j, k = i + lag * stride, i + 2 * lag * stride
             if lag > left or not usable[i] or not usable[j]:
                 continue
@@ -214,7 +216,7 @@ def _differences(mean, slope, usable, columns, lag):
             if 2 * lag <= left and usable[k]:
                 curvatures[curved] = abs(mean[i, 2] - 2 * mean[j, 2] + mean[k, 2])
                 curved += 1
-    return curvatures[:curved].copy(), bends[:bent].copy()
+    return curvatures[:curved], bends[:bent]
 
 
 def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:

@@ -75,7 +75,7 @@ def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise
         return noise
     sigmas = (SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt),
               median(cells.grid.residual_rms[members]))
-    return noise.from_cells(sigmas, cells.grid.sparsity[members])
+    return noise.from_cells(sigmas, cells.grid.sparsity.take(members, axis=0))
 
 
 @kernel('Tuple((int64[::1], float64[::1], float64[::1]))(int32[:, ::1], float64[:, ::1], '
@@ -84,8 +84,9 @@ def _deviations(labels, planes, table):
     """Return some cells (n,) of large planes, moduli of residuals (n,) and slopes' (2 * n,)."""
     cells, size = np.empty(labels.size, np.int64), np.zeros(len(planes), np.int64)
     label, n = labels.reshape(-1), 0
-    for k in label[label >= 0]:
-        size[k] += 1
+    for i in range(len(label)):
+        if label[i] >= 0:
+            size[label[i]] += 1
     for i in range(len(label)):
         cells[n] = i
         n += label[i] >= 0 and size[label[i]] > MIN_REGION_CELLS

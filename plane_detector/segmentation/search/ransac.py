@@ -144,8 +144,8 @@ def _free_cells(is_planar, labels, margin, stride):
 def _pixels(places, free, cells):
     """Return the number of pixels of some free cells."""
     pixels = 0.0
-    for p in places:
-        pixels += cells[1][free[p], 0]
+    for k in range(len(places)):
+        pixels += cells[1][free[places[k]], 0]
     return pixels
 
 
@@ -157,10 +157,11 @@ def _take_best(hypotheses, search, labels, planes, limits):
     gain, label = np.zeros(len(hypotheses), np.float32), labels.reshape(-1)
     taken = failures = 0
     _add_support(gain, hypotheses, (cells, free), left, (1, threshold2))
-    while taken < len(planes) and failures < MAX_TRIALS and len(gain):
-        best = np.argmax(gain)
-        if gain[best] < min_pixels / 2:
+    while taken < len(planes) and failures < MAX_TRIALS:
+        hypotheses, gain = _supported(hypotheses, gain, min_pixels / 2)
+        if not len(gain):
             break
+        best = np.argmax(gain)
         plane, members = _refine(hypotheses[best], (left, free, cells, near), threshold2)
         if _pixels(members, free, cells) < max(min_pixels, 1.0):
             gain[best] = 0
@@ -171,13 +172,24 @@ def _take_best(hypotheses, search, labels, planes, limits):
         for p in members:
             label[free[p]], free[p] = first + taken, -1
         n = 0
-        for p in left:
-            left[n] = p
-            n += free[p] >= 0
+        for k in range(len(left)):
+            left[n] = left[k]
+            n += free[left[k]] >= 0
         for axis in range(3):  # an assignment of an array takes a second to compile
             planes[taken, axis] = plane[axis]
         left, failures, taken = left[:n], 0, taken + 1
     return taken, left
+
+
+@kernel('Tuple((float64[:, ::1], float32[::1]))(float64[:, ::1], float32[::1], float64)')
+def _supported(planes, gain, least):
+    """Keep hypotheses with enough support: that of the others will only fall."""
+    n = 0
+    for h in range(len(gain)):
+        planes[n, 0], planes[n, 1], planes[n, 2] = planes[h, 0], planes[h, 1], planes[h, 2]
+        gain[n] = gain[h]
+        n += gain[h] >= least
+    return planes[:n], gain[:n]
 
 
 @kernel(f'void(float32[::1], float64[:, ::1], Tuple(({CELLS}, {FREE})), int64[::1], '
@@ -223,9 +235,9 @@ def _refine(plane, search, threshold2):
             break
         for j in range(10):
             total[j] = 0.0
-        for p in grown:
+        for k in range(len(grown)):
             for j in range(10):
-                total[j] += moments[free[p], j]
+                total[j] += moments[free[grown[k]], j]
         a, b, c = fit_plane(total)
         if np.isnan(a):
             return plane, grown[:0]
