@@ -88,6 +88,8 @@ def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
 
 def _float32(values: np.ndarray) -> np.ndarray:
     """Return the values as a kernel takes them."""
+    if values.dtype == np.float32:
+        return np.ascontiguousarray(values)
     with np.errstate(over='ignore'):  # beyond float32 is infinite
         return np.ascontiguousarray(values, np.float32)
 

@@ -11,6 +11,7 @@ change which pixels form a plane.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import cycle
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from plane_detector.segmentation.regions.merging import (
 )
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
-from plane_detector.segmentation.search.ransac import Search
+from plane_detector.segmentation.search.ransac import Search, first_draws
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
@@ -104,14 +105,13 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
 
     """
     retain_freed_memory()
-    # The same stream as that of default_rng, in half the time.
-    rng = rng or np.random.Generator(np.random.PCG64(config.ransac.seed))
+    draw = cycle(first_draws(config.ransac.seed)).__next__ if rng is None else rng.random
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)
     if normals is not None:
         grid = with_normals(grid, normals, noise_floor.source_sigma)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
-    search = Search(grid, min_pixels, config, rng)
+    search = Search(grid, min_pixels, config, draw)
     cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
     stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
     labels, planes = stages[noise.kind(grid.typical_disparity)](

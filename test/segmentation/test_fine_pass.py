@@ -34,7 +34,7 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     """Return what :func:`add_small_planes` takes: what the search on whole cells leaves."""
     image = disparity_image(depth_m)
     least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
-    search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0))
+    search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0).random)
     cells, regions, noise = search_planes(search, noise_floor)
     labels = label_pixels(image, cells, RegionGraph.of(cells, regions), noise, 3.0)
     return image, labels, cells, regions.coefficients, (search, noise), MIN_ANGLE_DEG

@@ -29,6 +29,9 @@ MAX_SAMPLES = 1000
 LAG_CELLS = 4
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times precision -0.017.
 QUANTILE = 0.25
+# derived: the quantiles of a normal variable and of its modulus.
+NORMAL_QUANTILE = NormalDist().inv_cdf(QUANTILE)
+MODULUS_QUANTILE = NormalDist().inv_cdf((1 + QUANTILE) / 2)
 # Disparity counts as quantised if it takes as many values as there are lines sampled in both
 # directions, and these shares of the neighbours are equal and of the steps between values even.
 # tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
@@ -175,15 +178,29 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
         return noise_floor.with_smooth_part(noise_floor.mean_sigma, noise_floor.slope_sigma)
     # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times; the
     # quantile of chi-squared with 2 degrees of freedom is -2 log(1 - QUANTILE).
-    mean_sigma = _quantile(curvature) / NormalDist().inv_cdf((1 + QUANTILE) / 2) / 6**0.5
+    mean_sigma = _quantile(curvature) / MODULUS_QUANTILE / 6**0.5
     slope_sigma = (_quantile(bend) / (-4 * np.log(1 - QUANTILE))) ** 0.5
     # Smooth noise changes by at most its slopes times the distance of the cells; a step does not.
     mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
-    sample = np.flatnonzero(grid.usable)
-    sample = sample[::len(sample) // MAX_SAMPLES + 1]
-    pixel_sigma = _quantile(grid.residual_rms[sample]) / _rms_quantile(grid.size_px**2 - 3)
-    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma),
-                                  grid.sparsity.take(sample, axis=0))
+    _, rms, sparsity = sample_cells(grid.usable, grid.residual_rms, grid.sparsity)
+    pixel_sigma = _quantile(rms) / _rms_quantile(grid.size_px**2 - 3)
+    return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), sparsity)
+
+
+@kernel('Tuple((int64[::1], float64[::1], float64[:, ::1]))(boolean[::1], float64[::1], '
+        'float64[:, ::1])', is_short=True)
+def sample_cells(is_wanted, residual_rms, sparsity):
+    """Return evenly spaced ones of the wanted cells, (n,), their rms (n,) and sparsity (n, 2)."""
+    wanted, count = np.empty(len(is_wanted), np.int64), 0
+    for i in range(len(is_wanted)):
+        wanted[count] = i
+        count += is_wanted[i]
+    cells = wanted[:count][::count // MAX_SAMPLES + 1].copy()
+    rms, added = np.empty(len(cells)), np.empty((len(cells), 2))
+    for k in range(len(cells)):
+        rms[k], added[k, 0] = residual_rms[cells[k]], sparsity[cells[k], 0]
+        added[k, 1] = sparsity[cells[k], 1]
+    return cells, rms, added
 
 
 def _quantile(values: np.ndarray) -> float:
@@ -195,8 +212,7 @@ def _rms_quantile(freedom: int) -> float:
     """Return QUANTILE of the rms about a fitted plane, over the deviation (Wilson-Hilferty)."""
     freedom = max(freedom, 1)
     spread = 2 / (9 * freedom)
-    normal = NormalDist().inv_cdf(QUANTILE)
-    return ((1 - spread + normal * spread**0.5) ** 3 * freedom / (freedom + 3)) ** 0.5
+    return ((1 - spread + NORMAL_QUANTILE * spread**0.5) ** 3 * freedom / (freedom + 3)) ** 0.5
 
 
 @kernel('UniTuple(float64[::1], 2)(float64[:, ::1], float64[:, ::1], boolean[::1], int64, int64)')
@@ -236,11 +252,11 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     disparity = image.values
     if min(disparity.shape) < 2:
         return noise_floor
+    if not _repeats(disparity):
+        return noise_floor
     # Whole rows and columns are sampled, so that no value of a slope is missed.
     rows, columns = (np.arange(1, ROUNDING_LINES + 1) * (side - 1) // (ROUNDING_LINES + 1)
                      for side in disparity.shape)
-    if not _repeats(disparity, rows, columns):
-        return noise_floor
     lines = disparity[rows].ravel(), disparity[:, columns].ravel()
     # Invalid pixels are 0.
     values = np.unique(np.concatenate([line[line != 0] for line in lines])).astype(float)
@@ -257,8 +273,8 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
                    disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
 
 
-@kernel('boolean(float32[:, ::1], int64[::1], int64[::1])')
-def _repeats(disparity, rows, columns):
+@kernel('boolean(float32[:, ::1])', is_short=True)
+def _repeats(disparity):
     """
     Return whether enough neighbours are equal, along some rows and along some columns.
 
@@ -266,11 +282,12 @@ def _repeats(disparity, rows, columns):
     its rows.
     """
     (height, width), in_rows, in_columns = disparity.shape, 0, 0
-    for row in rows:
+    for k in range(1, ROUNDING_LINES + 1):
+        row, column = (k * (height - 1) // (ROUNDING_LINES + 1),
+                       k * (width - 1) // (ROUNDING_LINES + 1))
         for u in range(width - 1):
             in_rows += disparity[row, u] == disparity[row, u + 1]
-    for column in columns:
         for v in range(height - 1):
             in_columns += disparity[v, column] == disparity[v + 1, column]
-    return (in_rows >= MIN_EQUAL_SHARE * len(rows) * (width - 1)
-            and in_columns >= MIN_EQUAL_SHARE * len(columns) * (height - 1))
+    return (in_rows >= MIN_EQUAL_SHARE * ROUNDING_LINES * (width - 1)
+            and in_columns >= MIN_EQUAL_SHARE * ROUNDING_LINES * (height - 1))

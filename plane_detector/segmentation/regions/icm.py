@@ -68,11 +68,12 @@ def _compete(given, model, threshold2):
     """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
     labels, (rows, columns) = given.copy(), given.shape
     work = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
-    is_open, has_converged = at_borders(labels), False
+    is_open, has_open, has_converged = at_borders(labels), np.ones(rows, np.bool_), False
     while not has_converged:
         has_converged = True
         for row in range(rows):
-            for column in range(columns):
+            is_done, has_open[row] = not has_open[row], False
+            for column in range(0 if is_done else columns):
                 if not is_open[row, column]:
                     continue
                 is_open[row, column] = False
@@ -80,6 +81,7 @@ def _compete(given, model, threshold2):
                 if best != labels[row, column]:
                     labels[row, column], has_converged = best, False
                     for v in range(max(row - 1, 0), min(row + 2, rows)):
+                        has_open[v] = True
                         for u in range(max(column - 1, 0), min(column + 2, columns)):
                             is_open[v, u] = True
     return labels

@@ -122,9 +122,13 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     RegionGraph
 
     """
-    graph, count = RegionGraph(*(part.copy() for part in vars(graph).values())), len(graph.planes)
-    refused, cost = np.zeros((count, count), bool), misfit(graph) if count > 1 else np.ones((0, 0))
-    while cost.size:
+    count = len(graph.planes)
+    cost = misfit(graph) if count > 1 else np.ones((0, 0))
+    if not cost.size or cost.min() > 1:
+        return graph
+    graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
+    refused = np.zeros((count, count), bool)
+    while True:
         i, j = divmod(int(cost.argmin()), count)
         if not cost[i, j] <= 1:
             break

@@ -11,13 +11,16 @@ Search for the planes and the noise together, since each is needed to find the o
 
 from __future__ import annotations
 
+import math
+import sys
+
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
-from plane_detector.segmentation.cells.noise import MAX_SAMPLES, Noise, estimate_noise
+from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, Search, add_planes, no_planes
 
@@ -57,8 +60,8 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
     grid, most = search.grid, search.config.segmentation.max_planes
     noise = estimate_noise(grid, noise_floor)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
-    cells, floor = weigh_cells(grid, noise), np.finfo(float).tiny
-    floor += np.sqrt(noise.variance_floor(grid.typical_disparity))
+    cells, floor = weigh_cells(grid, noise), sys.float_info.min
+    floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
     for _ in range(MAX_TRIALS):
         regions = add_planes(search, cells, no_planes(grid), min(CALIBRATION_PLANES, most))
         shown = _noise_from_planes(cells, regions, noise)
@@ -70,33 +73,37 @@ def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, Pl
 
 def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise) -> Noise:
     """Return the noise from the median absolute deviation from the large planes, if any."""
-    members, residual, tilt = _deviations(regions.labels, regions.coefficients, cells.table)
-    if not len(members):
+    grid = cells.grid
+    residual, tilt, rms, sparsity = _deviations(
+        regions.labels, regions.coefficients, cells.table, grid.residual_rms, grid.sparsity)
+    if not len(residual):
         return noise
-    sigmas = (SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt),
-              median(cells.grid.residual_rms[members]))
-    return noise.from_cells(sigmas, cells.grid.sparsity.take(members, axis=0))
+    sigmas = SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt), median(rms)
+    return noise.from_cells(sigmas, sparsity)
 
 
-@kernel('Tuple((int64[::1], float64[::1], float64[::1]))(int32[:, ::1], float64[:, ::1], '
-        'float64[:, ::1])', is_short=True)
-def _deviations(labels, planes, table):
-    """Return some cells (n,) of large planes, moduli of residuals (n,) and slopes' (2 * n,)."""
-    cells, size = np.empty(labels.size, np.int64), np.zeros(len(planes), np.int64)
-    label, n = labels.reshape(-1), 0
+@kernel('Tuple((float64[::1], float64[::1], float64[::1], float64[:, ::1]))(int32[:, ::1], '
+        'float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1])', is_short=True)
+def _deviations(labels, planes, table, residual_rms, sparsity):
+    """
+    Compare some cells of large planes with these.
+
+    Return moduli of residuals (n,) and of slopes' (2 * n,), rms (n,) and sparsity (n, 2).
+    """
+    is_member, size = np.zeros(labels.size, np.bool_), np.zeros(len(planes), np.int64)
+    label = labels.reshape(-1)
     for i in range(len(label)):
         if label[i] >= 0:
             size[label[i]] += 1
     for i in range(len(label)):
-        cells[n] = i
-        n += label[i] >= 0 and size[label[i]] > MIN_REGION_CELLS
-    cells = cells[:n][::n // MAX_SAMPLES + 1].copy()
+        is_member[i] = label[i] >= 0 and size[label[i]] > MIN_REGION_CELLS
+    cells, rms, sparsity = sample_cells(is_member, residual_rms, sparsity)
     residual, tilt = np.empty(len(cells)), np.empty(2 * len(cells))
     for m, i in enumerate(cells):
         a, b, c = planes[label[i], 0], planes[label[i], 1], planes[label[i], 2]
         residual[m] = abs(table[i, 2] - a * table[i, 0] - b * table[i, 1] - c)
         tilt[2 * m], tilt[2 * m + 1] = abs(table[i, 3] - a), abs(table[i, 4] - b)
-    return cells, residual, tilt
+    return residual, tilt, rms, sparsity
 
 
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:

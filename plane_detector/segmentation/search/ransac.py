@@ -13,7 +13,9 @@ happens to cut.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -58,12 +60,18 @@ TEST = f'Tuple(({FREE}, float64[:, ::1], float64))'
 
 @dataclass(frozen=True)
 class Search:
-    """Inputs of a search except the noise: grid, smallest plane, settings, random generator."""
+    """Inputs of a search except the noise: grid, smallest plane, settings, random numbers."""
 
     grid: CellGrid
     min_pixels: float
     config: Config
-    rng: np.random.Generator
+    draw: Callable[[], float]
+
+
+@lru_cache(maxsize=8)
+def first_draws(seed: int) -> tuple[float, ...]:
+    """Return random numbers of a seed, enough for an image: to make a generator takes longer."""
+    return tuple(np.random.default_rng(seed).random(MAX_TRIALS + 2).tolist())
 
 
 def no_planes(grid: CellGrid) -> PlaneRegions:
@@ -96,7 +104,7 @@ def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
     labels, first = regions.labels.copy(), len(regions.coefficients)
     wanted = math.ceil(math.log1p(-ransac.confidence) / math.log1p(-ROUND_PLANE_SHARE))
     counts = first, most, min(max(wanted, 1), ransac.max_iterations), ransac.max_iterations
-    limits = search.min_pixels, ransac.inlier_threshold**2, search.rng.random()
+    limits = search.min_pixels, ransac.inlier_threshold**2, search.draw()
     found = find_planes((cells.table, cells.grid.moments), cells.is_planar, labels,
                         (near.offsets, near.min_samples), counts, limits)
     return PlaneRegions(labels, np.vstack([regions.coefficients, found]))
