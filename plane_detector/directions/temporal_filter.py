@@ -16,8 +16,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.vanishing import AxisPair, SceneDirections
+from plane_detector.directions.vanishing import SceneDirections
 
 # Largest motion of a matched segment's midpoint at unit focal length, and sine of its rotation.
 MATCH_DISTANCE, MATCH_SINE = 0.1, 0.1

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.line_segments import LineSegments, segments_from_pixels
 from plane_detector.directions.temporal_filter import (
     HELD_IMAGES,
@@ -13,7 +14,7 @@ from plane_detector.directions.temporal_filter import (
     track_directions,
     turn_between,
 )
-from plane_detector.directions.vanishing import AxisPair, SceneDirections
+from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.line_segments import segments_from_pixels
-from plane_detector.directions.vanishing import AxisPair, SceneDirections
+from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
 from plane_detector.planes.orientation import orient_planes
 from plane_detector.planes.region_samples import RegionSamples

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
+from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.finder import CameraImage, ImageDirections, find_in_image
 from plane_detector.directions.line_segments import segments_from_pixels
-from plane_detector.directions.vanishing import AxisPair, SceneDirections
+from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
@@ -50,7 +51,7 @@ def before_and_after(make, seed, sigma):
 
 
 @pytest.mark.parametrize(('make', 'seed'), [
-    (random_room, 304), (hexagon_room, 304), (attic, 305), (rolled_room, 302)])
+    (random_room, 304), (hexagon_room, 304), (attic, 303), (rolled_room, 302)])
 def test_planes_of_smoothly_wrong_depth_come_nearer_to_the_truth(make, seed):
     scene, before, after = before_and_after(make, seed, 0.02)
     assert mean_error_deg(scene, *after) < 0.5 * mean_error_deg(scene, *before)
