@@ -6,11 +6,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
-from plane_detector.segmentation.cells.labels import connected_pieces
 from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.pixels.labelling import label_pixels
@@ -111,21 +111,12 @@ def _cut_out(values, valid, labels):
     return part, left
 
 
-@kernel('boolean[:, ::1](int64[:, ::1], int64, float64)')
-def _large_pieces(pixels, size, min_pixels):
-    """Return the cells in connected pieces with enough pixels; cells are at least half full."""
-    labels, inside = np.empty(pixels.shape, np.int32), pixels.reshape(-1)
-    flat, is_large = labels.reshape(-1), np.empty(pixels.size, np.bool_)
-    for i in range(len(flat)):
-        flat[i] = 0 if 2 * inside[i] >= size**2 else -1
-    pieces, label, _ = connected_pieces(labels)
-    flat, total = pieces.reshape(-1), np.zeros(len(label) + 1)
-    for i in range(len(flat)):  # the last entry is that of cells in no piece
-        total[flat[i]] += inside[i]
-    total[-1] = 0.0
-    for i in range(len(flat)):
-        is_large[i] = total[flat[i]] >= min_pixels
-    return is_large.reshape(pixels.shape)
+def _large_pieces(unlabelled: np.ndarray, size: int, min_pixels: float) -> np.ndarray:
+    """Return the cells, at least half unlabelled, in connected pieces with enough pixels."""
+    wanted = 2 * unlabelled >= size**2
+    _, pieces = cv2.connectedComponents(wanted.astype(np.uint8), connectivity=4)
+    pixels = np.bincount(pieces.ravel(), unlabelled.ravel())
+    return wanted & (pixels >= min_pixels)[pieces]
 
 
 def _box_around(mask: np.ndarray) -> tuple[slice, slice]:

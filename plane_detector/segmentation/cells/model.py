@@ -148,9 +148,3 @@ def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
     planes = fit_planes(moments)
     kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1)) & np.isfinite(planes[:, 0]))
     return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])
-
-
-@kernel('boolean(float64[:, ::1], int64)')
-def has_no_depth(table, i):
-    """Return whether no pixel of cell i is valid."""
-    return table[i, 0] == 0 and table[i, 1] == 0 and table[i, 2] == 0

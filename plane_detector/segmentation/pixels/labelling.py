@@ -13,7 +13,6 @@ on no plane lies where the surface leaves the noise of the plane.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -23,9 +22,6 @@ from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions.icm import at_borders
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.plane_search import sees_creases
-
-# derived: the median of 9 pixels has about 1.25 / 3 of their standard deviation.
-MEDIAN_NOISE_SHARE = 0.41
 
 
 def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph, noise: Noise,
@@ -55,41 +51,30 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph
         Index into the planes, -1 for none and where invalid.
 
     """
-    grid, (values, pixel_sigma) = cells.grid, _smoothed(image, cells, noise)
+    grid = cells.grid
     found, first = (np.full(image.valid.shape, np.int32(-1)), 0) if others is None else (
         others[0].copy(), others[1])
     # A border moves by one cell per sweep.
     sweeps = sum(grid.shape) if others is None and sees_creases(grid, noise, threshold) else 1
     to_pixels = np.array([[1 / grid.width_px, 0, grid.origin[0]],
                           [0, 1 / grid.width_px, grid.origin[1]], [0, 0, 1]])
-    variance = noise.mean_sigma**2 + pixel_sigma**2 + noise.disparity_floor**2
-    _label((found, first), (values, image.valid, grid.size_px),
-           (graph.labels, cells.is_planar), (graph.planes @ to_pixels, graph.intersections()),
+    variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
+    _label((found, first), (image.values, image.valid, grid.size_px),
+           graph.labels, (graph.planes @ to_pixels, graph.intersections()),
            (threshold**2 * variance, (threshold * noise.depth_floor_m)**2), sweeps)
     return found
 
 
-def _smoothed(image: DisparityImage, cells: WeightedCells,
-              noise: Noise) -> tuple[np.ndarray, float]:
-    """Return the disparity (H, W), the median of 3 x 3 if it is noisy and dense, and its noise."""
-    is_noisy = noise.pixel_sigma**2 > noise.variance_floor(cells.grid.typical_disparity)
-    # The median of sparse pixels is 0.
-    if is_noisy and 2 * np.count_nonzero(image.valid) > image.valid.size:
-        return cv2.medianBlur(image.values, 3), MEDIAN_NOISE_SHARE * noise.pixel_sigma
-    return image.values, noise.pixel_sigma
-
-
 @kernel('void(Tuple((int32[:, ::1], int64)), Tuple((float32[:, ::1], boolean[:, ::1], int64)), '
-        'Tuple((int32[:, ::1], boolean[::1])), Tuple((float64[:, ::1], int8[:, ::1])), '
-        'UniTuple(float64, 2), int64)')
-def _label(output, image, cells, planes, tolerance, sweeps):
-    """Write the label of every valid pixel, given labels of cells and which cells are planar."""
-    (found, shift), (disparity, valid, size), (labels, is_planar) = output, image, cells
+        'int32[:, ::1], Tuple((float64[:, ::1], int8[:, ::1])), UniTuple(float64, 2), int64)')
+def _label(output, image, labels, planes, tolerance, sweeps):
+    """Write the label of every valid pixel, given the labels of cells."""
+    (found, shift), (disparity, valid, size) = output, image
     (height, width), columns, extent = disparity.shape, labels.shape[1], (0, 0)
     local, pixels = np.empty((9, 3), np.float32), np.empty((5, size**2), np.float32)
     chosen, offset = np.empty(size**2, np.int32), np.empty(size**2, np.uint64)
     values, is_valid, out = disparity.reshape(-1), valid.reshape(-1), found.reshape(-1)
-    near, is_open = np.full(10, np.int32(-1)), _open_cells(labels, is_planar)
+    near, is_open = np.full(10, np.int32(-1)), at_borders(labels)
     _fill_cells(found, shift, valid, labels, is_open, size)
     for _ in range(sweeps):
         changed, is_next, is_changed = labels.copy(), np.zeros(labels.shape, np.bool_), False
@@ -120,17 +105,6 @@ def _label(output, image, cells, planes, tolerance, sweeps):
         labels, is_open = changed, is_next
         if not is_changed:
             break
-
-
-@kernel('boolean[:, ::1](int32[:, ::1], boolean[::1])')
-def _open_cells(labels, is_planar):
-    """Return cells with another label around them, and labelled ones that are not planar."""
-    is_open = at_borders(labels)
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            is_edge = not is_planar[row * labels.shape[1] + column]
-            is_open[row, column] |= is_edge & (labels[row, column] >= 0)
-    return is_open
 
 
 @kernel('void(UniTuple(int64, 2), int64, uint64[::1], float32[:, ::1])')

@@ -113,8 +113,7 @@ def _bends(planes, sums, borders, limits):
     for i in range(count):
         bends[i, i] = 2 * _is_curved(sums[i], noise_density, min_deg)
         for j in range(i + 1, count):
-            if (borders[i, j, 0] == 0
-                    or min(sums[i, 0], sums[j, 0]) <= PLANE_TERMS):
+            if borders[i, j, 0] == 0:
                 continue
             fold_deg, gap = fold(planes, sums, borders, i, j)
             if gap >= MAX_DEVIATIONS or not min_deg < fold_deg < MAX_FOLD_DEG:
@@ -129,10 +128,7 @@ def _bends(planes, sums, borders, limits):
 @kernel('boolean(float64[::1], float64, float64)')
 def _is_curved(sums, noise_density, min_deg):
     """Return whether a quadric fits far better than a plane and turns by more than the angle."""
-    count, mean, quadric = sums[0], sums[6] / max(sums[0], 1.0), np.zeros(7)
-    if count < QUADRIC_TERMS + PLANE_TERMS:
-        return False
-    products = _products(sums)
+    count, mean, quadric, products = sums[0], sums[6] / sums[0], np.zeros(7), _products(sums)
     of_plane = solve_least_squares(products, PLANE_TERMS, quadric)
     of_quadric = solve_least_squares(products, QUADRIC_TERMS, quadric)
     variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, sums[10] / count)

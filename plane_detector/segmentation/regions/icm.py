@@ -57,13 +57,12 @@ def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: fl
     if len(regions.coefficients) == 0:
         return regions
     labels = _compete(np.ascontiguousarray(regions.labels, np.int32),
-                      (regions.coefficients, cells.table, cells.is_planar), threshold**2)
+                      (regions.coefficients, cells.table), threshold**2)
     clusters, count = label_clusters(labels, neighbourhood(dbscan))
     return fit_regions(cells, clusters, count, min_pixels)
 
 
-@kernel('int32[:, ::1](int32[:, ::1], Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), '
-        'float64)')
+@kernel('int32[:, ::1](int32[:, ::1], UniTuple(float64[:, ::1], 2), float64)')
 def _compete(given, model, threshold2):
     """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
     labels, (rows, columns) = given.copy(), given.shape
@@ -103,14 +102,14 @@ def at_borders(labels):
 
 
 @kernel('int32(int32[:, ::1], int64, int64, Tuple((int32[::1], int64[::1])), '
-        'Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), float64)')
+        'UniTuple(float64[:, ::1], 2), float64)')
 def _best_label(labels, row, column, work, model, threshold2):
     """
     Return the label of lowest energy of a cell, given the others; ``votes`` of it stay -1.
 
-    A cell whose neighbours all have its label keeps it.
+    A cell whose neighbours all have its label keeps it. One without depth goes with them.
     """
-    (planes, table, is_planar), (near, votes), (rows, columns) = model, work, labels.shape
+    (planes, table), (near, votes), (rows, columns) = model, work, labels.shape
     i, count = row * columns + column, 0
     for down in range(-1, 2):
         r = min(max(row + down, 0), rows - 1)  # the grid's border is replicated
@@ -120,13 +119,13 @@ def _best_label(labels, row, column, work, model, threshold2):
                 near[count], votes[label] = label, 0
                 count += 1
             votes[label] += 1
-    best, lowest = np.int32(-1), OUTLIER_COST * threshold2 if is_planar[i] else 0.0
+    best, lowest = np.int32(-1), OUTLIER_COST * threshold2 if table[i, 5] > 0 else 0.0
     lowest -= POTTS_WEIGHT * max(votes[-1], 0)
     if count == 1:
         best, lowest = near[0], -np.inf
     for k in range(count):
         cost, label = 0.0, near[k]
-        if label >= 0 and is_planar[i]:  # a cell on an edge goes with its neighbours
+        if label >= 0:
             cost = chi_squared(table, i, planes[label, 0], planes[label, 1], planes[label, 2])
         cost -= POTTS_WEIGHT * votes[label]
         votes[label] = -1

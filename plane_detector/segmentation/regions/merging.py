@@ -7,8 +7,7 @@ Two regions are merged if one surface fits both, and where the test asks for it,
 meet at the border without a step and at a small angle. Four tests differ in surface and limits:
 
 - coplanar: a joint plane fits both within the noise;
-- a bulge: the smaller region is near the plane of the larger and has no step to it. A step keeps
-  parallel planes apart, since smooth noise does not jump from cell to cell;
+- a bulge: the smaller region is near the plane of the larger;
 - flat within the settings: a concrete floor that dips by a degree or two is several planes in
   exact depth; a joint plane fits it within a tolerance in metres and one in degrees;
 - bowed: networks bend walls; a slightly bent quadric fits as well as the two planes.
@@ -30,11 +29,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
-from plane_detector.segmentation.cells.model import (
-    MAX_JOINT_VARIANCES,
-    WeightedCells,
-    has_no_depth,
-)
+from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES, WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
@@ -190,12 +185,11 @@ def _misfits(planes, sums, borders, test):
                 fold_deg, gap = fold(planes, sums, borders, i, j)
             if gap < max_gap and fold_deg <= max_fold_deg:
                 misfit[i, j] = _joint_misfit(sums, i, j, joint, surface) / tolerance
-            if fold_deg > 0:
-                misfit[i, j] = max(misfit[i, j], fold_deg / max_fold_deg)
-            if surface == PLANE and borders[i, j, 0] > 0:
+            if surface == PLANE:
                 large, small = (i, j) if sums[i, 0] >= sums[j, 0] else (j, i)
-                misfit[i, j] = min(misfit[i, j], _bulge_misfit(planes[large], sums, borders,
-                                                               large, small))
+                bulge = squared_error(planes[large, 0], planes[large, 1], planes[large, 2],
+                                      sums[small]) / sums[small, 10]
+                misfit[i, j] = min(misfit[i, j], bulge / MAX_BULGE_VARIANCES)
     return misfit
 
 
@@ -217,17 +211,6 @@ def _joint_misfit(sums, i, j, joint, surface):
         else:  # a point at 1/z is off the plane by offset_m times its relative residual
             worst = max(worst, offset_m * np.sqrt(max(square, 0.0) * sums[k, 0]) / sums[k, 6])
     return worst
-
-
-@kernel('float64(float64[::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
-def _bulge_misfit(plane, sums, borders, large, small):
-    """Return the misfit of the smaller region as a bulge of the larger, up to 1 for a fit."""
-    here, there = borders[large, small], borders[small, large]
-    step = (here[3] - there[3] - plane[0] * (here[1] - there[1])
-            - plane[1] * (here[2] - there[2])) / here[0]
-    square = max(squared_error(plane[0], plane[1], plane[2], sums[small]), 0.0)
-    return max(square / sums[small, 10] / MAX_BULGE_VARIANCES,
-               step**2 * sums[large, 0] / sums[large, 10] / MAX_DEVIATIONS**2)
 
 
 @kernel('boolean(float64[:, ::1], int64, int64)')
@@ -266,7 +249,7 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
                 side = int(labels[row, column] == second)
                 at[side, count[side], 0], at[side, count[side], 1] = row, column
                 count[side] += 1
-    between, farther, last = 0, 0, SIGHT_LINES - 1
+    farther, last = 0, SIGHT_LINES - 1
     for line in range(SIGHT_LINES):
         start = at[0, (count[0] - 1) * line // last]
         end, nearest = start, np.inf
@@ -278,10 +261,8 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
             row = int(np.rint(start[0] + sample / last * (end[0] - start[0])))
             column = int(np.rint(start[1] + sample / last * (end[1] - start[1])))
             i, label = row * columns + column, labels[row, column]
-            if label in (first, second) or has_no_depth(table, i):
-                continue
-            between += 1
-            if is_planar[i]:  # a cell that straddles an edge is neither nearer nor farther
+            # A cell that straddles an edge is neither nearer nor farther.
+            if label != first and label != second and is_planar[i]:
                 expected = a * table[i, 0] + b * table[i, 1] + c
                 farther += expected - table[i, 2] > MAX_DEVIATIONS / np.sqrt(table[i, 5])
-    return between > 0 and farther == 0
+    return farther == 0

@@ -142,8 +142,7 @@ def _distance(labels, label):
 @kernel('float64(float64[:, ::1], int64[::1], boolean[::1], float64[:, ::1])', is_short=True)
 def _gain(table, cell, is_small, covariance):
     """Return twice the gain in log-likelihood of two planes over one."""
-    products = _weighted_products(_covariance(table, cell, covariance),
-                                  _design(table, cell, is_small))
+    products = _weighted_products(_covariance(cell, covariance), _design(table, cell, is_small))
     one = solve_least_squares(products, PLANE_TERMS, np.empty(7))
     return one - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7))
 
@@ -165,19 +164,15 @@ def _design(table, cell, is_small):
     return basis
 
 
-@kernel('float32[:, ::1](float64[:, ::1], int64[::1], float64[:, ::1])')
-def _covariance(table, cell, covariance):
+@kernel('float32[:, ::1](int64[::1], float64[:, ::1])')
+def _covariance(cell, covariance):
     """Return the lower triangle of the covariance (n, n) of cells."""
     n, columns = len(cell), covariance.shape[1]
-    matrix, most = np.zeros((n, n), np.float32), 0.0
+    matrix = np.zeros((n, n), np.float32)
     row, column = cell // columns, cell % columns
-    for i in range(n):
-        most = max(most, table[cell[i], 5])
     for i in range(n):
         for j in range(i + 1):
             matrix[i, j] = covariance[abs(row[i] - row[j]), abs(column[i] - column[j])]
-        # Cells with a higher noise floor weigh less.
-        matrix[i, i] += 1 / table[cell[i], 5] - 1 / most
     return matrix
 
 

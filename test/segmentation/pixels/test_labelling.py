@@ -57,7 +57,7 @@ def test_a_plane_grows_to_where_the_surface_leaves_it(scene):
 
 
 def test_pixels_without_valid_neighbours_get_a_label():
-    """As on sparse lidar, whose pixels a median of the neighbourhood would set to 0."""
+    """As on sparse lidar."""
     depth_m = noisy(SCENES['step'], 0, 0.003)
     depth_m[np.random.default_rng(1).random(depth_m.shape) < 0.7] = np.nan
     labels = segment_planes(depth_m, CAMERA).labels

@@ -100,13 +100,10 @@ def bulging_wall(height, width_px, is_dish):
 
 @pytest.mark.parametrize(('height', 'width_px', 'radius_px', 'is_dish', 'count'), [
     (4, 60, 60, False, 1), (5, 60, 60, False, 2), (5, 150, 150, False, 1),
-    (4.5, 60, 60, True, 2), (3.0, 60, 60, True, 1)])
-def test_a_low_small_bulge_without_a_step_is_part_of_the_wall(height, width_px, radius_px, is_dish,
-                                                              count):
+    (3.0, 60, 60, True, 1), (6.0, 60, 60, True, 2)])
+def test_a_low_bulge_is_part_of_the_wall(height, width_px, radius_px, is_dish, count):
     model, off_px = bulging_wall(height, width_px, is_dish)
     regions = hand_made(model, (off_px < radius_px).astype(int))
-    far = replace(graph := RegionGraph.of(model, regions), borders=0 * graph.borders)
-    assert misfits(far, JOINT)[0, 1] > 1
     assert len(merged_regions(model, regions, None).coefficients) == count
 
 
