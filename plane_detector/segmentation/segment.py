@@ -178,7 +178,7 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
-    return rename_labels(labels, names), np.vstack([joined, planes[len(joined):]])
+    return rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])
 
 
 def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import CellGrid, N
-from plane_detector.segmentation.cells.labels import relabel_sequential
+from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 
@@ -75,9 +74,9 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
     cells is at least that of the error which near cells leave in a common plane.
     """
     size = grid.size_px / grid.width_px
-    squares = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
-                        noise.depth_floor_m, noise.disparity_floor,
-                        noise.disparity_floor / size]) ** 2
+    squares = (noise.mean_sigma**2, noise.slope_sigma**2, noise.pixel_sigma**2,
+               noise.depth_floor_m**2, noise.disparity_floor**2,
+               (noise.disparity_floor / size)**2)
     table, is_planar = _weigh((grid.moments, grid.mean, grid.slope, grid.sparsity),
                               grid.residual_rms, grid.usable, squares,
                               12 / (grid.size_px * size) ** 2)
@@ -85,7 +84,7 @@ def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
 
 
 @kernel('Tuple((float64[:, ::1], boolean[::1]))(UniTuple(float64[:, ::1], 4), float64[::1], '
-        'boolean[::1], float64[::1], float64)', is_short=True)
+        'boolean[::1], UniTuple(float64, 6), float64)', is_short=True)
 def _weigh(cells, residual_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
@@ -144,7 +143,22 @@ def add_up(moments, labels, is_used, count):
 def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
                 min_pixels: float = 1.0) -> PlaneRegions:
     """Fit planes to labels (R, C) int32; drop labels with too few planar pixels or on a line."""
-    moments = region_moments(cells, labels, count)
-    planes = fit_planes(moments)
-    kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1)) & np.isfinite(planes[:, 0]))
-    return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])
+    return PlaneRegions(*_fit_regions(cells.grid.moments, np.ascontiguousarray(labels),
+                                      cells.is_planar, count, max(min_pixels, 1.0)))
+
+
+@kernel('Tuple((int32[:, ::1], float64[:, ::1]))(float64[:, ::1], int32[:, ::1], boolean[::1], '
+        'int64, float64)', is_short=True)
+def _fit_regions(moments, labels, is_planar, count, min_pixels):
+    total = add_up(moments, labels.reshape(-1), is_planar, count)
+    planes, found, kept = fit_planes(total), np.empty_like(labels), 0
+    names = np.full(count + 1, np.int32(-1))  # the last is that of cells without a label
+    for k in range(count):
+        if total[k, 0] >= min_pixels and not np.isnan(planes[k, 0]):
+            for axis in range(3):
+                planes[kept, axis] = planes[k, axis]
+            names[k], kept = kept, kept + 1
+    for row in range(labels.shape[0]):
+        for column in range(labels.shape[1]):
+            found[row, column] = names[labels[row, column]]
+    return found, planes[:kept]

@@ -154,13 +154,15 @@ def _find_labels_around(labels, row, column, near):
 @kernel('int32(int32[::1], int32[::1])')
 def _majority(chosen, near):
     """Return the label that most of a cell's pixels have, or -1."""
-    for label in near:
-        votes = 0
+    k = 0
+    while near[k] >= 0:
+        votes = np.int32(0)
         for p in range(len(chosen)):
-            votes += chosen[p] == label
-        if label < 0 or 2 * votes > len(chosen):
+            votes += np.int32(chosen[p] == near[k])
+        if 2 * votes > len(chosen):
             break
-    return label
+        k += 1
+    return near[k]
 
 
 @kernel('void(float64[:, ::1], int32[::1], UniTuple(int64, 2), float32[:, ::1])')

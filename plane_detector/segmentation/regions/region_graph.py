@@ -101,7 +101,7 @@ class RegionGraph:
         kept = np.flatnonzero(is_kept)
         return RegionGraph(relabel_sequential(self.labels, kept, len(self.planes)),
                            np.arange(len(kept)), self.planes[kept], self.pixels[kept],
-                           self.sums[kept], self.borders[np.ix_(kept, kept)])
+                           self.sums[kept], self.borders.take(kept, 0).take(kept, 1))
 
 
 def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],

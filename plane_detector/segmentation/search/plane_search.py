@@ -109,5 +109,5 @@ def _deviations(labels, planes, table, residual_rms, sparsity):
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
     """Return whether neighbouring cells on two planes differ by more than this many deviations."""
     tolerance = threshold * 2**0.5 * noise.slope_sigma * TYPICAL_FOCAL_SHARE
-    crease = np.tan(np.radians(MIN_CREASE_DEG)) * grid.typical_disparity
+    crease = math.tan(math.radians(MIN_CREASE_DEG)) * grid.typical_disparity
     return noise.source_sigma == 0 and tolerance < crease

@@ -107,7 +107,7 @@ def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
     limits = search.min_pixels, ransac.inlier_threshold**2, search.draw()
     found = find_planes((cells.table, cells.grid.moments), cells.is_planar, labels,
                         (near.offsets, near.min_samples), counts, limits)
-    return PlaneRegions(labels, np.vstack([regions.coefficients, found]))
+    return PlaneRegions(labels, np.concatenate([regions.coefficients, found]))
 
 
 @kernel(f'float64[:, ::1]({CELLS}, boolean[::1], int32[:, ::1], '
