@@ -11,13 +11,13 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
-from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
-from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
-from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
+from plane_detector.segmentation.search.ransac import add_planes, no_planes
 
 # derived: the minimum for a slope and its error.
 MIN_CELL_SIZE_PX = 3
@@ -25,63 +25,69 @@ MIN_CELL_SIZE_PX = 3
 MIN_CELL_SHARE = 0.5
 
 
-def add_small_planes(image: DisparityImage, labels: np.ndarray, coarse: WeightedCells,
-                     coefficients: np.ndarray, search: tuple[Search, Noise],
+def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
                      min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """
     Find more planes among the pixels without a label.
 
     Parameters
     ----------
-    image : DisparityImage
+    frame : Frame
     labels : (H, W) int32
-    coarse : WeightedCells
-        The cells that the other planes were found with.
-    coefficients : (K, 3) float64
-        The other planes.
-    search : Search, Noise
-        The search that found the others, and the noise that it found.
+    planes : (K, 3) float64
+        Those that the labels are indices of.
     min_turn_deg : float
         Regions that turn by less are not curved.
 
     Returns
     -------
     labels : (H, W) int32
-    coefficients : (K + L, 3) float64
+    planes : (K + L, 3) float64
         The new planes follow the others; some may have no pixels.
 
     """
-    (search, noise), size = search, coarse.grid.size_px // 2
-    config = search.config
-    room = config.segmentation.max_planes - len(coefficients)
-    if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(coarse, noise):
-        return labels, coefficients
-    wanted = _large_pieces(_count_unlabelled(image.valid, labels, size), size,
-                           search.min_pixels / MIN_CELL_SHARE)
+    size, valid = frame.cells.grid.size_px // 2, frame.image.valid
+    room = frame.config.segmentation.max_planes - len(planes)
+    if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(frame):
+        return labels, planes
+    wanted = _large_pieces(_count_unlabelled(valid, labels, size), size,
+                           frame.search.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
-        return labels, coefficients
+        return labels, planes
     box = _box_around(wanted)
-    part = np.s_[box[0].start * size:box[0].stop * size, box[1].start * size:box[1].stop * size]
-    left = DisparityImage(*_cut_out(image.values[part], image.valid[part], labels[part]))
-    grid = build_cell_grid(left, size, wanted[box].ravel(), pixel_frame(image.valid.shape, part))
-    noise = noise.at_cell_size(coarse.grid.size_px, size)
-    cells = weigh_cells(grid, noise)
-    regions = add_planes(replace(search, grid=grid), cells, no_planes(grid), room)
-    graph = RegionGraph.of(cells, regions)
-    is_flat = np.ones(len(graph.planes), bool)
-    is_flat[find_curved(graph, 0.0, min_turn_deg)] = 0
-    graph = graph.only(is_flat)
+    part = tuple(slice(side.start * size, side.stop * size) for side in box)
+    left = _unlabelled_part(frame, labels, part, wanted[box])
+    graph = _flat_regions(left, room, min_turn_deg)
     if len(graph.planes):
         labels = labels.copy()
-        labels[part] = label_pixels(left, cells, graph, noise, config.ransac.inlier_threshold,
-                                    (labels[part], len(coefficients)))
-    return labels, np.vstack([coefficients, graph.planes])
+        labels[part] = label_pixels(left, graph, (labels[part], len(planes)))
+    return labels, np.concatenate([planes, graph.planes])
 
 
-def _sees_width(cells: WeightedCells, noise: Noise) -> bool:
+def _unlabelled_part(frame: Frame, labels: np.ndarray, part: tuple[slice, slice],
+                     wanted: np.ndarray) -> Frame:
+    """Return the unlabelled pixels of a part of the image, in small cells where wanted."""
+    image, size = frame.image, frame.cells.grid.size_px // 2
+    left = DisparityImage(*_cut_out(image.values[part], image.valid[part], labels[part]))
+    grid = build_cell_grid(left, size, wanted.ravel(), pixel_frame(image.valid.shape, part))
+    noise = frame.noise.at_cell_size(frame.cells.grid.size_px, size)
+    return Frame(left, weigh_cells(grid, noise), noise, replace(frame.search, grid=grid))
+
+
+def _flat_regions(frame: Frame, most: int, min_turn_deg: float) -> RegionGraph:
+    """Search for planes, and leave out curved ones."""
+    regions = add_planes(frame.search, frame.cells, no_planes(frame.cells.grid), most)
+    graph = RegionGraph.of(frame.cells, regions)
+    is_flat = np.ones(len(graph.planes), bool)
+    is_flat[find_curved(graph, 0.0, min_turn_deg)] = False
+    return graph.only(is_flat)
+
+
+def _sees_width(frame: Frame) -> bool:
     """Return whether an object as deep as a smaller cell is wide stands out from the noise."""
-    width = cells.grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * cells.grid.width_px)
-    return noise.mean_sigma < width * cells.grid.typical_disparity
+    grid = frame.cells.grid
+    width = grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * grid.width_px)
+    return frame.noise.mean_sigma < width * grid.typical_disparity
 
 
 @kernel('int64[:, ::1](boolean[:, ::1], int32[:, ::1], int64)')

@@ -10,7 +10,6 @@ change which pixels form a plane.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
@@ -20,10 +19,10 @@ from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.memory import retain_freed_memory
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG, NormalMap, with_normals
+from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
@@ -37,12 +36,16 @@ from plane_detector.segmentation.regions.merging import (
     merge_coplanar,
 )
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 from plane_detector.segmentation.search.ransac import Search, first_draws
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
 RELATIVE_FLOOR = 1e-4
+# Exact surfaces that turn by less are planes: errors below the noise floor may be smooth.
+# tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.
+MIN_TURN_DEG = 2.0
 
 
 def metric_noise_floor(config: Config, disparity_noise: float = 0.0) -> Noise:
@@ -113,80 +116,53 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     search = Search(grid, min_pixels, config, draw)
     cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
-    stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
-    labels, planes = stages[noise.kind(grid.typical_disparity)](
-        Frame(image, cells, noise, search), regions)
+    labels, planes = _label(Frame(image, cells, noise, search), regions)
     if guide is not None:
         labels = np.where(image.valid, snap_to_image_edges(labels, guide), -1)
     return PixelRegions(image.values, labels, planes, grid, noise)
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Input of all stages after the search."""
-
-    image: DisparityImage
-    cells: WeightedCells
-    noise: Noise
-    search: Search
+def _label(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+    """Return pixel labels and planes by the stages for the kind of depth."""
+    stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
+    kind = frame.noise.kind(frame.cells.grid.typical_disparity)
+    return stages[kind](frame, compete_for_cells(frame, regions))
 
 
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
-    graph = RegionGraph.of(frame.cells, _compete(frame, regions))
-    graph = merge_coplanar(frame.cells, graph, None)
-    return _label_flat_ones(frame, graph, None, (0.0, MIN_ANGLE_DEG))
+    graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
+    return _label_flat_ones(frame, graph, None, (0.0, MIN_TURN_DEG))
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
-    cells, noise = frame.cells, frame.noise
-    regions = _compete(frame, regions)
-    correlation = Correlation.of(cells, regions, noise)
+    cells = frame.cells
+    correlation = Correlation.of(cells, regions, frame.noise)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    if _hides_steps(frame):
-        regions = graph.regions()
-        split = split_at_depth_steps(frame.image, cells, regions, noise, correlation,
-                                     frame.search.min_pixels)
-        graph = graph if split is regions else RegionGraph.of(cells, split)
+    # Only if creases do not stand far above the noise it can hide steps.
+    if not sees_creases(cells.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
+        graph = split_at_depth_steps(frame, graph, correlation)
     density = correlation.density(cells.grid.shape) if correlation else np.inf
     return _label_flat_ones(frame, graph, correlation,
-                            (density, frame.search.config.segmentation.flatness_angle))
-
-
-def _hides_steps(frame: Frame) -> bool:
-    """Return whether depth steps may be hidden by the noise: creases do not stand far above it."""
-    threshold = frame.search.config.ransac.inlier_threshold
-    return not sees_creases(frame.cells.grid, frame.noise, MAX_DEVIATIONS * threshold)
+                            (density, frame.config.segmentation.flatness_angle))
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
-    graph = RegionGraph.of(frame.cells, _compete(frame, regions))
-    graph = merge_bowed_walls(merge_coplanar(frame.cells, graph, None))
-    return _label_pixels(frame, graph), graph.planes
+    graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
+    graph = merge_bowed_walls(graph)
+    return label_pixels(frame, graph), graph.planes
 
 
 def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
                      limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
-    labels, planes = add_small_planes(frame.image, _label_pixels(frame, graph), frame.cells,
-                                      graph.planes, (frame.search, frame.noise), limits[1])
+    labels, planes = add_small_planes(frame, label_pixels(frame, graph), graph.planes, limits[1])
     curved = find_curved(graph, *limits)
     owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
-                                     frame.search.config.segmentation)
+                                     frame.config.segmentation)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
     return rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])
-
-
-def _compete(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
-    config, search = frame.search.config, frame.search
-    return compete_for_cells(frame.cells, regions, config.ransac.inlier_threshold,
-                             search.min_pixels, config.dbscan)
-
-
-def _label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
-    return label_pixels(frame.image, frame.cells, graph, frame.noise,
-                        frame.search.config.ransac.inlier_threshold)

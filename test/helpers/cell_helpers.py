@@ -16,6 +16,8 @@ from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_gr
 from plane_detector.segmentation.cells.model import PlaneRegions, region_moments, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
+from plane_detector.segmentation.search.frame import Frame
+from plane_detector.segmentation.search.ransac import Search
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 EXACT = Noise(Config().ransac.noise_floor)
@@ -64,6 +66,11 @@ def disparity_image(depth_m):
 
 def cell_model(depth_m, noise=EXACT):
     return weigh_cells(build_cell_grid(disparity_image(depth_m)), noise)
+
+
+def frame_of(image, cells, noise=EXACT, min_pixels=600):
+    """Return what the stages after the search take; no test draws random numbers of it."""
+    return Frame(image, cells, noise, Search(cells.grid, min_pixels, Config(), lambda: 0.0))
 
 
 def noisy(scene, seed, sigma=0.01, **kind):

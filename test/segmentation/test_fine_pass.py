@@ -9,12 +9,13 @@ from cell_helpers import EXACT, best_iou, cell_model, disparity_image, view, wal
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
 from plane_detector.segmentation.cells.grid import build_cell_grid, image_coordinates
-from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.region_graph import RegionGraph
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 from plane_detector.segmentation.search.ransac import Search
+from plane_detector.segmentation.segment import MIN_TURN_DEG
 from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()
@@ -36,8 +37,9 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
     search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0).random)
     cells, regions, noise = search_planes(search, noise_floor)
-    labels = label_pixels(image, cells, RegionGraph.of(cells, regions), noise, 3.0)
-    return image, labels, cells, regions.coefficients, (search, noise), MIN_ANGLE_DEG
+    frame = Frame(image, cells, noise, search)
+    labels = label_pixels(frame, RegionGraph.of(cells, regions))
+    return frame, labels, regions.coefficients, MIN_TURN_DEG
 
 
 @pytest.mark.parametrize('width_px', [8, 10, 12, 14, 16, 18])
@@ -56,10 +58,10 @@ def test_the_others_are_unchanged(roll_deg):
     scene = strip(12, roll_deg)
     given = before_narrow(scene.depth_m)
     before = given[1].copy()
-    assert len(given[3]) == 2, 'whole cells do not find the strip'
+    assert len(given[2]) == 2, 'whole cells do not find the strip'
     labels, planes = add_small_planes(*given)
     assert len(planes) == 3
-    np.testing.assert_array_equal(planes[:2], given[3])
+    np.testing.assert_array_equal(planes[:2], given[2])
     np.testing.assert_array_equal(labels[before >= 0], before[before >= 0])
     np.testing.assert_array_equal(np.unique(labels[(before < 0) & (labels >= 0)]), [2])
     assert (labels[scene.labels == 1] == 2).mean() > 0.85
@@ -77,8 +79,8 @@ def test_the_plane_is_in_coordinates_of_the_image(first_px):
     rows, columns = np.nonzero(labels == own)
     assert len(rows) > 0.8 * np.count_nonzero(scene.labels == 1)
     a, b, c = planes[own]
-    np.testing.assert_allclose(a * x[columns] + b * y[rows] + c, given[0].values[rows, columns],
-                               atol=1e-4)
+    disparity = given[0].image.values[rows, columns]
+    np.testing.assert_allclose(a * x[columns] + b * y[rows] + c, disparity, atol=1e-4)
 
 
 @pytest.mark.parametrize('second_px', [335, 500])
@@ -89,13 +91,13 @@ def test_two_strips_are_two(second_px):
                  angles_deg=(0, 0, 10))
     given = before_narrow(scene.depth_m)
     labels, planes = add_small_planes(*given)
-    assert len(planes) == len(given[3]) + 2
+    assert len(planes) == len(given[2]) + 2
     assert best_iou(scene, labels)[1:].min() > 0.8
 
 
 def unchanged(given):
     labels, planes = add_small_planes(*given)
-    return np.array_equal(planes, given[3]) and np.array_equal(labels, given[1])
+    return np.array_equal(planes, given[2]) and np.array_equal(labels, given[1])
 
 
 @pytest.mark.parametrize('most', [2, 3])

@@ -23,10 +23,9 @@ from plane_detector.segmentation.cells.model import MIN_VARIANCE
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # derived: the best published normals have a mean error of 10 degrees, most of which is common to
-# neighbours; normals are not assumed more accurate than this, nor planes seen at a smaller angle.
-# Exact surfaces that turn by less are planes: errors below the noise floor may be smooth.
-# tuned: rooms at noise 0.0001 and curved scenes; 0.16 of the rooms loses its labels at 0.
-MIN_ANGLE_DEG = 2.0
+# neighbours. Normals are not assumed more accurate than this. A plane seen at a smaller angle may
+# as well face away, so that its normal says nothing.
+MIN_NORMAL_ERROR_DEG = 2.0
 # Lower bound of the noise of the depth's slopes, per image width and unit of source noise.
 # tuned: rooms of seeds 302, 303, 309, 310, normals with smooth errors of 5 and 10 degrees: mean SC
 # as without normals at 2, up to .1 less at 8.
@@ -84,7 +83,7 @@ def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> Cel
     is_usable = grid.usable & np.isfinite(slope).all(axis=1)
     measured = _neighbour_variance(grid, grid.slope, grid.usable)
     of_depth = max(measured, (SLOPE_PER_NOISE * source_sigma) ** 2)
-    min_slope = (np.radians(MIN_ANGLE_DEG) * grid.mean[:, 2] * grid.width_px
+    min_slope = (np.radians(MIN_NORMAL_ERROR_DEG) * grid.mean[:, 2] * grid.width_px
                  / normals.intrinsics.fx)
     of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + min_slope**2,
                             _variance((slope - grid.slope)[is_usable]) - measured)
@@ -104,7 +103,7 @@ def slopes_of(grid: CellGrid, normals: NormalMap) -> np.ndarray:
     with np.errstate(invalid='ignore', divide='ignore'):
         slope = (grid.mean[:, 2:] * width / cosine[:, None]
                  * normal[:, :2] / [camera.fx, camera.fy])
-    slope[~(cosine < -np.sin(np.radians(MIN_ANGLE_DEG)))] = np.nan
+    slope[~(cosine < -np.sin(np.radians(MIN_NORMAL_ERROR_DEG)))] = np.nan
     return slope
 
 

@@ -16,16 +16,14 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import DisparityImage
-from plane_detector.segmentation.cells.model import WeightedCells
-from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions.icm import at_borders
 from plane_detector.segmentation.regions.region_graph import RegionGraph
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 
-def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph, noise: Noise,
-                 threshold: float, others: tuple[np.ndarray, int] | None = None) -> np.ndarray:
+def label_pixels(frame: Frame, graph: RegionGraph,
+                 others: tuple[np.ndarray, int] | None = None) -> np.ndarray:
     """
     Label every pixel.
 
@@ -34,13 +32,9 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph
 
     Parameters
     ----------
-    image : DisparityImage
-    cells : WeightedCells
+    frame : Frame
     graph : RegionGraph
-        Of these cells, none of its regions merged.
-    noise : Noise
-    threshold : float
-        Inlier threshold in standard deviations.
+        Of its cells, none of its regions merged.
     others : ((H, W) int32, int), optional
         Labels of other planes on the pixels that are not valid here, and their number. The planes
         follow them and do not grow.
@@ -51,17 +45,18 @@ def label_pixels(image: DisparityImage, cells: WeightedCells, graph: RegionGraph
         Index into the planes, -1 for none and where invalid.
 
     """
-    grid = cells.grid
-    found, first = (np.full(image.valid.shape, np.int32(-1)), 0) if others is None else (
-        others[0].copy(), others[1])
-    # A border moves by one cell per sweep.
-    sweeps = sum(grid.shape) if others is None and sees_creases(grid, noise, threshold) else 1
+    grid, image, noise = frame.cells.grid, frame.image, frame.noise
+    found, first, sweeps = np.full(image.valid.shape, np.int32(-1)), 0, 1
+    if others is not None:
+        found, first = others[0].copy(), others[1]
+    elif sees_creases(grid, noise, frame.threshold):
+        sweeps = sum(grid.shape)  # a border moves by one cell per sweep
     to_pixels = np.array([[1 / grid.width_px, 0, grid.origin[0]],
                           [0, 1 / grid.width_px, grid.origin[1]], [0, 0, 1]])
     variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
-    _label((found, first), (image.values, image.valid, grid.size_px),
-           graph.labels, (graph.planes @ to_pixels, graph.intersections()),
-           (threshold**2 * variance, (threshold * noise.depth_floor_m)**2), sweeps)
+    tolerance = frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2
+    _label((found, first), (image.values, image.valid, grid.size_px), graph.labels,
+           (graph.planes @ to_pixels, graph.intersections()), tolerance, sweeps)
     return found
 
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.grid import DisparityImage
 from plane_detector.segmentation.cells.labels import connected_pieces
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, fit_regions
-from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.model import fit_regions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.model_selection import REACH_CELLS, prefer_two_planes
+from plane_detector.segmentation.regions.region_graph import RegionGraph
+from plane_detector.segmentation.search.frame import Frame
 
 # Blocks of pixels along the side of a cell; the compared means are half a cell wide,
 # REACH_CELLS long.
@@ -39,45 +39,43 @@ MIN_OFFSET_DEVIATIONS = 0.5
 SAMPLE = np.s_[::BLOCKS + 1, ::BLOCKS + 1]
 
 
-def split_at_depth_steps(image: DisparityImage, cells: WeightedCells, regions: PlaneRegions,
-                         noise: Noise, correlation: Correlation | None,
-                         min_pixels: float) -> PlaneRegions:
+def split_at_depth_steps(frame: Frame, graph: RegionGraph,
+                         correlation: Correlation | None) -> RegionGraph:
     """
     Split regions along depth steps.
 
     Parameters
     ----------
-    image : DisparityImage
-    cells : WeightedCells
-    regions : PlaneRegions
-    noise : Noise
+    frame : Frame
+    graph : RegionGraph
+        On its cells.
     correlation : Correlation or None
         If None, nothing is split.
-    min_pixels : float
-        Smallest piece.
 
     Returns
     -------
-    PlaneRegions
+    RegionGraph
         The pieces follow the other regions, each with its own plane.
 
     """
-    grid, labels = cells.grid, np.ascontiguousarray(regions.labels)
+    image, cells, regions = frame.image, frame.cells, graph.regions()
+    grid = cells.grid
     if correlation is None or grid.size_px < BLOCKS:
-        return regions
-    residual, owner = _block_residuals(image.values, image.valid, labels, regions.coefficients,
+        return graph
+    residual, owner = _block_residuals(image.values, image.valid, graph.labels, graph.planes,
                                        grid.size_px, (grid.width_px, *grid.origin))
     _remove_steps(residual, owner)
     pieces, label, blocks = connected_pieces(owner)
-    offset = _offsets(residual, pieces, label, blocks)
-    is_large = blocks >= min_pixels * (BLOCKS / grid.size_px) ** 2
+    is_candidate = ((blocks >= frame.search.min_pixels * (BLOCKS / grid.size_px) ** 2)
+                    & (_offsets(residual, pieces, label, blocks)
+                       > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
     for piece in np.argsort(-blocks, kind='stable'):
-        if is_large[piece] and offset[piece] > MIN_OFFSET_DEVIATIONS * noise.mean_sigma:
-            new = len(regions.coefficients)
+        new = len(regions.coefficients)
+        if is_candidate[piece]:
             labels = _with_piece(regions.labels, pieces, piece, label[piece], new)
             if prefer_two_planes(cells, labels, correlation, label[piece], new):
                 regions = fit_regions(cells, labels, new + 1)
-    return regions
+    return RegionGraph.of(cells, regions) if regions.labels is not graph.labels else graph
 
 
 @kernel('Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], boolean[:, ::1], '

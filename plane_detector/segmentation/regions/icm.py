@@ -14,14 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.cells.model import (
-    PlaneRegions,
-    WeightedCells,
-    chi_squared,
-    fit_regions,
-)
+from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
 from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
+from plane_detector.segmentation.search.frame import Frame
 
 # Cost of no plane, in squared thresholds.
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000; not flat: at noise 0.01 recall of
@@ -33,21 +28,18 @@ OUTLIER_COST = 1.6
 POTTS_WEIGHT = 1.5
 
 
-def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: float,
-                      min_pixels: float, dbscan: DbscanConfig) -> PlaneRegions:
+def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
     """
     Reassign all cells to planes and refit the planes.
 
+    Planes are split into density clusters; pieces far apart become separate planes, and small ones
+    are dropped.
+
     Parameters
     ----------
-    cells : WeightedCells
+    frame : Frame
     regions : PlaneRegions
-    threshold : float
-        Inlier threshold in standard deviations.
-    min_pixels : float
-        Smaller clusters are dropped.
-    dbscan : DbscanConfig
-        Splits planes into clusters; pieces far apart become separate planes.
+        On its cells.
 
     Returns
     -------
@@ -57,9 +49,9 @@ def compete_for_cells(cells: WeightedCells, regions: PlaneRegions, threshold: fl
     if len(regions.coefficients) == 0:
         return regions
     labels = _compete(np.ascontiguousarray(regions.labels, np.int32),
-                      (regions.coefficients, cells.table), threshold**2)
-    clusters, count = label_clusters(labels, neighbourhood(dbscan))
-    return fit_regions(cells, clusters, count, min_pixels)
+                      (regions.coefficients, frame.cells.table), frame.threshold**2)
+    clusters, count = label_clusters(labels, neighbourhood(frame.config.dbscan))
+    return fit_regions(frame.cells, clusters, count, frame.search.min_pixels)
 
 
 @kernel('int32[:, ::1](int32[:, ::1], UniTuple(float64[:, ::1], 2), float64)')

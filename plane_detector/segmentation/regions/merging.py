@@ -31,7 +31,7 @@ from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
 from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES, WeightedCells
 from plane_detector.segmentation.cells.noise_correlation import Correlation
-from plane_detector.segmentation.cells.normal_slopes import MIN_ANGLE_DEG
+from plane_detector.segmentation.cells.normal_slopes import MIN_NORMAL_ERROR_DEG
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
@@ -228,7 +228,7 @@ def normals_differ(sums, i, j):
         apart += (sums[i, k] / sums[i, 11] - sums[j, k] / sums[j, 11]) ** 2
     for k in (i, j):
         n = sums[k, 11]
-        min_slope = np.radians(MIN_ANGLE_DEG) * sums[k, 15] / n / TYPICAL_FOCAL_SHARE
+        min_slope = np.radians(MIN_NORMAL_ERROR_DEG) * sums[k, 15] / n / TYPICAL_FOCAL_SHARE
         spread = sums[k, 14] / n - (sums[k, 12] / n) ** 2 - (sums[k, 13] / n) ** 2
         variance += max(spread, 0.0) / 2 + min_slope**2
     return apart > MAX_DEVIATIONS**2 * variance

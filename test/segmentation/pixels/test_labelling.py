@@ -5,10 +5,10 @@
 import numpy as np
 import pytest
 from cell_helpers import (
-    EXACT,
     cell_model,
     disparity_image,
     fold,
+    frame_of,
     hand_made,
     noisy,
     view,
@@ -35,8 +35,8 @@ def test_pixels_move_a_border_that_is_cells_away(scene, shift):
     true = hand_made(model, cells)
     moved = PlaneRegions(np.roll(cells, shift, axis=1).astype(np.int32), true.coefficients)
     moved.labels[:, :3], moved.labels[:, -3:] = cells[:, :3], cells[:, -3:]
-    labels = label_pixels(disparity_image(scene.depth_m), model, RegionGraph.of(model, moved),
-                          EXACT, 3.0)
+    labels = label_pixels(frame_of(disparity_image(scene.depth_m), model),
+                          RegionGraph.of(model, moved))
     assert (labels != scene.labels).mean() < 0.004  # less than one pixel a row
 
 
@@ -48,11 +48,12 @@ def test_a_plane_grows_to_where_the_surface_leaves_it(scene):
     true, is_first = hand_made(model, cells), cells == 0
     is_short = is_first & np.roll(is_first, 3, axis=1) & np.roll(is_first, -3, axis=1)
     short = PlaneRegions(np.where(is_short, 0, -1).astype(np.int32), true.coefficients)
-    image, graph = disparity_image(scene.depth_m), RegionGraph.of(model, short)
-    grown = label_pixels(image, model, graph, EXACT, 3.0)
+    frame = frame_of(disparity_image(scene.depth_m), model)
+    graph = RegionGraph.of(model, short)
+    grown = label_pixels(frame, graph)
     assert ((grown == 0) != (scene.labels == 0)).mean() < 0.004  # less than one pixel a row
     others = np.full(cells.shape, -1, np.int32).repeat(size, axis=0).repeat(size, axis=1), 5
-    kept = label_pixels(image, model, graph, EXACT, 3.0, others) - others[1]
+    kept = label_pixels(frame, graph, others) - others[1]
     assert ((kept == 0) != (scene.labels == 0)).mean() > 0.02
 
 

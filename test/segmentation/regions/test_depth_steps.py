@@ -11,6 +11,7 @@ from cell_helpers import (
     best_iou,
     cell_model,
     disparity_image,
+    frame_of,
     hand_made,
     one_patch,
     rectangle,
@@ -26,6 +27,7 @@ from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions import depth_steps
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
+from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 SIGMA = 0.01
 STEP = 0.003
@@ -59,8 +61,8 @@ def split(depth_m, noise=None):
     noise = noise or estimate_noise(build_cell_grid(image), EXACT)
     model = cell_model(depth_m, noise)
     regions = one_patch(model)
-    return split_at_depth_steps(image, model, regions, noise,
-                                Correlation.of(model, regions, noise), 600)
+    return split_at_depth_steps(frame_of(image, model, noise), RegionGraph.of(model, regions),
+                                Correlation.of(model, regions, noise)).regions()
 
 
 @pytest.mark.parametrize(('frame', 'gap_m', 'least'), [
@@ -138,4 +140,6 @@ def test_nothing_to_split_is_returned_as_it_is():
     model = cell_model(depth_m)
     none = one_patch(model)
     none = type(none)(np.full(model.grid.shape, -1, np.int32), none.coefficients[:0])
-    assert split_at_depth_steps(disparity_image(depth_m), model, none, EXACT, None, 600) is none
+    frame, graph = frame_of(disparity_image(depth_m), model), RegionGraph.of(model, none)
+    assert split_at_depth_steps(frame, graph, None) is graph
+    assert split_at_depth_steps(frame, graph, Correlation(1.0, 0.1, 0.1, 1.0)) is graph

@@ -4,16 +4,15 @@
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, view, wall
+from cell_helpers import EXACT, cell_model, frame_of, view, wall
 
-from plane_detector.config import DbscanConfig
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.regions import icm
 from plane_detector.segmentation.regions.icm import compete_for_cells
 
 
 def halves():
-    """Return the model and the planes of two walls, left at 2 m and right at 3 m."""
+    """Return the cells and the planes of two walls, left at 2 m and right at 3 m."""
     model = cell_model(view([wall(2.0, right_m=0), wall(3.0, 0)]).depth_m)
     return model, np.array([[0, 0, 0.5], [0, 0, 1 / 3]])
 
@@ -26,7 +25,7 @@ def labels_of(model, left, right):
 
 
 def relabelled(model, labels, planes):
-    return compete_for_cells(model, PlaneRegions(labels, planes), 3.0, 600, DbscanConfig())
+    return compete_for_cells(frame_of(None, model), PlaneRegions(labels, planes))
 
 
 @pytest.mark.parametrize(('left', 'right', 'kept'), [(0, -1, 0), (-1, 0, 1)])
@@ -65,7 +64,7 @@ def test_pieces_far_apart_become_planes_of_their_own():
 def test_no_planes_are_no_planes():
     model, _ = halves()
     none = PlaneRegions(labels_of(model, -1, -1), np.zeros((0, 3)))
-    assert compete_for_cells(model, none, 3.0, 600, DbscanConfig()) is none
+    assert compete_for_cells(frame_of(None, model), none) is none
 
 
 def energy(model, labels, planes):
