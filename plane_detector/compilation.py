@@ -45,7 +45,7 @@ class Kernel:
         It keeps the interpreter's lock. A stage that gives it away for less than the switch
         interval waits longer to get it back than the loop takes; with some fifty such loops in a
         frame, the stages of the node took a fifth more core time and twice the time. True for
-        loops over cells or planes that take less than 0.1 ms.
+        loops over cells or planes: the longest ends in a quarter of the node's switch interval.
 
     """
 

@@ -25,8 +25,8 @@ MIN_REGION_CELLS = 100
 # derived: bounds of the share that is independent from cell to cell, and of the correlation of
 # neighbouring cells.
 MIN_SHARE = 0.01
-# derived: a larger power is no covariance; 2 is a Gaussian.
-MAX_POWER = 2.0
+# derived: 2 is a Gaussian, and with a larger power it is no covariance; sensors have about 1.
+MIN_POWER, MAX_POWER = 0.5, 2.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Correlation:
         own = square * _bounded((noise.pixel_sigma / model.grid.size_px) ** 2 / square)
         smooth = square - own
         decay, at_two = (-math.log(_bounded(at_lag / smooth)) for at_lag in at_lags)
-        power = min(max(math.log2(at_two / decay), MIN_SHARE), MAX_POWER)
+        power = min(max(math.log2(at_two / decay), MIN_POWER), MAX_POWER)
         return cls(smooth, own, decay, power)
 
     def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -139,6 +139,8 @@ def _distance(labels, label):
     return distance
 
 
+# With MAX_CELLS it takes 0.23 ms and keeps the lock, as the node switches threads after 1 ms; with
+# the usual number 0.03 ms.
 @kernel('float64(float64[:, ::1], int64[::1], boolean[::1], float64[:, ::1])', is_short=True)
 def _gain(table, cell, is_small, covariance):
     """Return twice the gain in log-likelihood of two planes over one."""
