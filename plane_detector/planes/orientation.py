@@ -5,10 +5,9 @@ Orientation of planes in a network's depth, from the depth, the axes of the scen
 
 The normal of a network is the true one plus an error of unknown size sigma, smooth over the image
 and much larger than the noise of the fit; for some small pieces it is unrelated to the true one.
-The normal faces the camera, but need not be on the side of the network's one. The
-prior of the true normal is a mixture: vertical (a horizontal plane); along a horizontal axis;
-horizontal with any azimuth (a vertical plane); perpendicular to a horizontal axis (a roof); or
-free.
+The true normal faces the camera, which the network's normal need not do. The prior of the true
+normal is a mixture: vertical (a horizontal plane); along a horizontal axis; horizontal with any
+azimuth (a vertical plane); perpendicular to a horizontal axis (a roof); or free.
 
 1. Each hypothesis of each plane has a marginal likelihood: a density on the sphere for a point,
    of a circle for one degree of freedom, and a uniform density for two.

@@ -147,7 +147,7 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
 
 @kernel("int64[:, ::1](Array(int32, 2, 'C', readonly=True), int64)")
 def _bounding_boxes(labels, count):
-    """Return the first row, the row after the last, and so the columns of 0 to count - 1."""
+    """Return first row, row after the last, and the same of columns, of 0 to count - 1."""
     height, width = labels.shape
     boxes = np.zeros((count, 4), np.int64)
     for label in range(count):

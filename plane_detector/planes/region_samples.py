@@ -15,7 +15,7 @@ from plane_detector.types import CameraIntrinsics, Plane
 
 # derived: 30 in a region of a hundredth of the image, enough for means and spreads.
 SAMPLES = 3000
-# derived: spreads need fewer samples than distances of as small regions.
+# derived: a spread needs fewer samples than the distance of a region of the same size.
 SPREAD_STEP = 2
 # Cosine between ray and normal below which a plane is seen edge-on and cannot contain the pixel.
 MIN_COSINE = 0.02

@@ -24,7 +24,7 @@ from plane_detector.evaluation.reference_labels import (
     ExactLabels,
     label_exact_planes,
 )
-from plane_detector.segmentation.cells.labels import remove_regions
+from plane_detector.segmentation.cells.labels import relabel_sequential
 
 SLOW_FRAMES = 2
 """Slow methods are run on the first frames only."""
@@ -114,7 +114,8 @@ def leave_out(labels: np.ndarray, planes: np.ndarray, unclear: np.ndarray) -> Se
     """Remove the planes that have more than half of their pixels in a mask."""
     pixels, pixels_there = (np.bincount(labels[(labels >= 0) & where], minlength=len(planes))
                             for where in (True, unclear))
-    return remove_regions(labels, planes, np.flatnonzero(2 * pixels_there > pixels))
+    kept = np.flatnonzero(2 * pixels_there <= pixels)
+    return relabel_sequential(labels, kept, len(planes)), planes[kept]
 
 
 def draw_frames(labelled: Sequence[LabelledFrame], output: Path) -> Path:

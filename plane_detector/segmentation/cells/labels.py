@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Labels of pixels: renumbered, removed, counted in cells, compared with their planes."""
+"""Labels of cells and pixels: renamed, counted in cells, and their connected components."""
 
 from __future__ import annotations
 
@@ -33,13 +33,6 @@ def _renamed(labels, names, none):
         for j in range(labels.shape[1]):
             found[i, j] = index[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
     return found
-
-
-def remove_regions(labels: np.ndarray, planes: np.ndarray,
-                   removed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return labels and planes (K, m) without some of the planes; their labels are -1."""
-    kept = np.delete(np.arange(len(planes)), removed)
-    return relabel_sequential(labels, kept, len(planes)), planes[kept]
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:

@@ -29,7 +29,7 @@ MIN_NORMAL_ERROR_DEG = 2.0
 # Lower bound of the noise of the depth's slopes, per image width and unit of source noise.
 # tuned: rooms of seeds 302, 303, 309, 310, normals with smooth errors of 5 and 10 degrees: mean SC
 # as without normals at 2, up to .1 less at 8.
-SLOPE_PER_NOISE = 2.0
+DEPTH_SLOPE_PER_NOISE = 2.0
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def with_normals(grid: CellGrid, normals: NormalMap, source_sigma: float) -> Cel
     slope = slopes_of(grid, normals)
     is_usable = grid.usable & np.isfinite(slope).all(axis=1)
     measured = _neighbour_variance(grid, grid.slope, grid.usable)
-    of_depth = max(measured, (SLOPE_PER_NOISE * source_sigma) ** 2)
+    of_depth = max(measured, (DEPTH_SLOPE_PER_NOISE * source_sigma) ** 2)
     min_slope = (np.radians(MIN_NORMAL_ERROR_DEG) * grid.mean[:, 2] * grid.width_px
                  / normals.intrinsics.fx)
     of_normals = np.maximum(_neighbour_variance(grid, slope, is_usable) + min_slope**2,

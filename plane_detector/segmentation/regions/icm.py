@@ -97,9 +97,10 @@ def at_borders(labels):
         'UniTuple(float64[:, ::1], 2), float64)')
 def _best_label(labels, row, column, work, model, threshold2):
     """
-    Return the label of lowest energy of a cell, given the others; ``votes`` of it stay -1.
+    Return the label of lowest energy of a cell, given those around it.
 
-    A cell whose neighbours all have its label keeps it. One without depth goes with them.
+    All votes are -1 before and after. A cell whose neighbours all have its label keeps it. A cell
+    without depth goes with its neighbours.
     """
     (planes, table), (near, votes), (rows, columns) = model, work, labels.shape
     i, count = row * columns + column, 0
