@@ -37,7 +37,7 @@ def check_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> None:
         It is not a 2-D floating point array, or its size differs from the intrinsics.
 
     """
-    if depth_m.ndim != 2 or not np.issubdtype(depth_m.dtype, np.floating):
+    if depth_m.ndim != 2 or depth_m.dtype.kind != 'f':
         raise ValueError('depth must be a 2-D floating point array in metres, not '
                          f'{depth_m.ndim}-D {depth_m.dtype}')
     if depth_m.shape != (intrinsics.height, intrinsics.width):

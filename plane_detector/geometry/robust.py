@@ -23,8 +23,8 @@ def median(values: np.ndarray) -> float:
     2.5
 
     """
-    middle = len(values) // 2
-    ordered = np.partition(values, middle)  # both of the middle take three times as long
+    middle, ordered = len(values) // 2, values.copy()
+    ordered.partition(middle)  # both of the middle take three times as long
     low = ordered[middle] if len(values) % 2 else ordered[:middle].max()
     return float((low + ordered[middle]) / 2)
 

@@ -72,10 +72,10 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray
         (noise.pixel_sigma**2 + noise.disparity_floor**2 + smooth, noise.depth_floor_m**2),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     return tuple(
-        Plane(row[:3], offset_m, row[3:6], round(pixels), rms_m, area_m2, row[10:].reshape(4, 4),
-              sure)
-        for row, (offset_m, rms_m, area_m2, sure), pixels in zip(
-            table, table[:, 6:10].tolist(), sums[:, N].tolist(), strict=True))
+        Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure)
+        for normal, centroid_m, covariance, (offset_m, rms_m, area_m2, sure), pixels in zip(
+            table[:, :3], table[:, 3:6], table[:, 10:].reshape(-1, 4, 4), table[:, 6:10].tolist(),
+            sums[:, N].tolist(), strict=True))
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], '

@@ -134,16 +134,15 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     size = size or cell_size((height, width))
     frame = frame or pixel_frame((height, width))
     shape = -(-height // size), -(-width // size)
-    if wanted is None:
-        wanted = np.ones(shape[0] * shape[1], bool)
-    sums = _sum_up(image.values, image.valid, size, frame, wanted)
-    return CellGrid(size, int(frame[0]), frame[1:], shape, *sums, _no_slopes(shape[0] * shape[1]))
+    every, no_slopes = _defaults(shape[0] * shape[1])
+    sums = _sum_up(image.values, image.valid, size, frame, every if wanted is None else wanted)
+    return CellGrid(size, int(frame[0]), frame[1:], shape, *sums, no_slopes)
 
 
 @lru_cache(maxsize=4)
-def _no_slopes(count: int) -> np.ndarray:
-    """Return the normal slopes of cells without normals, one array for all images of a size."""
-    return np.full((count, 2), np.nan)
+def _defaults(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return that all cells are wanted, and no normal slopes, for all images of a size."""
+    return np.ones(count, bool), np.full((count, 2), np.nan)
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '

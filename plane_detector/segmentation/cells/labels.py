@@ -19,7 +19,7 @@ def relabel_sequential(labels: np.ndarray, kept: np.ndarray, count: int) -> np.n
 
 def rename_labels(labels: np.ndarray, names: np.ndarray, none: int = -1) -> np.ndarray:
     """Return labels (H, W) int32 in which k is ``names[k]``, and -1 is ``none``."""
-    if none == -1 and (names == np.arange(len(names))).all():
+    if none == -1 and names.tolist() == list(range(len(names))):
         return labels
     return _renamed(np.ascontiguousarray(labels, np.int32), names.astype(np.int32), none)
 

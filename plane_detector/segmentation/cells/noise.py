@@ -204,8 +204,9 @@ def sample_cells(is_wanted, residual_rms, sparsity):
 
 
 def _quantile(values: np.ndarray) -> float:
-    rank = int(QUANTILE * (len(values) - 1))
-    return float(np.partition(values, rank)[rank])
+    rank, ordered = int(QUANTILE * (len(values) - 1)), values.copy()
+    ordered.partition(rank)
+    return float(ordered[rank])
 
 
 def _rms_quantile(freedom: int) -> float:

@@ -127,18 +127,20 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     if not cost.size or cost.min() > 1:
         return graph
     graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
-    refused = np.zeros((count, count), bool)
+    refused: set[tuple[int, int]] = set()
     while True:
         i, j = divmod(int(cost.argmin()), count)
         if not cost[i, j] <= 1:
             break
-        refused[i, j] = is_apart(graph, i, j)
-        if not refused[i, j]:
+        if is_apart(graph, i, j):
+            refused.add((i, j))
+        else:
             _merge(graph.labels, graph.owner, (graph.planes, graph.pixels, graph.sums),
                    graph.borders, (i, j))
-            refused[[i, j]], refused[:, [i, j]] = False, False
+            refused = {pair for pair in refused if i not in pair and j not in pair}
             cost = misfit(graph)
-        cost[refused] = np.inf
+        for pair in refused:
+            cost[pair] = np.inf
     return graph
 
 
