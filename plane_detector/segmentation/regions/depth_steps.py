@@ -28,12 +28,12 @@ from plane_detector.segmentation.search.frame import Frame
 # tuned: on lived-in rooms below seed 9000; with 2, SC -0.012 at a noise of 0.004.
 BLOCKS = 4
 # Smallest step, in standard deviations of the differences in the image.
-# tuned: lived-in rooms below seed 9000: SC at a noise of 0.004 -0.021 at 0.7 times, -0.009 at 1.8
-# times; flat to 1.2 times.
+# tuned: rooms and lived-in rooms below seed 9000; not flat: SC of lived-in rooms at a noise of
+# 0.004 -0.027 at 0.7 times, of both at 0.01 -0.005 from 1.2 times on.
 MIN_STEP_DEVIATIONS = 1.7
 # A piece differs from the rest of its region by this many deviations of smooth noise.
-# tuned: rooms, lived-in rooms and curved scenes: without it precision of rooms -0.02 at a noise of
-# 0.01, at twice the value recall of lived-in rooms -0.02 at 0.004.
+# tuned: rooms, lived-in rooms and curved scenes; flat from 0.35; without it precision of rooms
+# -0.03 at a noise of 0.01, at 0.7 recall of both -0.01.
 MIN_OFFSET_DEVIATIONS = 0.5
 # derived: every fifth block of a row or column samples all places within cells of four.
 SAMPLE = np.s_[::BLOCKS + 1, ::BLOCKS + 1]

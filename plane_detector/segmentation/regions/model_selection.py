@@ -19,8 +19,8 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.regions.region_graph import PLANE_TERMS
 
-# Smooth noise hardly changes over so many cells: those up to this far from the other region are
-# used, and depth steps are seen along as many.
+# Smooth noise hardly changes over so many cells: those up to this far around the smaller region
+# are used, and depth steps are seen along as many.
 # tuned: on rooms and lived-in rooms below seed 9000; flat from 2 to 4.
 REACH_CELLS = 3
 # Most cells used, nearest to the border first; the time grows with the cube.
@@ -58,54 +58,50 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     if correlation is None:
         return False
     pair = np.array([first, second])
-    cell, is_small = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
-    if min(np.count_nonzero(is_small), np.count_nonzero(~is_small)) <= PLANE_TERMS:
+    cell, is_first = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
+    if min(np.count_nonzero(is_first), np.count_nonzero(~is_first)) <= PLANE_TERMS:
         return False
-    gain = _gain(cells.table, cell, is_small, correlation.table(cells.grid.shape))
+    gain = _gain(cells.table, cell, is_first, correlation.table(cells.grid.shape))
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
 
 
 @kernel('Tuple((int64[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])',
         is_short=True)
 def _cells_about(labels, is_planar, pair):
-    """Return the cells (n,) nearest to a border, and which of them are the smaller region's."""
-    columns = labels.shape[1]
-    sizes, boxes = _extents(labels, pair)
-    small, large, box = pair[0], pair[1], boxes[0]
-    if sizes[1] <= sizes[0]:
-        small, large, box = pair[1], pair[0], boxes[1]
-    near = labels[box[0]:box[1], box[2]:box[3]]
-    to_small, to_large = _distance(near, small), _distance(near, large)
+    """Return the cells (n,) nearest to a border, and which of them are the first region's."""
+    columns, (top, bottom, left, right) = labels.shape[1], _box_of_smaller(labels, pair)
+    near = labels[top:bottom, left:right]
+    to_first, to_second = _distance(near, pair[0]), _distance(near, pair[1])
     # Counting sort by distance.
     distance = np.zeros(near.shape, np.int64)
     start = np.zeros(near.shape[0] + near.shape[1] + 2, np.int64)
     for row in range(near.shape[0]):
         for column in range(near.shape[1]):
-            if not is_planar[(box[0] + row) * columns + box[2] + column]:
+            if not is_planar[(top + row) * columns + left + column]:
                 continue
-            if near[row, column] == small:
-                distance[row, column] = to_large[row, column]
-            elif near[row, column] == large and to_small[row, column] <= REACH_CELLS:
-                distance[row, column] = to_small[row, column]
+            if near[row, column] == pair[0]:
+                distance[row, column] = to_second[row, column]
+            elif near[row, column] == pair[1]:
+                distance[row, column] = to_first[row, column]
             if distance[row, column] > 0:
                 start[distance[row, column] + 1] += 1
     for k in range(1, len(start)):
         start[k] += start[k - 1]
     n = min(start[-1], MAX_CELLS)
-    cell, is_small = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    cell, is_first = np.empty(n, np.int64), np.zeros(n, np.bool_)
     for row in range(near.shape[0]):
         for column in range(near.shape[1]):
             apart = distance[row, column]
             if apart > 0 and start[apart] < n:
-                cell[start[apart]] = (box[0] + row) * columns + box[2] + column
-                is_small[start[apart]] = near[row, column] == small
+                cell[start[apart]] = (top + row) * columns + left + column
+                is_first[start[apart]] = near[row, column] == pair[0]
             start[apart] += apart > 0
-    return cell, is_small
+    return cell, is_first
 
 
-@kernel('Tuple((int64[::1], int64[:, ::1]))(int32[:, ::1], int64[::1])')
-def _extents(labels, pair):
-    """Return the sizes of two regions, and the boxes of cells within reach of them."""
+@kernel('UniTuple(int64, 4)(int32[:, ::1], int64[::1])')
+def _box_of_smaller(labels, pair):
+    """Return the rows and columns of cells within reach of the smaller one of two regions."""
     (rows, columns), sizes = labels.shape, np.zeros(2, np.int64)
     boxes = np.array([[rows, 0, columns, 0], [rows, 0, columns, 0]])
     for row in range(rows):
@@ -117,7 +113,8 @@ def _extents(labels, pair):
                     boxes[k, 1] = max(boxes[k, 1], min(row + REACH_CELLS + 1, rows))
                     boxes[k, 2] = min(boxes[k, 2], max(column - REACH_CELLS, 0))
                     boxes[k, 3] = max(boxes[k, 3], min(column + REACH_CELLS + 1, columns))
-    return sizes, boxes
+    box = boxes[int(sizes[1] <= sizes[0])]
+    return box[0], box[1], box[2], box[3]
 
 
 @kernel('int64[:, ::1](int32[:, :], int64)')
@@ -142,16 +139,16 @@ def _distance(labels, label):
 # With MAX_CELLS it takes 0.23 ms and keeps the lock, as the node switches threads after 1 ms; with
 # the usual number 0.03 ms.
 @kernel('float64(float64[:, ::1], int64[::1], boolean[::1], float64[:, ::1])', is_short=True)
-def _gain(table, cell, is_small, covariance):
+def _gain(table, cell, is_first, covariance):
     """Return twice the gain in log-likelihood of two planes over one."""
-    products = _weighted_products(_covariance(cell, covariance), _design(table, cell, is_small))
+    products = _weighted_products(_covariance(cell, covariance), _design(table, cell, is_first))
     one = solve_least_squares(products, PLANE_TERMS, np.empty(7))
     return one - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7))
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], boolean[::1])')
-def _design(table, cell, is_small):
-    """Return 1, x, y of all cells, the same of the smaller region, and d, (7, n)."""
+def _design(table, cell, is_first):
+    """Return 1, x, y of all cells, the same of the first region, and d, (7, n)."""
     n, x, y, d = len(cell), 0.0, 0.0, 0.0
     for i in range(n):
         x += table[cell[i], 0] / n
@@ -162,7 +159,7 @@ def _design(table, cell, is_small):
         basis[0, i], basis[1, i] = 1.0, table[cell[i], 0] - x
         basis[2, i], basis[6, i] = table[cell[i], 1] - y, table[cell[i], 2] - d
         for k in range(3):
-            basis[3 + k, i] = basis[k, i] if is_small[i] else 0.0
+            basis[3 + k, i] = basis[k, i] if is_first[i] else 0.0
     return basis
 
 
