@@ -6,9 +6,9 @@ Vanishing directions of a calibrated image: the vertical and the horizontal axes
 1. Random triples of segments propose frames of three perpendicular directions (Bazin et al.
    2012); each is scored by the length of the segments that point to its axes.
 2. The vertical is the axis of the best frame that is closest to the vertical of the image, or to
-   a coarse direction of gravity. It must not depend on a single line, and either many lines meet
-   exactly in the axes, or it is significant, confirmed by other lines and unambiguous, or it is
-   perpendicular to the floor in the depth.
+   a coarse direction of gravity. Either many lines meet exactly in the axes; or it is significant,
+   confirmed by other lines and unambiguous, also without any single line; or it is perpendicular
+   to the floor in the depth.
 3. The tiles of an inclined floor may outvote the vertical edges: if lines along no horizontal axis
    meet in another point near the vertical, that point is used, and the horizontal axes are
    refused.
@@ -74,10 +74,12 @@ CLOSE_DEG = 5.0
 # Significance in standard deviations. With random strokes the best vertical reaches 6, the best
 # pair 9, because both are the best of many. tuned: as above; the sum is flat from 15 to 25.
 MIN_VERTICAL_SIGMAS, MIN_SUM_SIGMAS = 6.0, 20.0
-# Tolerance at which lines, however short, count as meeting exactly; if they are significant in
-# number, other evidence is not required. tuned: as above, and parts of real images: the sum is
-# flat from 17 to 22; random strokes reach 13, roofs taken for walls 16.
-EXACT_DEG = 1.0
+# Tolerance at which lines, however short, count as meeting exactly, and the significance of their
+# number at which no other evidence is required. A roof shows as exact a frame as a room, but its
+# steepest direction is far from the expected vertical, which therefore counts twice. tuned: as
+# above, and parts of real images: flat from 28 to 35. Random strokes reach 14, roofs taken for
+# walls 21, wrong verticals in parts of real images 27.
+EXACT_DEG, MIN_EXACT_SIGMAS = 1.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,9 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     sigmas = _upright_sigmas(segments, alone[0], level.axes)
     tilt_rad = np.arccos(np.clip(alone[0] @ expected, -1, 1))
     rarity = float(np.exp(-0.5 * (tilt_rad / np.radians(TILT_SPREAD_DEG)) ** 2))
-    reason = ('' if _is_exact(segments, alone[0], level.axes, rarity)
-              else doubt or _too_few(sigmas, level.sigmas, rarity))
-    if not reason and _hangs_on_one_line(segments, alone, level.axes):
+    is_exact = _exact_sigmas(segments, alone[0], level.axes) * rarity**2 >= MIN_EXACT_SIGMAS
+    reason = '' if is_exact else doubt or _too_few(sigmas, level.sigmas, rarity)
+    if not reason and not is_exact and _hangs_on_one_line(segments, alone, level.axes):
         reason = 'the vertical depends on a single line'
     if reason and not _floor_confirms(surface, alone[0], sigmas):
         return _refused(reason)
@@ -208,18 +210,15 @@ def _upright_sigmas(segments: LineSegments, down: np.ndarray, axes: np.ndarray) 
     return float(significance(weights, points, VERTICAL_TOLERANCE_DEG))
 
 
-def _is_exact(segments: LineSegments, down: np.ndarray, level: np.ndarray,
-              rarity: float) -> bool:
-    """Return whether more lines meet exactly in the three directions than in any wrong frame."""
+def _exact_sigmas(segments: LineSegments, down: np.ndarray, level: np.ndarray) -> float:
+    """Return the significance of the number of lines that meet exactly in the three directions."""
     sigmas = []
     for own, others in ((down[None], level), (level, down[None])):
         weights = 1.0 - points_to(segments, others)
         points = pointing(misalignment(segments, own), EXACT_DEG).sum(1)
         sigmas.append(float(significance(weights, points, EXACT_DEG, len(own))))
-    if sigmas[0] < MIN_VERTICAL_SIGMAS or sigmas[1] < MIN_PAIR_SIGMAS:
-        return False
-    # A roof shows as exact a frame as a room, but its steepest direction is far from the vertical.
-    return sum(sigmas) * rarity**2 >= MIN_SUM_SIGMAS
+    are_significant = sigmas[0] >= MIN_VERTICAL_SIGMAS and sigmas[1] >= MIN_PAIR_SIGMAS
+    return sum(sigmas) if are_significant else 0.0
 
 
 def _too_few(sigmas: float, pair_sigmas: float, rarity: float) -> str:
