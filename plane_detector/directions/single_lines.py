@@ -18,11 +18,12 @@ from plane_detector.directions.line_segments import LineSegments
 # of a bar or the pieces of an interrupted edge. derived: about the accuracy of a short segment;
 # 14 pixels in an image of 640.
 SAME_LINE_DEG = 1.5
+ROUNDING = 1e-6
 
 
 def depends_on_one_line(segments: LineSegments, points: np.ndarray, is_same: np.ndarray) -> bool:
     """
-    Return whether without one of the lines another direction is supported better.
+    Return whether without one of the lines another direction is supported at least as well.
 
     Parameters
     ----------
@@ -37,4 +38,5 @@ def depends_on_one_line(segments: LineSegments, points: np.ndarray, is_same: np.
     normals = segments.normals / np.linalg.norm(segments.normals, axis=1, keepdims=True)
     is_one_line = np.abs(normals[own] @ normals.T) > np.cos(np.radians(SAME_LINE_DEG))
     without = points.sum(0) - is_one_line.astype(float) @ points
-    return bool((without[:, ~is_same].max(1) > without[:, is_same].max(1)).any())
+    best = without[:, is_same].max(1)
+    return bool((without[:, ~is_same].max(1) >= (1 - ROUNDING) * best).any())

@@ -6,9 +6,9 @@ Vanishing directions of a calibrated image: the vertical and the horizontal axes
 1. Random triples of segments propose frames of three perpendicular directions (Bazin et al.
    2012); each is scored by the length of the segments that point to its axes.
 2. The vertical is the axis of the best frame that is closest to the vertical of the image, or to
-   a coarse direction of gravity. Either many lines meet exactly in the axes; or it is significant,
-   confirmed by other lines and unambiguous, also without any single line; or it is perpendicular
-   to the floor in the depth.
+   a coarse direction of gravity. Either many lines meet exactly in the axes, or it is significant,
+   confirmed by other lines and unambiguous; in both cases without any single line, too. Or it is
+   perpendicular to the floor in the depth.
 3. The tiles of an inclined floor may outvote the vertical edges: if lines along no horizontal axis
    meet in another point near the vertical, that point is used, and the horizontal axes are
    refused.
@@ -77,9 +77,8 @@ MIN_VERTICAL_SIGMAS, MIN_SUM_SIGMAS = 6.0, 20.0
 # Tolerance at which lines, however short, count as meeting exactly, and the significance of their
 # number at which no other evidence is required. A roof shows as exact a frame as a room, but its
 # steepest direction is far from the expected vertical, which therefore counts twice. tuned: as
-# above, and parts of real images: flat from 28 to 35. Random strokes reach 14, roofs taken for
-# walls 21, wrong verticals in parts of real images 27.
-EXACT_DEG, MIN_EXACT_SIGMAS = 1.0, 30.0
+# above, attics and parts of real images: flat from 22 to 30; at 20 a roof is taken for a wall.
+EXACT_DEG, MIN_EXACT_SIGMAS = 1.0, 25.0
 
 
 @dataclass(frozen=True)
@@ -144,9 +143,11 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     sigmas = _upright_sigmas(segments, alone[0], level.axes)
     tilt_rad = np.arccos(np.clip(alone[0] @ expected, -1, 1))
     rarity = float(np.exp(-0.5 * (tilt_rad / np.radians(TILT_SPREAD_DEG)) ** 2))
-    is_exact = _exact_sigmas(segments, alone[0], level.axes) * rarity**2 >= MIN_EXACT_SIGMAS
+    exact_sigmas = _exact_sigmas(segments, alone[0], level.axes) * rarity**2
+    is_exact = exact_sigmas >= MIN_EXACT_SIGMAS
     reason = '' if is_exact else doubt or _too_few(sigmas, level.sigmas, rarity)
-    if not reason and not is_exact and _hangs_on_one_line(segments, alone, level.axes):
+    if not reason and _depends_on_one_line(segments, alone, level.axes,
+                                           is_exact and alone is axes):
         reason = 'the vertical depends on a single line'
     if reason and not _floor_confirms(surface, alone[0], sigmas):
         return _refused(reason)
@@ -231,10 +232,34 @@ def _too_few(sigmas: float, pair_sigmas: float, rarity: float) -> str:
     return ''
 
 
-def _hangs_on_one_line(segments: LineSegments, axes: np.ndarray, level: np.ndarray) -> bool:
+def _depends_on_one_line(segments: LineSegments, axes: np.ndarray, level: np.ndarray,
+                         is_exact: bool) -> bool:
+    """
+    Return whether a vertical that leans is supported better without one of the lines.
+
+    The horizontal lines count only if the frame is exact: those of an object that leans are as
+    wrong as its vertical.
+    """
     candidates, points = _leaning(segments, axes, level)
     is_same = candidates @ axes[0] > np.cos(np.radians(CLOSE_DEG))
+    if not depends_on_one_line(segments, points, is_same):
+        return False
+    score = points.sum(0)
+    if not is_exact or score[~is_same].max() > RIVAL_SHARE * score[is_same].max():
+        return True
+    points = np.maximum(points, _along_leaning(segments, candidates, level))
     return depends_on_one_line(segments, points, is_same)
+
+
+def _along_leaning(segments: LineSegments, downs: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Return the support (N, C) of verticals (C, 3) by lines along the axes across them."""
+    points = np.zeros((len(segments), len(downs)))
+    for axis in level:
+        across = axis - (downs @ axis)[:, None] * downs
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        points = np.maximum(points, pointing(misalignment(segments, across),
+                                             VERTICAL_TOLERANCE_DEG))
+    return segments.lengths[:, None] * points
 
 
 def _floor_confirms(surface: np.ndarray | None, down: np.ndarray, vertical_sigmas: float) -> bool:

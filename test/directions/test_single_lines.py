@@ -24,6 +24,7 @@ def test_two_edges_of_a_bar_are_one_line(heights, depends):
     assert depends_on_one_line(rows(*heights), points, IS_SAME) == depends
 
 
-def test_lines_that_support_both_answers_alike_decide_nothing():
-    points = np.array([[1.0, 0, 1.0], [1.0, 0, 1.0], [0.5, 0, 0]])
-    assert not depends_on_one_line(rows(100, 200, 300), points, IS_SAME)
+@pytest.mark.parametrize(('other', 'depends'), [(1.0, True), (0.9, False)])
+def test_an_answer_that_is_only_equally_good_without_a_line_depends_on_it(other, depends):
+    points = np.array([[1.0, 0, other], [1.0, 0, other], [0.5, 0, 0]])
+    assert depends_on_one_line(rows(100, 200, 300), points, IS_SAME) == depends

@@ -127,14 +127,15 @@ def test_axes_of_a_single_bar_are_refused(rng):
     assert angle_deg(alone.gravity_camera, down) < 0.1
 
 
-def test_a_vertical_that_is_fixed_by_a_leaning_object_only_is_refused(rng):
-    """Lines next to each other that are vertical show a roll, but no pitch."""
+def test_a_vertical_whose_pitch_only_a_leaning_bar_shows_is_refused():
+    """Vertical lines next to each other and lines parallel to the image show no pitch."""
+    u, v = VGA.cx + np.linspace(-12, 12, 6), np.linspace(60, 420, 6)
+    posts = [[[one, 180], [one, 300]] for one in u]
+    shelves = [[[60, one], [240, one]] for one in v]
     lean = np.array([0.0, np.cos(np.radians(12)), np.sin(np.radians(12))])
-    chair = lines_along(np.stack([[1.0, 0, 0], np.cross([1.0, 0, 0], lean)]), 6, rng).ends_px
-    u = VGA.cx + np.linspace(-12, 12, 6)
-    posts = np.stack([np.column_stack([u, 0 * u + VGA.cy - 60]),
-                      np.column_stack([u, 0 * u + VGA.cy + 60])], axis=1)
-    found = find_directions(segments_from_pixels(np.concatenate([chair, posts]), VGA), rng)
+    start = np.array([[1.5, -0.8, 4.0], [1.55, -0.8, 4.0]])
+    lines = np.concatenate([posts, shelves, project(start, start + 1.6 * lean)])
+    found = find_directions(segments_from_pixels(lines, VGA), np.random.default_rng(0))
     assert found.gravity_camera is None and 'single line' in found.refusal
 
 
