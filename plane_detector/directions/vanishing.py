@@ -144,8 +144,7 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     sigmas = _upright_sigmas(segments, alone[0], level.axes)
     tilt_rad = np.arccos(np.clip(alone[0] @ expected, -1, 1))
     rarity = float(np.exp(-0.5 * (tilt_rad / np.radians(TILT_SPREAD_DEG)) ** 2))
-    exact_sigmas = _exact_sigmas(segments, alone[0], level.axes) * rarity**2
-    is_exact = exact_sigmas >= MIN_EXACT_SIGMAS
+    is_exact = _exact_sigmas(segments, alone[0], level.axes) * rarity**2 >= MIN_EXACT_SIGMAS
     reason = '' if is_exact else doubt or _too_few(sigmas, level.sigmas, rarity)
     if not reason and _depends_on_one_line(segments, alone, level.axes,
                                            is_exact and alone is axes):
