@@ -182,19 +182,21 @@ def _sum_up(disparity, valid, size, frame, wanted):
         '(float64[::1], int64, float64)')
 def _fit_cell(m, size, width):
     """Return if a cell of moments m, in pixels, is usable, its rms, its slope, its sparsity."""
-    n, per, whole = m[0], 1 / m[0], (size**2 - 1) / 12
+    area, n, per = np.float64(size * size), m[0], 1 / m[0]
+    whole = (area - 1) * (1 / 12)
     mx, my, md = m[1] * per, m[2] * per, m[6] * per
     xx, xy, yy = m[3] * per - mx * mx, m[4] * per - mx * my, m[5] * per - my * my
     xd, yd, dd = m[7] * per - mx * md, m[8] * per - my * md, m[9] * per - md * md
     determinant = xx * yy - xy * xy
-    is_usable = n >= max(MIN_VALID_SHARE * size**2, 4) and determinant > MIN_EIGENVALUE * whole**2
+    is_usable = (n >= max(MIN_VALID_SHARE * area, 4.0)) & (
+        determinant > MIN_EIGENVALUE * whole * whole)
     slope_x = slope_y = of_mean = of_slope = 0.0
     if is_usable:
         inverse = 1 / determinant
         slope_x, slope_y = (yy * xd - xy * yd) * inverse, (xx * yd - xy * xd) * inverse
-        if n < size**2:
-            of_mean = per - 1 / size**2
-            of_slope = max((xx + yy) / 2 * per * inverse - 1 / (size**2 * whole), 0.0) * width**2
+        if n < area:
+            of_mean = per - 1 / area
+            of_slope = max((xx + yy) / 2 * per * inverse - 1 / (area * whole), 0.0) * width**2
     rms = np.sqrt(max(dd - slope_x * xd - slope_y * yd, 0.0))
     return is_usable, rms, slope_x * width, slope_y * width, of_mean, of_slope
 
