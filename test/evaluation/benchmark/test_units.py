@@ -38,4 +38,4 @@ def test_strong_networks_have_the_same_planes_in_all_units(data_folder):
         assert metric.count == found['disparity'].count
         # The floors of the noise differ by a thousandth, which decides single cells.
         assert abs(metric.count - found['relative_disparity'].count) <= 2
-        assert units.agreement(metric.labels, found['relative_disparity'].labels) > 0.98
+        assert units.agreement(metric.labels, found['relative_disparity'].labels) > 0.97
