@@ -13,6 +13,13 @@ from plane_detector.compilation import kernel
 MIN_EIGENVALUE = 1e-10
 
 
+@kernel('void(float64[::1], float64[::1])')
+def add_moments(total, moments):
+    """Add moments (10,); on a row of a matrix six times as fast as with its index in the loop."""
+    for j in range(10):
+        total[j] += moments[j]
+
+
 @kernel('UniTuple(float64, 3)(float64[::1])')
 def fit_plane(moments):
     """

@@ -17,7 +17,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
-from plane_detector.segmentation.cells.plane_fit import fit_plane
+from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
 from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
@@ -155,8 +155,7 @@ def _sum_up(labels, values, is_planar, count):
             i, one = row * columns + column, labels[row, column]
             if one < 0 or not is_planar[i]:
                 continue
-            for k in range(10):
-                pixels[one, k] += moments[i, k]
+            add_moments(pixels[one], moments[i])
             _add_cell(table, slope, sums, i, one)
             for step in range(1, BORDER_REACH_CELLS + 1):
                 for r, c in ((row + step, column), (row, column + step)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES
-from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
+from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane, squared_error
 
 # Rows and columns: small windows find small planes, long ones narrow planes, large ones planes
 # under noise.
@@ -49,8 +49,7 @@ def draw_planes(left, free, stride, cells, draws):
             for left_end in range(corner, corner + height * stride, stride):
                 for p in range(left_end, left_end + width):
                     if free[p] >= 0:
-                        for j in range(10):
-                            total[j] += moments[free[p], j]
+                        add_moments(total, moments[free[p]])
                         expected += table[free[p], 7]
             a, b, c = fit_plane(total)
             if squared_error(a, b, c, total) < MAX_JOINT_VARIANCES * expected:

@@ -23,7 +23,7 @@ from plane_detector.compilation import kernel
 from plane_detector.config import Config
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, chi_squared
-from plane_detector.segmentation.cells.plane_fit import fit_plane
+from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
     core_places,
     grow_cluster,
@@ -252,8 +252,7 @@ def _refine(plane, search, threshold2):
         for j in range(10):
             total[j] = 0.0
         for k in range(len(grown)):
-            for j in range(10):
-                total[j] += moments[free[grown[k]], j]
+            add_moments(total, moments[free[grown[k]]])
         a, b, c = fit_plane(total)
         if np.isnan(a):
             return plane, grown[:0]
