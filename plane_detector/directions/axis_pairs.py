@@ -4,9 +4,9 @@
 Pairs of horizontal axes about a known vertical, from line segments.
 
 A pair has one unknown, its azimuth, which is found by search. It is refused if another pair fits
-the lines nearly as well, or fits them better without one of the lines. Further pairs about the
-same vertical (an Atlanta world, Schindler and Dellaert 2004) are searched for among the remaining
-segments.
+the lines nearly as well; the first pair also if it depends on a single line. Further pairs about
+the same vertical (an Atlanta world, Schindler and Dellaert 2004) are searched for among the
+remaining segments.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def find_azimuth(segments: LineSegments, down: np.ndarray,
     down : (3,) float64
         Unit direction of gravity.
     left : (N,) bool, optional
-        Segments to use; default: all.
+        Segments that support no pair before this one; default: all, it is the first one.
 
     """
     x = np.cross(down, [0.0, 0.0, 1.0] if abs(down[2]) < 0.9 else [1.0, 0.0, 0.0])
@@ -105,17 +105,19 @@ def find_azimuth(segments: LineSegments, down: np.ndarray,
     sigmas = significance(weights, points.T, TOLERANCE_DEG, 2)
     best = int((weights @ points).argmax())
     is_same = np.abs((np.arange(90) - best + 45) % 90 - 45) <= SAME_DEG
-    refusal = _reason_to_refuse(segments, weights[:, None] * points, is_same)
+    refusal = _reason_to_refuse(segments, weights[:, None] * points, is_same, left is None)
     if sigmas[best] < MIN_PAIR_SIGMAS:
         refusal = 'hardly more horizontal lines along two axes than expected by chance'
     return Azimuth(directions[[best, best + 90]], float(sigmas[best]), refusal)
 
 
-def _reason_to_refuse(segments: LineSegments, points: np.ndarray, is_same: np.ndarray) -> str:
+def _reason_to_refuse(segments: LineSegments, points: np.ndarray, is_same: np.ndarray,
+                      is_first: bool) -> str:
     score = points.sum(0)
     if score[~is_same].max() > RIVAL_SHARE * score.max():
         return 'another pair of horizontal axes fits the lines equally well'
-    if depends_on_one_line(segments, points, is_same):
+    # A further pair only applies to planes in which other lines confirm it.
+    if is_first and depends_on_one_line(segments, points, is_same):
         return 'the horizontal axes depend on a single line'
     return ''
 

@@ -127,6 +127,15 @@ def test_axes_of_a_single_bar_are_refused(rng):
     assert angle_deg(alone.gravity_camera, down) < 0.1
 
 
+def test_a_single_bar_may_be_a_further_pair(rng):
+    down, x, y = tilted_frame()
+    lines = np.concatenate([lines_along(np.stack([down, x, y]), 12, rng).ends_px, bar(down, x, y)])
+    found = find_directions(segments_from_pixels(lines, VGA), rng)
+    along = np.cos(np.radians(40)) * x + np.sin(np.radians(40)) * y
+    assert angle_deg(found.pairs[0].axes, x).min() < 0.5
+    assert angle_deg(found.pairs[1].axes, along).min() < 0.5
+
+
 def test_a_vertical_whose_pitch_only_a_leaning_bar_shows_is_refused():
     """Vertical lines next to each other and lines parallel to the image show no pitch."""
     u, v = VGA.cx + np.linspace(-12, 12, 6), np.linspace(60, 420, 6)
