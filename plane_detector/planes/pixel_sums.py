@@ -84,14 +84,14 @@ def _sum_columns(labels, top, bottom, columns):
 @kernel('void(int32[:, ::1], float32[:, ::1], UniTuple(int64, 3), int32[::1], float32[:, ::1])')
 def _load(labels, disparity, corner, own, pixels):
     """Copy the labels of a cell, and z to the last row of its pixels, behind their u and v."""
-    top, left, size = corner
+    (top, left, size), least = corner, np.float32(TINY_DISPARITY)
     for p in range(size**2):
         own[p] = -1
     for i in range(min(size, labels.shape[0] - top)):
         for j in range(min(size, labels.shape[1] - left)):
-            own[i * size + j] = labels[top + i, left + j]
-            pixels[2, i * size + j] = np.float32(1) / max(disparity[top + i, left + j],
-                                                          np.float32(TINY_DISPARITY))
+            # Unsigned: no wrap-around check.
+            p, v, u = np.uint64(i * size + j), np.uint64(top + i), np.uint64(left + j)
+            own[p], pixels[2, p] = labels[v, u], np.float32(1) / max(disparity[v, u], least)
 
 
 @kernel('void(int32[::1], float32[:, ::1], '

@@ -250,8 +250,9 @@ def _add_powers(n, d, y, sums, first):
 def _sum_up_cell(sums, left, size, m):
     """Write the moments of a cell about its centre, in pixels; return whether it has any."""
     n = m_x = m_y = xx = xy = yy = d = xd = yd = dd = np.float32(0)
-    for u in range(left, left + size):
-        x = np.float32(u - left - (size - 1) / 2)
+    middle = np.float32((size - 1) / 2)
+    for k in range(size):
+        u, x = np.uint64(left + k), np.float32(k) - middle  # unsigned: no wrap-around check
         n += sums[0, u]
         m_x += sums[0, u] * x
         m_y += sums[1, u]

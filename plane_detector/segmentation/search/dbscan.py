@@ -90,8 +90,10 @@ def _cluster(labels, offsets, min_samples):
     # Loops, as numba takes a second to compile each assignment to a slice.
     padded = np.full((rows + 2 * margin) * stride, np.int16(-1))
     for row in range(rows):
+        first = (row + margin) * stride + margin
+        here = padded[first:first + columns]
         for column in range(columns):
-            padded[(row + margin) * stride + column + margin] = labels[row, column]
+            here[column] = labels[row, column]
     steps = steps_of(offsets, stride)
     clusters, queue = np.full(len(padded), np.int32(-1)), np.empty(len(padded), np.int64)
     is_core = core_places(padded, steps, min_samples)
@@ -101,8 +103,10 @@ def _cluster(labels, offsets, min_samples):
                 clusters[queue[k]] = count
             count += 1
     for row in range(rows):
+        first = (row + margin) * stride + margin
+        here = clusters[first:first + columns]
         for column in range(columns):
-            found[row, column] = clusters[(row + margin) * stride + column + margin]
+            found[row, column] = here[column]
     return found, count
 
 
