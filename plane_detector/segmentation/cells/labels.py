@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Labels of cells and pixels: renamed, counted in cells, and their connected components."""
+"""Labels of cells and pixels: renamed, and counted in cells."""
 
 from __future__ import annotations
 
@@ -52,73 +52,3 @@ def _count(labels, size, count):
                 if labels[v, u] >= 0:
                     counts[cell, labels[v, u]] += 1
     return counts
-
-
-@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1]))(int32[:, ::1])')
-def connected_pieces(labels):
-    """
-    Find the connected components of equal labels, by shared sides.
-
-    Parameters
-    ----------
-    labels : (R, C) int32
-        -1 none.
-
-    Returns
-    -------
-    pieces : (R, C) int32
-        -1 where there is no label.
-    label, size : (n,) int64
-        Of each piece.
-
-    """
-    start, parent, count = _joined_runs(labels)
-    flat, pieces = labels.reshape(-1), np.empty(labels.size, np.int32)
-    number, pixels = np.empty(count, np.int32), np.zeros((2, count), np.int64)
-    found = 0
-    for k in range(count):  # parents come before their children
-        here = flat[start[k]]
-        if here < 0:
-            number[k] = -1
-        elif parent[k] < k:
-            number[k] = number[parent[k]]
-        else:
-            number[k], pixels[0, found], found = found, here, found + 1
-        for i in range(start[k], start[k + 1]):
-            pieces[i] = number[k]
-        if here >= 0:
-            pixels[1, number[k]] += start[k + 1] - start[k]
-    return pieces.reshape(labels.shape), pixels[0, :found].copy(), pixels[1, :found].copy()
-
-
-@kernel('Tuple((int64[::1], int64[::1], int64))(int32[:, ::1])')
-def _joined_runs(labels):
-    """Return the start and the parent of each run of equal labels in a row, and their number."""
-    (rows, columns), flat = labels.shape, labels.reshape(-1)
-    start, parent = np.empty(labels.size + 1, np.int64), np.empty(labels.size, np.int64)
-    first = count = 0
-    for row in range(rows):
-        above, first = first, count
-        for i in range(row * columns, (row + 1) * columns):
-            if i == row * columns or flat[i] != flat[i - 1]:
-                start[count], parent[count], count = i, count, count + 1
-        start[count] = (row + 1) * columns
-        for k in range(first, count):
-            while above < first and start[above + 1] + columns <= start[k]:
-                above += 1
-            for upper in range(above, first):
-                if start[upper] + columns >= start[k + 1]:
-                    break
-                if flat[start[upper]] == flat[start[k]]:
-                    _unite(parent, upper, k)
-    return start, parent, count
-
-
-@kernel('void(int64[::1], int64, int64)')
-def _unite(parent, a, b):
-    """Make the first run of one set the parent of the first run of the other."""
-    while parent[a] != a:
-        a = parent[a]
-    while parent[b] != b:
-        b = parent[b]
-    parent[max(a, b)] = min(a, b)

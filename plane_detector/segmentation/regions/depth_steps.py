@@ -16,7 +16,6 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.labels import connected_pieces
 from plane_detector.segmentation.cells.model import fit_regions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.model_selection import REACH_CELLS, prefer_two_planes
@@ -65,15 +64,17 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
     residual, owner = _block_residuals(image.values, image.valid, graph.labels, graph.planes,
                                        grid.size_px, (grid.width_px, *grid.origin))
     _remove_steps(residual, owner)
-    pieces, label, blocks = connected_pieces(owner)
+    count, pieces = cv2.connectedComponents((owner >= 0).view(np.uint8), connectivity=4,
+                                            ltype=cv2.CV_16U)
+    label, blocks, mean = _describe(pieces, owner, residual, count)
     is_candidate = ((blocks >= frame.search.min_pixels * (BLOCKS / grid.size_px) ** 2)
-                    & (_offsets(residual, pieces, label, blocks)
+                    & (_offsets(label, blocks, mean)
                        > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
-    for piece in np.argsort(-blocks, kind='stable'):
+    for k in np.argsort(-blocks, kind='stable'):
         new = len(regions.coefficients)
-        if is_candidate[piece]:
-            labels = _with_piece(regions.labels, pieces, piece, label[piece], new)
-            if prefer_two_planes(cells, labels, correlation, label[piece], new):
+        if is_candidate[k]:
+            labels = _with_piece(regions.labels, pieces, k + 1, label[k], new)
+            if prefer_two_planes(cells, labels, correlation, label[k], new):
                 regions = fit_regions(cells, labels, new + 1)
     return RegionGraph.of(cells, regions) if regions.labels is not graph.labels else graph
 
@@ -81,7 +82,11 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
 @kernel('Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], boolean[:, ::1], '
         'int32[:, ::1], float64[:, ::1], int64, UniTuple(float64, 3))')
 def _block_residuals(disparity, valid, labels, planes, size, frame):
-    """Return the mean residual of each block to its region's plane, and the region, -1 none."""
+    """
+    Return the mean residual of each block to its region's plane, and the region, -1 none.
+
+    The last blocks before another region belong to none, so that no two regions touch.
+    """
     (rows, columns), side, (height, width) = labels.shape, size // BLOCKS, disparity.shape
     residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
@@ -96,9 +101,11 @@ def _block_residuals(disparity, valid, labels, planes, size, frame):
                 total[u] += disparity[v, u]  # 0 where invalid
                 count[u] += np.float32(valid[v, u])
         for column in range(columns):
-            k = labels[i // BLOCKS, column]
+            row, k = i // BLOCKS, labels[i // BLOCKS, column]
             if k < 0:
                 continue
+            ends_below = i % BLOCKS == BLOCKS - 1 and labels[min(row + 1, rows - 1), column] != k
+            ends_right = labels[row, min(column + 1, columns - 1)] != k
             a, b = planes[k, 0] * pixel, planes[k, 1] * pixel
             c = planes[k, 2] + planes[k, 0] * frame[1] + planes[k, 1] * frame[2]
             for j in range(column * BLOCKS, column * BLOCKS + BLOCKS):
@@ -110,7 +117,9 @@ def _block_residuals(disparity, valid, labels, planes, size, frame):
                     x, y = left + (side - 1) / 2, top + (side - 1) / 2
                     if n < side * side:
                         x, y = _centroid(valid, top, left, side)
-                    residual[i, j], owner[i, j] = d / n - (a * x + b * y + c), k
+                    residual[i, j] = d / n - (a * x + b * y + c)
+                    if not (ends_below or (ends_right and j % BLOCKS == BLOCKS - 1)):
+                        owner[i, j] = k
     return residual, owner
 
 
@@ -153,28 +162,27 @@ def _remove_higher(step, limit, owner):
                 owner[row, column] = -1
 
 
-def _offsets(residual: np.ndarray, pieces: np.ndarray, label: np.ndarray,
-             blocks: np.ndarray) -> np.ndarray:
+@kernel('Tuple((int64[::1], int64[::1], float64[::1]))(uint16[:, ::1], int32[:, ::1], '
+        'float32[:, ::1], int64)')
+def _describe(pieces, owner, residual, count):
+    """Return the region, the number of blocks and the mean residual of pieces 1, 2, ..."""
+    label, blocks = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    total = np.zeros(count)
+    for i in range(pieces.shape[0]):
+        for j in range(pieces.shape[1]):
+            piece = pieces[i, j]
+            if piece > 0:
+                label[piece] = owner[i, j]
+                blocks[piece] += 1
+                total[piece] += residual[i, j]
+    return label[1:].copy(), blocks[1:].copy(), total[1:] / blocks[1:]
+
+
+def _offsets(label: np.ndarray, blocks: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Return how far the mean residual of each piece (n,) is from its region's largest piece's."""
-    mean, order = _sums(pieces, residual, len(blocks)) / blocks, np.argsort(blocks, kind='stable')
-    largest = np.zeros(label.max(initial=0) + 1, int)
+    largest, order = np.zeros(label.max(initial=0) + 1, int), np.argsort(blocks, kind='stable')
     largest[label[order]] = order
     return np.abs(mean - mean[largest[label]])
-
-
-@kernel('float64[::1](int32[:, ::1], float32[:, ::1], int64)')
-def _sums(pieces, values, count):
-    """Return the sum (n,) of the values of each piece."""
-    total = np.zeros(count + 1)  # the last entry is that of blocks in no piece
-    for i in range(pieces.shape[0]):
-        piece, of_run = pieces[i, 0], 0.0
-        for j in range(pieces.shape[1]):
-            if pieces[i, j] != piece:
-                total[piece] += of_run
-                piece, of_run = pieces[i, j], 0.0
-            of_run += values[i, j]
-        total[piece] += of_run
-    return total[:count].copy()
 
 
 def _with_piece(labels: np.ndarray, pieces: np.ndarray, piece: int, label: int,
