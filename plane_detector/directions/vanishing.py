@@ -24,7 +24,7 @@ vanishing point estimation in Manhattan world, CVPR 2012.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from plane_detector.directions.axis_pairs import (
     SAME_DEG,
     SYSTEMATIC_DEG,
     AxisPair,
+    Azimuth,
     find_azimuth,
     more_pairs,
     points_to,
@@ -112,6 +113,15 @@ class SceneDirections:
     pair_refusal: str
 
 
+@dataclass(frozen=True)
+class _Upright:
+    axes: np.ndarray        # (3, 3), the vertical first
+    level: Azimuth          # of the horizontal axes about it
+    candidates: np.ndarray  # (C, 3), verticals that lean
+    points: np.ndarray      # (N, C), their support by the lines along no horizontal axis
+    is_of_frame: bool       # False if the vertical lines contradict the frame
+
+
 def find_directions(segments: LineSegments, rng: np.random.Generator,
                     coarse_down: np.ndarray | None = None,
                     surface: np.ndarray | None = None) -> SceneDirections:
@@ -135,23 +145,18 @@ def find_directions(segments: LineSegments, rng: np.random.Generator,
     axes, doubt = _best_frame(segments, propose_frames(segments, rng), expected)
     if axes is None:
         return _refused(doubt)
-    axes = fit_frame(segments, axes).axes
-    alone = _uprights_alone(segments, axes, find_azimuth(segments, axes[0]).axes)
-    level = find_azimuth(segments, alone[0])
-    pair_refusal = level.refusal
-    if alone is not axes:
-        pair_refusal = 'no horizontal axes are perpendicular to the vertical lines'
-    sigmas = _upright_sigmas(segments, alone[0], level.axes)
-    tilt_rad = np.arccos(np.clip(alone[0] @ expected, -1, 1))
+    upright = _upright(segments, fit_frame(segments, axes).axes)
+    down, level = upright.axes[0], upright.level
+    sigmas = _upright_sigmas(segments, down, level.axes)
+    tilt_rad = np.arccos(np.clip(down @ expected, -1, 1))
     rarity = float(np.exp(-0.5 * (tilt_rad / np.radians(TILT_SPREAD_DEG)) ** 2))
-    is_exact = _exact_sigmas(segments, alone[0], level.axes) * rarity**2 >= MIN_EXACT_SIGMAS
+    is_exact = _exact_sigmas(segments, down, level.axes) * rarity**2 >= MIN_EXACT_SIGMAS
     reason = '' if is_exact else doubt or _too_few(sigmas, level.sigmas, rarity)
-    if not reason and _depends_on_one_line(segments, alone, level.axes,
-                                           is_exact and alone is axes):
+    if not reason and _depends_on_one_line(segments, upright, is_exact):
         reason = 'the vertical depends on a single line'
-    if reason and not _floor_confirms(surface, alone[0], sigmas):
+    if reason and not _floor_confirms(surface, down, sigmas):
         return _refused(reason)
-    return _fitted(segments, alone[0], level.axes, pair_refusal)
+    return _fitted(segments, down, level.axes, level.refusal)
 
 
 def _refused(reason: str) -> SceneDirections:
@@ -179,17 +184,21 @@ def _best_frame(segments: LineSegments, frames: np.ndarray,
         'another vertical fits the lines equally well' if is_rivalled else '')
 
 
-def _uprights_alone(segments: LineSegments, axes: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Return axes (3, 3); the first is replaced if the vertical lines contradict it."""
-    candidates, points = _leaning(segments, axes, level)
+def _upright(segments: LineSegments, axes: np.ndarray) -> _Upright:
+    """Return the vertical of a frame (3, 3), replaced if the vertical lines contradict it."""
+    level = find_azimuth(segments, axes[0])
+    candidates, points = _leaning(segments, axes, level.axes)
     score = points.sum(0)
     best, own = candidates[score.argmax()], score[len(score) // 2]
     if (best @ axes[0] > np.cos(np.radians(MIN_LEAN_DEG))
             or own > MAX_LEAN_SHARE * score.max()):
-        return axes
+        return _Upright(axes, level, candidates, points, True)
     first = np.cross(best, axes[2])
     first /= np.linalg.norm(first)
-    return fit_frame(segments, np.stack([best, first, np.cross(best, first)]), (0,)).axes
+    axes = fit_frame(segments, np.stack([best, first, np.cross(best, first)]), (0,)).axes
+    level = replace(find_azimuth(segments, axes[0]),
+                    refusal='no horizontal axes are perpendicular to the vertical lines')
+    return _Upright(axes, level, *_leaning(segments, axes, level.axes), False)
 
 
 def _leaning(segments: LineSegments, axes: np.ndarray,
@@ -232,20 +241,21 @@ def _too_few(sigmas: float, pair_sigmas: float, rarity: float) -> str:
     return ''
 
 
-def _depends_on_one_line(segments: LineSegments, axes: np.ndarray, level: np.ndarray,
-                         is_exact: bool) -> bool:
+def _depends_on_one_line(segments: LineSegments, upright: _Upright, is_exact: bool) -> bool:
     """
-    Return whether a vertical that leans is supported better without one of the lines.
+    Return whether a vertical that leans is supported as well without one of the lines.
 
     The horizontal lines count only if the frame is exact: those of an object that leans are as
     wrong as its vertical.
     """
-    candidates, points = _leaning(segments, axes, level)
-    is_same = candidates @ axes[0] > np.cos(np.radians(CLOSE_DEG))
+    candidates, points = upright.candidates, upright.points
+    is_same = candidates @ upright.axes[0] > np.cos(np.radians(CLOSE_DEG))
     if not depends_on_one_line(segments, points, is_same):
         return False
-    points = np.maximum(points, _along_leaning(segments, candidates, level))
-    return not is_exact or depends_on_one_line(segments, points, is_same)
+    if not (is_exact and upright.is_of_frame):
+        return True
+    points = np.maximum(points, _along_leaning(segments, candidates, upright.level.axes))
+    return depends_on_one_line(segments, points, is_same)
 
 
 def _along_leaning(segments: LineSegments, downs: np.ndarray, level: np.ndarray) -> np.ndarray:
