@@ -96,7 +96,7 @@ def _cluster(labels, offsets, min_samples):
             here[column] = labels[row, column]
     steps = steps_of(offsets, stride)
     clusters, queue = np.full(len(padded), np.int32(-1)), np.empty(len(padded), np.int64)
-    is_core = core_places(padded, steps, min_samples)
+    is_core = _core_places(padded, steps, min_samples)
     for start in range(margin * stride, len(padded) - margin * stride):
         if is_core[start] and padded[start] >= 0:
             for k in range(grow_cluster(queue, 0, start, (padded, is_core), steps)):
@@ -111,7 +111,7 @@ def _cluster(labels, offsets, min_samples):
 
 
 @kernel('boolean[::1](int16[::1], int64[::1], int64)')
-def core_places(labels, steps, min_samples):
+def _core_places(labels, steps, min_samples):
     """Return the places of cores: labelled, with enough neighbours of their label."""
     reach, is_core = steps[-1], np.zeros(len(labels), np.bool_)
     count, least = len(labels) - 2 * reach, np.int16(min_samples)

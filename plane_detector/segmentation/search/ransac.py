@@ -25,7 +25,6 @@ from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, chi_squared
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
-    core_places,
     grow_cluster,
     neighbourhood,
     reach_of,
@@ -246,7 +245,7 @@ def _refine(plane, search, threshold2):
         changes = _find_inliers(inliers, left, plane, (free, table, threshold2))
         if changes == 0 and trial > 0:  # the same cluster
             break
-        grown, kept = _cluster_about(members, inliers.copy(), near)
+        grown, kept = _cluster_about(members, inliers.copy(), _cores(inliers, left, near), near[0])
         if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break
         for j in range(10):
@@ -274,12 +273,24 @@ def _find_inliers(inliers, left, plane, test):
     return changes
 
 
-@kernel(f'Tuple((int64[::1], int64))(int64[::1], int16[::1], {NEAR})')
-def _cluster_about(members, inliers, near):
+@kernel(f'boolean[::1](int16[::1], int64[::1], {NEAR})')
+def _cores(inliers, left, near):
+    """Return the places of inliers with enough inliers around; one by one, since most are few."""
+    (steps, min_samples), is_core = near, np.zeros(len(inliers), np.bool_)
+    for k in range(len(left)):
+        p, samples = np.uint64(left[k]), 0
+        if inliers[p] == 0:
+            for j in range(len(steps)):
+                samples += inliers[np.uint64(left[k] + steps[j])] + 1
+            is_core[p] = samples >= min_samples
+    return is_core
+
+
+@kernel('Tuple((int64[::1], int64))(int64[::1], int16[::1], boolean[::1], int64[::1])')
+def _cluster_about(members, inliers, is_core, steps):
     """Return the density cluster of inliers that holds most members, and how many it holds."""
-    (steps, min_samples), end, most, first, last = near, 0, 0, 0, 0
-    is_core, is_member = core_places(inliers, steps, min_samples), np.zeros(len(inliers), np.bool_)
-    queue = np.empty(len(inliers), np.int64)
+    end = most = first = last = 0
+    is_member, queue = np.zeros(len(inliers), np.bool_), np.empty(len(inliers), np.int64)
     for k in range(len(members)):
         is_member[members[k]] = True
     for p in members:
