@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Hypotheses of the search: planes fitted to windows of cells that belong to no plane yet."""
+"""Hypotheses of the search: planes fitted to windows of free cells, and their support."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ WIDEST_WINDOW_CELLS = int(WINDOWS_CELLS.max())
 WINDOW_MIN_FREE = 0.7
 # derived: multiples of the golden ratio modulo 1 cover an interval evenly (Weyl 1916).
 GOLDEN_RATIO = 0.6180339887498949
+# derived: float32 values in the widest vector register of a CPU.
+VECTOR = 16
 # Types of kernels' arguments. Cells: their table and their moments. Free cells: the index of the
 # cell at each place of a grid with a margin, -1 where there is none that belongs to no plane; what
 # follows are places in that grid.
@@ -56,3 +58,48 @@ def draw_planes(left, free, stride, cells, draws):
                 planes[n, 0], planes[n, 1], planes[n, 2] = a, b, c
                 n += 1
     return planes[:n]
+
+
+@kernel('Tuple((float64[:, ::1], float32[::1]))(float64[:, ::1], float32[::1], float64)')
+def supported(planes, gain, least):
+    """Keep hypotheses with enough support: that of the others will only fall."""
+    n = 0
+    for h in range(len(gain)):
+        planes[n, 0], planes[n, 1], planes[n, 2] = planes[h, 0], planes[h, 1], planes[h, 2]
+        gain[n] = gain[h]
+        n += gain[h] >= least
+    return planes[:n], gain[:n]
+
+
+@kernel(f'void(float32[::1], float64[:, ::1], Tuple(({CELLS}, {FREE})), int64[::1], '
+        'Tuple((int64, float64)))')
+def add_support(gain, planes, free, places, limits):
+    """
+    Add the support of cells to gain (H,): pixels times 1 - (residual / threshold)**2 (MSAC).
+
+    Every second cell, as on a checkerboard, stands for two.
+    """
+    # Whole vectors: the loop over the rest of the planes would take as long as over all others.
+    work = np.zeros((4, -(-len(gain) // VECTOR) * VECTOR), np.float32)
+    for h in range(len(gain)):
+        work[0, h], work[1, h], work[2, h] = planes[h, 0], planes[h, 1], planes[h, 2]
+        work[3, h] = gain[h]
+    a, b, c, total = work[0], work[1], work[2], work[3]
+    ((table, moments), cell), (sign, threshold2) = free, limits
+    zero, one, per = np.float32(0), np.float32(1), 1 / threshold2
+    for p in places:
+        if p & 1:
+            continue
+        i = cell[p]
+        x, y, d = np.float32(table[i, 0]), np.float32(table[i, 1]), np.float32(table[i, 2])
+        slope_x, slope_y = np.float32(table[i, 3]), np.float32(table[i, 4])
+        w, s = np.float32(table[i, 5] * per), np.float32(table[i, 6] * per)
+        pixels = np.float32(2 * sign * moments[i, 0])
+        for h in range(len(total)):
+            residual = d - c[h] - a[h] * x - b[h] * y
+            tilt_x, tilt_y = slope_x - a[h], slope_y - b[h]
+            support = (one - w * residual * residual
+                       - s * (tilt_x * tilt_x + tilt_y * tilt_y))
+            total[h] += pixels * max(support, zero)
+    for h in range(len(gain)):
+        gain[h] = total[h]

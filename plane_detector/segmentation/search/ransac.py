@@ -35,7 +35,9 @@ from plane_detector.segmentation.search.hypotheses import (
     FREE,
     GOLDEN_RATIO,
     WIDEST_WINDOW_CELLS,
+    add_support,
     draw_planes,
+    supported,
 )
 from plane_detector.stopping import raise_if_stopped
 
@@ -50,8 +52,6 @@ MAX_TRIALS = 4
 # A plane has settled when its cells change by no more than this share.
 # tuned: as above; flat from 0.02 to 0.043, where 1 % of the pixels of real frames lose a label.
 SETTLED_SHARE = 0.03
-# derived: float32 values in the widest vector register of a CPU.
-VECTOR = 16
 # Types of kernels' arguments. Steps to the neighbours in the grid with a margin, and how many of
 # them a core cell has.
 NEAR = 'Tuple((int64[::1], int64))'
@@ -165,9 +165,9 @@ def _take_best(hypotheses, search, labels, planes, limits):
     (left, free, cells, near), (first, min_pixels, threshold2) = search, limits
     gain, label = np.zeros(len(hypotheses), np.float32), labels.reshape(-1)
     taken = failures = 0
-    _add_support(gain, hypotheses, (cells, free), left, (1, threshold2))
+    add_support(gain, hypotheses, (cells, free), left, (1, threshold2))
     while taken < len(planes) and failures < MAX_TRIALS:
-        hypotheses, gain = _supported(hypotheses, gain, min_pixels / 2)
+        hypotheses, gain = supported(hypotheses, gain, min_pixels / 2)
         if not len(gain):
             break
         best = np.argmax(gain)
@@ -177,7 +177,7 @@ def _take_best(hypotheses, search, labels, planes, limits):
             failures += 1
             continue
         if taken + 1 < len(planes):
-            _add_support(gain, hypotheses, (cells, free), members, (-1, threshold2))
+            add_support(gain, hypotheses, (cells, free), members, (-1, threshold2))
         for p in members:
             label[free[p]], free[p] = first + taken, -1
         n = 0
@@ -188,51 +188,6 @@ def _take_best(hypotheses, search, labels, planes, limits):
             planes[taken, axis] = plane[axis]
         left, failures, taken = left[:n], 0, taken + 1
     return taken, left
-
-
-@kernel('Tuple((float64[:, ::1], float32[::1]))(float64[:, ::1], float32[::1], float64)')
-def _supported(planes, gain, least):
-    """Keep hypotheses with enough support: that of the others will only fall."""
-    n = 0
-    for h in range(len(gain)):
-        planes[n, 0], planes[n, 1], planes[n, 2] = planes[h, 0], planes[h, 1], planes[h, 2]
-        gain[n] = gain[h]
-        n += gain[h] >= least
-    return planes[:n], gain[:n]
-
-
-@kernel(f'void(float32[::1], float64[:, ::1], Tuple(({CELLS}, {FREE})), int64[::1], '
-        'Tuple((int64, float64)))')
-def _add_support(gain, planes, free, places, limits):
-    """
-    Add the support of cells to gain (H,): pixels times 1 - (residual / threshold)**2 (MSAC).
-
-    Every second cell, as on a checkerboard, stands for two.
-    """
-    # Whole vectors: the loop over the rest of the planes would take as long as over all others.
-    work = np.zeros((4, -(-len(gain) // VECTOR) * VECTOR), np.float32)
-    for h in range(len(gain)):
-        work[0, h], work[1, h], work[2, h] = planes[h, 0], planes[h, 1], planes[h, 2]
-        work[3, h] = gain[h]
-    a, b, c, total = work[0], work[1], work[2], work[3]
-    ((table, moments), cell), (sign, threshold2) = free, limits
-    zero, one, per = np.float32(0), np.float32(1), 1 / threshold2
-    for p in places:
-        if p & 1:
-            continue
-        i = cell[p]
-        x, y, d = np.float32(table[i, 0]), np.float32(table[i, 1]), np.float32(table[i, 2])
-        slope_x, slope_y = np.float32(table[i, 3]), np.float32(table[i, 4])
-        w, s = np.float32(table[i, 5] * per), np.float32(table[i, 6] * per)
-        pixels = np.float32(2 * sign * moments[i, 0])
-        for h in range(len(total)):
-            residual = d - c[h] - a[h] * x - b[h] * y
-            tilt_x, tilt_y = slope_x - a[h], slope_y - b[h]
-            support = (one - w * residual * residual
-                       - s * (tilt_x * tilt_x + tilt_y * tilt_y))
-            total[h] += pixels * max(support, zero)
-    for h in range(len(gain)):
-        gain[h] = total[h]
 
 
 @kernel(f'Tuple((float64[::1], int64[::1]))(float64[::1], Tuple((int64[::1], {FREE}, {CELLS}, '
