@@ -232,7 +232,7 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
     grid = build_cell_grid(image)
     noise = estimate_noise(grid, metric_noise_floor(config))
     search = Search(grid, config.segmentation.min_plane_share * depth_m.size,
-                    config, np.random.default_rng(config.ransac.seed).random)
+                    config, np.random.default_rng(config.ransac.seed))
     planes = add_planes(search, weigh_cells(grid, noise), no_planes(grid),
                         config.segmentation.max_planes).coefficients
     return np.where(image.valid, _first_plane(image.values, planes, noise,

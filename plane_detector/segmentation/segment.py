@@ -10,8 +10,6 @@ change which pixels form a plane.
 
 from __future__ import annotations
 
-from itertools import cycle
-
 import numpy as np
 
 from plane_detector.config import Config
@@ -38,7 +36,7 @@ from plane_detector.segmentation.regions.merging import (
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
-from plane_detector.segmentation.search.ransac import Search, first_draws
+from plane_detector.segmentation.search.ransac import Search
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
@@ -108,13 +106,13 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
 
     """
     retain_freed_memory()
-    draw = cycle(first_draws(config.ransac.seed)).__next__ if rng is None else rng.random
+    rng = rng or np.random.default_rng(config.ransac.seed)
     image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
     grid = build_cell_grid(image)
     if normals is not None:
         grid = with_normals(grid, normals, noise_floor.source_sigma)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
-    search = Search(grid, min_pixels, config, draw)
+    search = Search(grid, min_pixels, config, rng)
     cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
     labels, planes = _label(Frame(image, cells, noise, search), regions)
     if guide is not None:

@@ -35,7 +35,7 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     """Return what :func:`add_small_planes` takes: what the search on whole cells leaves."""
     image = disparity_image(depth_m)
     least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
-    search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0).random)
+    search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0))
     cells, regions, noise = search_planes(search, noise_floor)
     frame = Frame(image, cells, noise, search)
     labels = label_pixels(frame, RegionGraph.of(cells, regions))

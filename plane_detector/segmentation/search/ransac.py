@@ -13,9 +13,7 @@ happens to cut.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -61,18 +59,12 @@ TEST = f'Tuple(({FREE}, float64[:, ::1], float64))'
 
 @dataclass(frozen=True)
 class Search:
-    """Inputs of a search except the noise: grid, smallest plane, settings, random numbers."""
+    """Inputs of a search except the noise: grid, smallest plane, settings, random generator."""
 
     grid: CellGrid
     min_pixels: float
     config: Config
-    draw: Callable[[], float]
-
-
-@lru_cache(maxsize=8)
-def first_draws(seed: int) -> tuple[float, ...]:
-    """Return random numbers of a seed, enough for an image: to make a generator takes longer."""
-    return tuple(np.random.default_rng(seed).random(MAX_TRIALS + 2).tolist())
+    rng: np.random.Generator
 
 
 def no_planes(grid: CellGrid) -> PlaneRegions:
@@ -105,7 +97,7 @@ def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
     labels, first = regions.labels.copy(), len(regions.coefficients)
     wanted = math.ceil(math.log1p(-ransac.confidence) / math.log1p(-ROUND_PLANE_SHARE))
     counts = first, most, min(max(wanted, 1), ransac.max_iterations), ransac.max_iterations
-    limits = search.min_pixels, ransac.inlier_threshold**2, search.draw()
+    limits = search.min_pixels, ransac.inlier_threshold**2, search.rng.random()
     found = find_planes((cells.table, cells.grid.moments), cells.is_planar, labels,
                         (near.offsets, near.min_samples), counts, limits)
     return PlaneRegions(labels, np.concatenate([regions.coefficients, found]))

@@ -25,7 +25,7 @@ PART = np.sqrt(0.5)
 def found(depth_m, noise_floor=EXACT, config=CONFIG):
     """Return model, regions and noise of a depth image."""
     grid = build_cell_grid(disparity_image(depth_m))
-    inputs = Search(grid, 600, config, np.random.default_rng(0).random)
+    inputs = Search(grid, 600, config, np.random.default_rng(0))
     return search_planes(inputs, noise_floor)
 
 
