@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Limits to one thread: for the matrix products of the paper's method, or for a whole worker.
+Limits to one thread: for the matrix products of the paper's method, a worker, or a process.
 
 The products are so small that waking a second thread takes longer than the product. With the
 other cores busy with the network or other programs, a product takes twice as long.
@@ -41,6 +41,12 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
             for library, count in zip(_libraries(), before, strict=True):
                 library.set_num_threads(count)
     return on_one_thread
+
+
+def use_one_thread() -> None:
+    """Keep OpenCV, BLAS and OpenMP of this process to one thread from now on."""
+    cv2.setNumThreads(1)
+    threadpool_limits(1)
 
 
 @contextmanager

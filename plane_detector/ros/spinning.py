@@ -19,7 +19,6 @@ import time
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-import cv2
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -28,6 +27,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from plane_detector.ros.allocator import retain_freed_memory
 from plane_detector.stopping import end_process
+from plane_detector.threads import use_one_thread
 
 _SPIN_TIMEOUT_S = 0.2
 # Time after which a thread gives the interpreter to one that waits for it. Every compiled loop
@@ -117,9 +117,9 @@ def prepare_process() -> None:
     """Set up memory and interpreter of this process for worker threads."""
     retain_freed_memory()
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    # The stages share the cores. OpenCV's threads spin while they wait for the next operation:
-    # measured 1 ms of core time for each frame.
-    cv2.setNumThreads(1)
+    # The stages share the cores. The threads of OpenCV and OpenBLAS spin while they wait for the
+    # next operation: measured 1 and 16 ms of core time for each frame.
+    use_one_thread()
 
 
 def _init(args: list[str] | None) -> None:

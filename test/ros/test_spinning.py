@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 pytest.importorskip('rclpy')
 
@@ -136,10 +137,12 @@ def test_the_shared_memory_of_the_middleware_is_released():
 def test_stages_of_the_node_share_the_interpreter_and_the_cores(monkeypatch):
     monkeypatch.setattr(spinning, 'retain_freed_memory', lambda: True)
     before_s, threads = sys.getswitchinterval(), cv2.getNumThreads()
-    try:
-        spinning.prepare_process()
-        assert sys.getswitchinterval() == pytest.approx(0.001)
-        assert cv2.getNumThreads() == 1
-    finally:
-        sys.setswitchinterval(before_s)
-        cv2.setNumThreads(threads)
+    with threadpool_limits(2):
+        try:
+            spinning.prepare_process()
+            assert sys.getswitchinterval() == pytest.approx(0.001)
+            assert cv2.getNumThreads() == 1
+            assert {library['num_threads'] for library in threadpool_info()} == {1}
+        finally:
+            sys.setswitchinterval(before_s)
+            cv2.setNumThreads(threads)

@@ -12,10 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 
-import cv2
-from threadpoolctl import threadpool_limits
-
-from plane_detector.threads import one_thread
+from plane_detector.threads import one_thread, use_one_thread
 
 
 @contextmanager
@@ -31,19 +28,18 @@ def mapping(processes: int) -> Iterator[Callable]:
         return
     # Spawned, not forked: the threads of OpenCV and ONNX Runtime do not survive a fork.
     context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(processes, context, _use_one_thread) as pool:
+    with ProcessPoolExecutor(processes, context, _prepare_worker) as pool:
         try:
             yield pool.map
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _use_one_thread() -> None:
+def _prepare_worker() -> None:
     # Ctrl-C is handled by the main process, which ends the others.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_first_process, daemon=True).start()
-    cv2.setNumThreads(1)
-    threadpool_limits(1)
+    use_one_thread()
 
 
 def _end_with_the_first_process() -> None:
