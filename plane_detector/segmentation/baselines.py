@@ -25,12 +25,12 @@ from plane_detector.segmentation.cells.grid import (
     image_coordinates,
 )
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
-from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.point_clusters import point_clusters
-from plane_detector.segmentation.search.ransac import Search, add_planes, no_planes
+from plane_detector.segmentation.search.ransac import add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.stopping import raise_if_stopped
 from plane_detector.threads import one_blas_thread
@@ -231,10 +231,9 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
     image = DisparityImage(*zero_filled(np.ascontiguousarray(to_disparity(depth_m))))
     grid = build_cell_grid(image)
     noise = estimate_noise(grid, metric_noise_floor(config))
-    search = Search(grid, config.segmentation.min_plane_share * depth_m.size,
-                    config, np.random.default_rng(config.ransac.seed))
-    planes = add_planes(search, weigh_cells(grid, noise), no_planes(grid),
-                        config.segmentation.max_planes).coefficients
+    frame = Frame(image, grid, noise, config.segmentation.min_plane_share * depth_m.size, config,
+                  np.random.default_rng(config.ransac.seed))
+    planes = add_planes(frame, no_planes(grid), config.segmentation.max_planes).coefficients
     return np.where(image.valid, _first_plane(image.values, planes, noise,
                                               config.ransac.inlier_threshold), -1)
 

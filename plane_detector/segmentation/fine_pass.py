@@ -11,7 +11,6 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
-from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
@@ -46,12 +45,12 @@ def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
         The new planes follow the others; some may have no pixels.
 
     """
-    size, valid = frame.cells.grid.size_px // 2, frame.image.valid
+    size, valid = frame.grid.size_px // 2, frame.image.valid
     room = frame.config.segmentation.max_planes - len(planes)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(frame):
         return labels, planes
     wanted = _large_pieces(_count_unlabelled(valid, labels, size), size,
-                           frame.search.min_pixels / MIN_CELL_SHARE)
+                           frame.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return labels, planes
     box = _box_around(wanted)
@@ -67,16 +66,16 @@ def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
 def _unlabelled_part(frame: Frame, labels: np.ndarray, part: tuple[slice, slice],
                      wanted: np.ndarray) -> Frame:
     """Return the unlabelled pixels of a part of the image, in small cells where wanted."""
-    image, size = frame.image, frame.cells.grid.size_px // 2
-    left = DisparityImage(*_cut_out(image.values[part], image.valid[part], labels[part]))
+    image, size = frame.image, frame.grid.size_px // 2
+    left = DisparityImage(image.values[part].copy(), image.valid[part] & (labels[part] < 0))
     grid = build_cell_grid(left, size, wanted.ravel(), pixel_frame(image.valid.shape, part))
-    noise = frame.noise.at_cell_size(frame.cells.grid.size_px, size)
-    return Frame(left, weigh_cells(grid, noise), noise, replace(frame.search, grid=grid))
+    noise = frame.noise.at_cell_size(frame.grid.size_px, size)
+    return replace(frame, image=left, grid=grid, noise=noise)
 
 
 def _flat_regions(frame: Frame, most: int, min_turn_deg: float) -> RegionGraph:
     """Search for planes, and leave out curved ones."""
-    regions = add_planes(frame.search, frame.cells, no_planes(frame.cells.grid), most)
+    regions = add_planes(frame, no_planes(frame.grid), most)
     graph = RegionGraph.of(frame.cells, regions)
     is_flat = np.ones(len(graph.planes), bool)
     is_flat[find_curved(graph, 0.0, min_turn_deg)] = False
@@ -85,7 +84,7 @@ def _flat_regions(frame: Frame, most: int, min_turn_deg: float) -> RegionGraph:
 
 def _sees_width(frame: Frame) -> bool:
     """Return whether an object as deep as a smaller cell is wide stands out from the noise."""
-    grid = frame.cells.grid
+    grid = frame.grid
     width = grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * grid.width_px)
     return frame.noise.mean_sigma < width * grid.typical_disparity
 
@@ -105,16 +104,6 @@ def _count_unlabelled(valid, labels, size):
             for u in range(column * size, min(column * size + size, width)):
                 pixels[row, column] += of_columns[u]
     return pixels
-
-
-@kernel('Tuple((float32[:, ::1], boolean[:, ::1]))(float32[:, :], boolean[:, :], int32[:, :])')
-def _cut_out(values, valid, labels):
-    """Copy a part of the image, and return which of its valid pixels have no label."""
-    part, left = np.empty(values.shape, np.float32), np.empty(values.shape, np.bool_)
-    for v in range(values.shape[0]):
-        for u in range(values.shape[1]):
-            part[v, u], left[v, u] = values[v, u], valid[v, u] & (labels[v, u] < 0)
-    return part, left
 
 
 def _large_pieces(unlabelled: np.ndarray, size: int, min_pixels: float) -> np.ndarray:

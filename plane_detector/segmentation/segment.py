@@ -18,7 +18,7 @@ from plane_detector.memory import retain_freed_memory
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions
-from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
+from plane_detector.segmentation.cells.noise import Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
@@ -36,7 +36,6 @@ from plane_detector.segmentation.regions.merging import (
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
-from plane_detector.segmentation.search.ransac import Search
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.
 # derived: above the rounding of 16-bit images, 1.5e-5 of the range, by a margin.
@@ -112,23 +111,25 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     if normals is not None:
         grid = with_normals(grid, normals, noise_floor.source_sigma)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
-    search = Search(grid, min_pixels, config, rng)
-    cells, regions, noise = search_planes(search, with_quantisation(noise_floor, image))
-    labels, planes = _label(Frame(image, cells, noise, search), regions)
+    noise_floor = with_quantisation(noise_floor, image)
+    frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng))
+    labels, planes = _label(frame, compete_for_cells(frame, regions))
     if guide is not None:
         labels = np.where(image.valid, snap_to_image_edges(labels, guide), -1)
-    return PixelRegions(image.values, labels, planes, grid, noise)
+    return PixelRegions(image.values, labels, planes, grid, frame.noise)
 
 
 def _label(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes by the stages for the kind of depth."""
-    stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
-    kind = frame.noise.kind(frame.cells.grid.typical_disparity)
-    return stages[kind](frame, compete_for_cells(frame, regions))
+    """Return pixel labels and planes by the stages for the kind of depth errors."""
+    if frame.noise.source_sigma > 0:
+        return _network(frame, regions)
+    if frame.noise.is_exact(frame.grid.typical_disparity):
+        return _exact(frame, regions)
+    return _measured(frame, regions)
 
 
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of exact depth."""
+    """Return pixel labels and planes of exact depth: its errors are below the noise floor."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
     return _label_flat_ones(frame, graph, None, (0.0, MIN_TURN_DEG))
 
@@ -139,15 +140,19 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     correlation = Correlation.of(cells, regions, frame.noise)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
     # Only if creases do not stand far above the noise it can hide steps.
-    if not sees_creases(cells.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
+    if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
         graph = split_at_depth_steps(frame, graph, correlation)
-    density = correlation.density(cells.grid.shape) if correlation else np.inf
+    density = correlation.density(frame.grid.shape) if correlation else np.inf
     return _label_flat_ones(frame, graph, correlation,
                             (density, frame.config.segmentation.flatness_angle))
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
+    """
+    Return pixel labels and planes of depth with a noise level specified for its source.
+
+    The errors of networks and of quantised disparity contain bends and steps.
+    """
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
     graph = merge_bowed_walls(graph)
     return label_pixels(frame, graph), graph.planes

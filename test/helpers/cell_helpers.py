@@ -17,7 +17,6 @@ from plane_detector.segmentation.cells.model import PlaneRegions, region_moments
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.search.frame import Frame
-from plane_detector.segmentation.search.ransac import Search
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 EXACT = Noise(Config().ransac.noise_floor)
@@ -69,8 +68,8 @@ def cell_model(depth_m, noise=EXACT):
 
 
 def frame_of(image, cells, noise=EXACT, min_pixels=600):
-    """Return what the stages after the search take; no test draws random numbers of it."""
-    return Frame(image, cells, noise, Search(cells.grid, min_pixels, Config(), lambda: 0.0))
+    """Return what the search and the stages after it take."""
+    return Frame(image, cells.grid, noise, min_pixels, Config(), np.random.default_rng(0))
 
 
 def noisy(scene, seed, sigma=0.01, **kind):

@@ -14,7 +14,6 @@ from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
-from plane_detector.segmentation.search.ransac import Search
 from plane_detector.segmentation.segment import MIN_TURN_DEG
 from plane_detector.types import CameraIntrinsics
 
@@ -35,10 +34,9 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     """Return what :func:`add_small_planes` takes: what the search on whole cells leaves."""
     image = disparity_image(depth_m)
     least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
-    search = Search(build_cell_grid(image), least_pixels, config, np.random.default_rng(0))
-    cells, regions, noise = search_planes(search, noise_floor)
-    frame = Frame(image, cells, noise, search)
-    labels = label_pixels(frame, RegionGraph.of(cells, regions))
+    frame, regions = search_planes(Frame(image, build_cell_grid(image), noise_floor, least_pixels,
+                                         config, np.random.default_rng(0)))
+    labels = label_pixels(frame, RegionGraph.of(frame.cells, regions))
     return frame, labels, regions.coefficients, MIN_TURN_DEG
 
 

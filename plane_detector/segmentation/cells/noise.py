@@ -13,7 +13,6 @@ edges). One estimator serves depth of any noise level, exact or not.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 from statistics import NormalDist
 
 import numpy as np
@@ -45,20 +44,6 @@ SLOPE_PER_NOISE = 8.0
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat from 0.7
 # to 1.4 times, -0.028 at 0.
 GRAIN_PER_NOISE = 0.25
-
-
-class DepthKind(Enum):
-    """
-    Kind of the depth errors; it decides which stages of the segmentation run.
-
-    EXACT: the errors are below the noise floor. MEASURED: pixel noise and smooth noise, as of a
-    sensor. NETWORK: the noise level is specified for the source, and the errors contain bends and
-    steps, as those of networks and of quantised disparity do.
-    """
-
-    EXACT = 'exact'
-    MEASURED = 'measured'
-    NETWORK = 'network'
 
 
 @dataclass(frozen=True)
@@ -98,12 +83,6 @@ class Noise:
     def is_exact(self, disparity: float) -> bool:
         """Return whether the smooth noise is below the floor at this disparity."""
         return self.mean_sigma**2 < self.variance_floor(disparity)
-
-    def kind(self, disparity: float) -> DepthKind:
-        """Return the kind of depth at this disparity."""
-        if self.source_sigma > 0:
-            return DepthKind.NETWORK
-        return DepthKind.EXACT if self.is_exact(disparity) else DepthKind.MEASURED
 
     def with_smooth_part(self, mean_sigma: float, slope_sigma: float,
                          pixel_sigma: float | None = None) -> Noise:
@@ -252,17 +231,17 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     image : DisparityImage
 
     """
-    disparity = image.values
-    if min(disparity.shape) < 2:
-        return noise_floor
-    if not _repeats(disparity):
-        return noise_floor
-    # Whole rows and columns are sampled, so that no value of a slope is missed.
-    rows, columns = (np.arange(1, ROUNDING_LINES + 1) * (side - 1) // (ROUNDING_LINES + 1)
-                     for side in disparity.shape)
-    lines = disparity[rows].ravel(), disparity[:, columns].ravel()
-    # Invalid pixels are 0.
-    values = np.unique(np.concatenate([line[line != 0] for line in lines])).astype(float)
+    # Whole rows and columns are sampled, so that no value of a slope is missed. Both must have
+    # equal neighbours: along the columns of a vertical wall they are equal without quantisation.
+    lines = []
+    for rows in (image.values, image.values.T):
+        line = rows[np.arange(1, ROUNDING_LINES + 1) * (len(rows) - 1) // (ROUNDING_LINES + 1)]
+        equal = np.count_nonzero(line[:, 1:] == line[:, :-1])
+        if equal < max(MIN_EQUAL_SHARE * ROUNDING_LINES * (line.shape[1] - 1), 1):
+            return noise_floor
+        lines.append(line)
+    values = np.unique(np.concatenate(lines, axis=None)).astype(float)
+    values = values[values != 0]  # invalid pixels
     if len(values) < 2 * ROUNDING_LINES:
         return noise_floor
     gaps = np.diff(values)
@@ -274,23 +253,3 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
                    disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
-
-
-@kernel('boolean(float32[:, ::1])', is_short=True)
-def _repeats(disparity):
-    """
-    Return whether enough neighbours are equal, along some rows and along some columns.
-
-    A vertical wall has equal values along its columns even without quantisation, but not along
-    its rows.
-    """
-    (height, width), in_rows, in_columns = disparity.shape, 0, 0
-    for k in range(1, ROUNDING_LINES + 1):
-        row, column = (k * (height - 1) // (ROUNDING_LINES + 1),
-                       k * (width - 1) // (ROUNDING_LINES + 1))
-        for u in range(width - 1):
-            in_rows += disparity[row, u] == disparity[row, u + 1]
-        for v in range(height - 1):
-            in_columns += disparity[v, column] == disparity[v + 1, column]
-    return (in_rows >= MIN_EQUAL_SHARE * ROUNDING_LINES * (width - 1)
-            and in_columns >= MIN_EQUAL_SHARE * ROUNDING_LINES * (height - 1))

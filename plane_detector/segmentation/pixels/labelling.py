@@ -45,7 +45,7 @@ def label_pixels(frame: Frame, graph: RegionGraph,
         Index into the planes, -1 for none and where invalid.
 
     """
-    grid, image, noise = frame.cells.grid, frame.image, frame.noise
+    grid, image, noise = frame.grid, frame.image, frame.noise
     found, first, sweeps = np.full(image.valid.shape, np.int32(-1)), 0, 1
     if others is not None:
         found, first = others[0].copy(), others[1]

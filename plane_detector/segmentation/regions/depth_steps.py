@@ -67,7 +67,7 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
     count, pieces = cv2.connectedComponents((owner >= 0).view(np.uint8), connectivity=4,
                                             ltype=cv2.CV_16U)
     label, blocks, mean = _describe(pieces, owner, residual, count)
-    is_candidate = ((blocks >= frame.search.min_pixels * (BLOCKS / grid.size_px) ** 2)
+    is_candidate = ((blocks >= frame.min_pixels * (BLOCKS / grid.size_px) ** 2)
                     & (_offsets(label, blocks, mean)
                        > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
     for k in np.argsort(-blocks, kind='stable'):

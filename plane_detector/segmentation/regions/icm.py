@@ -15,7 +15,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
-from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
+from plane_detector.segmentation.search.dbscan import label_clusters
 from plane_detector.segmentation.search.frame import Frame
 
 # Cost of no plane, in squared thresholds.
@@ -50,8 +50,8 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
         return regions
     labels = _compete(np.ascontiguousarray(regions.labels, np.int32),
                       (regions.coefficients, frame.cells.table), frame.threshold**2)
-    clusters, count = label_clusters(labels, neighbourhood(frame.config.dbscan))
-    return fit_regions(frame.cells, clusters, count, frame.search.min_pixels)
+    clusters, count = label_clusters(labels, frame.config.dbscan)
+    return fit_regions(frame.cells, clusters, count, frame.min_pixels)
 
 
 @kernel('int32[:, ::1](int32[:, ::1], UniTuple(float64[:, ::1], 2), float64)')

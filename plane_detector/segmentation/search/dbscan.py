@@ -4,12 +4,12 @@
 Density clusters of cells in the grid of the image (Ester et al. 1996, DBSCAN).
 
 The input cells are inliers of one plane, so neighbours in the image are neighbours in space too:
-the inlier threshold bounds the gap in disparity between them.
+the inlier threshold bounds the gap in disparity between them. The grid gets a margin, so that all
+neighbours of a cell are places in it, and is flat, so that they are a fixed number of steps away.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -18,34 +18,28 @@ from plane_detector.compilation import kernel
 from plane_detector.config import DbscanConfig
 
 
-@dataclass(frozen=True)
-class Neighbourhood:
-    """
-    Decides which of the cells that fit a plane form one cluster.
-
-    Attributes
-    ----------
-    offsets : (m, 2) int64
-        Rows and columns to the cells of the neighbourhood, the cell itself included.
-    min_samples : int
-        Cells in the neighbourhood that make a core cell.
-
-    """
-
-    offsets: np.ndarray
-    min_samples: int
+def with_margin(grid: np.ndarray, margin: int) -> np.ndarray:
+    """Return a grid (R, C) with a margin of -1; its rows have an odd length."""
+    rows, columns = grid.shape
+    wide = np.full((rows + 2 * margin, (columns + 2 * margin) | 1), -1, grid.dtype)
+    wide[margin:margin + rows, margin:margin + columns] = grid
+    return wide
 
 
 @lru_cache(maxsize=8)
-def neighbourhood(dbscan: DbscanConfig) -> Neighbourhood:
-    """Return the cells within ``eps`` of one, and how many of them make a core cell."""
-    reach = int(dbscan.eps)
-    offsets = np.array([(i, j) for i in range(-reach, reach + 1) for j in range(-reach, reach + 1)
-                        if i * i + j * j <= dbscan.eps**2])
-    return Neighbourhood(offsets, dbscan.min_samples)
+def cell_places(shape: tuple[int, int], margin: int) -> np.ndarray:
+    """Return the index of the cell at each place of a grid with a margin."""
+    return with_margin(np.arange(shape[0] * shape[1], dtype=np.int32).reshape(shape), margin)
 
 
-def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray, int]:
+@lru_cache(maxsize=8)
+def neighbour_steps(eps: float, stride: int) -> np.ndarray:
+    """Return the steps (m,) to the cells within ``eps`` in a flat grid with rows of a length."""
+    reach = range(-int(eps), int(eps) + 1)
+    return np.array([i * stride + j for i in reach for j in reach if i * i + j * j <= eps**2])
+
+
+def label_clusters(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray, int]:
     """
     Cluster the cells of each label separately.
 
@@ -53,7 +47,7 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
     ----------
     labels : (R, C) int32
         -1 none; below 2**15.
-    near : Neighbourhood
+    dbscan : DbscanConfig
 
     Returns
     -------
@@ -62,52 +56,25 @@ def label_clusters(labels: np.ndarray, near: Neighbourhood) -> tuple[np.ndarray,
     count : int
 
     """
-    return _cluster(np.ascontiguousarray(labels), near.offsets, near.min_samples)
+    (rows, columns), margin = labels.shape, int(dbscan.eps)
+    wide = with_margin(labels.astype(np.int16), margin)
+    clusters, count = _cluster(wide.reshape(-1), neighbour_steps(dbscan.eps, wide.shape[1]),
+                               dbscan.min_samples)
+    clusters = clusters.reshape(wide.shape)[margin:margin + rows, margin:margin + columns]
+    return np.ascontiguousarray(clusters), count
 
 
-@kernel('int64(int64[:, ::1])')
-def reach_of(offsets):
-    """Return the largest row of a symmetric neighbourhood; a loop compiles faster than max."""
-    reach = 0
-    for k in range(len(offsets)):
-        reach = max(reach, offsets[k, 0])
-    return reach
-
-
-@kernel('int64[::1](int64[:, ::1], int64)')
-def steps_of(offsets, stride):
-    """Return the distances of neighbours in a flat grid with this length of a row."""
-    steps = np.empty(len(offsets), np.int64)
-    for k in range(len(offsets)):
-        steps[k] = offsets[k, 0] * stride + offsets[k, 1]
-    return steps
-
-
-@kernel('Tuple((int32[:, ::1], int64))(int32[:, ::1], int64[:, ::1], int64)', is_short=True)
-def _cluster(labels, offsets, min_samples):
-    (rows, columns), margin, count = labels.shape, reach_of(offsets), 0
-    stride, found = columns + 2 * margin, np.empty_like(labels)
-    # Loops, as numba takes a second to compile each assignment to a slice.
-    padded = np.full((rows + 2 * margin) * stride, np.int16(-1))
-    for row in range(rows):
-        first = (row + margin) * stride + margin
-        here = padded[first:first + columns]
-        for column in range(columns):
-            here[column] = labels[row, column]
-    steps = steps_of(offsets, stride)
-    clusters, queue = np.full(len(padded), np.int32(-1)), np.empty(len(padded), np.int64)
-    is_core = _core_places(padded, steps, min_samples)
-    for start in range(margin * stride, len(padded) - margin * stride):
-        if is_core[start] and padded[start] >= 0:
-            for k in range(grow_cluster(queue, 0, start, (padded, is_core), steps)):
+@kernel('Tuple((int32[::1], int64))(int16[::1], int64[::1], int64)', is_short=True)
+def _cluster(labels, steps, min_samples):
+    """Return the cluster of each place, and their number; clustered places lose their label."""
+    clusters, queue, count = np.full(len(labels), np.int32(-1)), np.empty(len(labels), np.int64), 0
+    is_core = _core_places(labels, steps, min_samples)
+    for start in range(len(labels)):
+        if is_core[start] and labels[start] >= 0:
+            for k in range(grow_cluster(queue, 0, start, (labels, is_core), steps)):
                 clusters[queue[k]] = count
             count += 1
-    for row in range(rows):
-        first = (row + margin) * stride + margin
-        here = clusters[first:first + columns]
-        for column in range(columns):
-            found[row, column] = here[column]
-    return found, count
+    return clusters, count
 
 
 @kernel('boolean[::1](int16[::1], int64[::1], int64)')

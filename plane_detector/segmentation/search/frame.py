@@ -1,45 +1,52 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Input of the stages after the search."""
+"""Input of the search and of the stages after it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.segmentation.cells.grid import DisparityImage
-from plane_detector.segmentation.cells.model import WeightedCells
+from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
+from plane_detector.segmentation.cells.model import WeightedCells, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.search.ransac import Search
 
 
 @dataclass(frozen=True)
 class Frame:
     """
-    An image, or a part of one, and what is known of it after the search.
+    An image, or a part of one, and what is known of it.
 
     Attributes
     ----------
     image : DisparityImage
-    cells : WeightedCells
-        Of this image, weighted by its noise.
+    grid : CellGrid
+        Of this image.
     noise : Noise
-    search : Search
-        The search that found the planes: settings and smallest plane.
+        Of this image; before the search its lower bound.
+    min_pixels : float
+        Smallest plane.
+    config : Config
+    rng : numpy.random.Generator
 
     """
 
     image: DisparityImage
-    cells: WeightedCells
+    grid: CellGrid
     noise: Noise
-    search: Search
-
-    @property
-    def config(self) -> Config:
-        """Settings of the segmentation."""
-        return self.search.config
+    min_pixels: float
+    config: Config
+    rng: np.random.Generator
 
     @property
     def threshold(self) -> float:
         """Inlier threshold in standard deviations."""
-        return self.search.config.ransac.inlier_threshold
+        return self.config.ransac.inlier_threshold
+
+    @cached_property
+    def cells(self) -> WeightedCells:
+        """The cells of the grid, weighted by the noise."""
+        return weigh_cells(self.grid, self.noise)

@@ -13,16 +13,18 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, weigh_cells
+from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
-from plane_detector.segmentation.search.ransac import MAX_TRIALS, Search, add_planes, no_planes
+from plane_detector.segmentation.search.frame import Frame
+from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.
 # tuned: benchmark sensitivity; 1.0 doubles the labelled share of curved surfaces at 0.01.
@@ -39,47 +41,45 @@ TYPICAL_FOCAL_SHARE = 0.8
 MIN_CREASE_DEG = 35.0
 
 
-def search_planes(search: Search, noise_floor: Noise) -> tuple[WeightedCells, PlaneRegions, Noise]:
+def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     """
     Find planes and noise.
 
     Parameters
     ----------
-    search : Search
-    noise_floor : Noise
-        Its floors and its ``source_sigma`` bound the noise from below.
+    frame : Frame
+        The floors and the ``source_sigma`` of its noise bound the noise from below.
 
     Returns
     -------
-    cells : WeightedCells
-        Weighted by the noise that is returned.
+    frame : Frame
+        With the noise that was found.
     regions : PlaneRegions
-    noise : Noise
 
     """
-    grid, most = search.grid, search.config.segmentation.max_planes
-    noise = estimate_noise(grid, noise_floor)
+    grid, most = frame.grid, frame.config.segmentation.max_planes
+    noise = estimate_noise(grid, frame.noise)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
-    cells, floor = weigh_cells(grid, noise), sys.float_info.min
+    frame, floor = replace(frame, noise=noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
     for _ in range(MAX_TRIALS):
-        regions = add_planes(search, cells, no_planes(grid), min(CALIBRATION_PLANES, most))
-        shown = _noise_from_planes(cells, regions, noise)
-        if abs(max(shown.mean_sigma, floor) / max(noise.mean_sigma, floor) - 1) < TOLERANCE:
+        regions = add_planes(frame, no_planes(grid), min(CALIBRATION_PLANES, most))
+        noise = _noise_from_planes(frame, regions)
+        if abs(max(noise.mean_sigma, floor) / max(frame.noise.mean_sigma, floor) - 1) < TOLERANCE:
             break
-        noise, cells, regions = shown, weigh_cells(grid, shown), no_planes(grid)
-    return cells, add_planes(search, cells, regions, most), noise
+        frame, regions = replace(frame, noise=noise), no_planes(grid)
+    return frame, add_planes(frame, regions, most)
 
 
-def _noise_from_planes(cells: WeightedCells, regions: PlaneRegions, noise: Noise) -> Noise:
+def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
     """Return the noise from the median absolute deviation from the large planes, if any."""
-    grid = cells.grid
     residual, tilt, rms, sparsity = _deviations(
-        regions.labels, regions.coefficients, cells.table, grid.residual_rms, grid.sparsity)
+        regions.labels, regions.coefficients, frame.cells.table, frame.grid.residual_rms,
+        frame.grid.sparsity)
     if not len(residual):
-        return noise
+        return frame.noise
     sigmas = SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt), median(rms)
-    return noise.from_cells(sigmas, sparsity)
+    return frame.noise.from_cells(sigmas, sparsity)
 
 
 @kernel('Tuple((float64[::1], float64[::1], float64[::1], float64[:, ::1]))(int32[:, ::1], '

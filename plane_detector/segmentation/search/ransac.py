@@ -13,21 +13,19 @@ happens to cut.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.config import Config
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, chi_squared
+from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
+    cell_places,
     grow_cluster,
-    neighbourhood,
-    reach_of,
-    steps_of,
+    neighbour_steps,
 )
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.hypotheses import (
     CELLS,
     FREE,
@@ -50,21 +48,11 @@ MAX_TRIALS = 4
 # A plane has settled when its cells change by no more than this share.
 # tuned: as above; flat from 0.02 to 0.043, where 1 % of the pixels of real frames lose a label.
 SETTLED_SHARE = 0.03
-# Types of kernels' arguments. Steps to the neighbours in the grid with a margin, and how many of
-# them a core cell has.
+# Types of kernels' arguments. Steps to the neighbours in a flat grid, and how many of them a core
+# cell has.
 NEAR = 'Tuple((int64[::1], int64))'
 # What a cell is tested with: free cells, table, squared threshold.
 TEST = f'Tuple(({FREE}, float64[:, ::1], float64))'
-
-
-@dataclass(frozen=True)
-class Search:
-    """Inputs of a search except the noise: grid, smallest plane, settings, random generator."""
-
-    grid: CellGrid
-    min_pixels: float
-    config: Config
-    rng: np.random.Generator
 
 
 def no_planes(grid: CellGrid) -> PlaneRegions:
@@ -72,15 +60,13 @@ def no_planes(grid: CellGrid) -> PlaneRegions:
     return PlaneRegions(np.full(grid.shape, -1, np.int32), np.zeros((0, 3)))
 
 
-def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
-               most: int) -> PlaneRegions:
+def add_planes(frame: Frame, regions: PlaneRegions, most: int) -> PlaneRegions:
     """
     Find planes among the cells that belong to none, one after the other.
 
     Parameters
     ----------
-    search : Search
-    cells : WeightedCells
+    frame : Frame
     regions : PlaneRegions
         Planes found before.
     most : int
@@ -93,30 +79,33 @@ def add_planes(search: Search, cells: WeightedCells, regions: PlaneRegions,
 
     """
     raise_if_stopped()
-    ransac, near = search.config.ransac, neighbourhood(search.config.dbscan)
+    cells, ransac, dbscan = frame.cells, frame.config.ransac, frame.config.dbscan
     labels, first = regions.labels.copy(), len(regions.coefficients)
+    places = cell_places(labels.shape, max(int(dbscan.eps), WIDEST_WINDOW_CELLS // 2))
     wanted = math.ceil(math.log1p(-ransac.confidence) / math.log1p(-ROUND_PLANE_SHARE))
     counts = first, most, min(max(wanted, 1), ransac.max_iterations), ransac.max_iterations
-    limits = search.min_pixels, ransac.inlier_threshold**2, search.rng.random()
-    found = find_planes((cells.table, cells.grid.moments), cells.is_planar, labels,
-                        (near.offsets, near.min_samples), counts, limits)
+    limits = frame.min_pixels, ransac.inlier_threshold**2, frame.rng.random()
+    near = neighbour_steps(dbscan.eps, places.shape[1]), dbscan.min_samples
+    found = find_planes((cells.table, cells.grid.moments), (places, cells.is_planar), labels, near,
+                        counts, limits)
     return PlaneRegions(labels, np.concatenate([regions.coefficients, found]))
 
 
-@kernel(f'float64[:, ::1]({CELLS}, boolean[::1], int32[:, ::1], '
-        'Tuple((int64[:, ::1], int64)), UniTuple(int64, 4), UniTuple(float64, 3))')
-def find_planes(cells, is_planar, labels, near, counts, limits):
+@kernel(f'float64[:, ::1]({CELLS}, Tuple((int32[:, ::1], boolean[::1])), int32[:, ::1], {NEAR}, '
+        'UniTuple(int64, 4), UniTuple(float64, 3))')
+def find_planes(cells, grid, labels, near, counts, limits):
     """Draw hypotheses and take the best until a draw yields none; return the planes (n, 3)."""
-    (offsets, min_samples), (first, most, wanted, max_drawn) = near, counts
-    min_pixels, threshold2, share = limits
-    margin = max(reach_of(offsets), WIDEST_WINDOW_CELLS // 2)
-    stride = (labels.shape[1] + 2 * margin) | 1  # odd: places of one parity are a checkerboard
-    free, left = _free_cells(is_planar, labels, margin, stride)
-    near = steps_of(offsets, stride), min_samples
+    (first, most, wanted, max_drawn), (min_pixels, threshold2, share) = counts, limits
+    (places, is_planar), label = grid, labels.reshape(-1)
+    stride, free = places.shape[1], places.copy().reshape(-1)
+    for p in range(len(free)):
+        if free[p] >= 0 and (label[free[p]] >= 0 or not is_planar[free[p]]):
+            free[p] = -1
+    left = np.flatnonzero(free >= 0)
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
         hypotheses = draw_planes(left, free, stride, cells,
-                           (min(wanted, len(left)), share + GOLDEN_RATIO * drawn))
+                                 (min(wanted, len(left)), share + GOLDEN_RATIO * drawn))
         before, all_drawn = taken, len(left) <= wanted
         new, left = _take_best(hypotheses, (left, free, cells, near), labels, planes[taken:],
                                (first + taken, min_pixels, threshold2))
@@ -124,21 +113,6 @@ def find_planes(cells, is_planar, labels, near, counts, limits):
         if taken == before or all_drawn:  # every free cell has been tried
             break
     return planes[:taken]
-
-
-@kernel(f'Tuple(({FREE}, int64[::1]))(boolean[::1], int32[:, ::1], int64, int64)')
-def _free_cells(is_planar, labels, margin, stride):
-    """Return the cells that are planar and belong to no plane, and their places."""
-    (rows, columns), n = labels.shape, 0
-    free = np.full((rows + 2 * margin) * stride, np.int32(-1))
-    left = np.empty(labels.size, np.int64)
-    for row in range(rows):
-        for column in range(columns):
-            i, p = row * columns + column, (row + margin) * stride + column + margin
-            if is_planar[i] and labels[row, column] < 0:
-                left[n], free[p] = p, i
-                n += 1
-    return free, left[:n].copy()
 
 
 @kernel(f'float64(int64[::1], {FREE}, {CELLS})')

@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cells go to the plane that explains them, and those that none explains to none."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cell_helpers import EXACT, cell_model, frame_of, view, wall
 
-from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.cells.model import PlaneRegions, weigh_cells
 from plane_detector.segmentation.regions import icm
 from plane_detector.segmentation.regions.icm import compete_for_cells
 
@@ -53,9 +55,9 @@ def test_pieces_far_apart_become_planes_of_their_own():
     model, planes = halves()
     labels = labels_of(model, 0, -1)
     labels[20:40] = -1
-    table = model.table.copy()
-    table.reshape(*labels.shape, -1)[20:40, :, 2] = 0.8  # something nearer between the pieces
-    model = type(model)(model.grid, model.is_planar, table)
+    mean = model.grid.mean.copy()
+    mean.reshape(*labels.shape, 3)[20:40, :, 2] = 0.8  # something nearer between the pieces
+    model = weigh_cells(replace(model.grid, mean=mean), EXACT)
     found = relabelled(model, labels, planes[:1])
     assert len(found.coefficients) == 2
     np.testing.assert_allclose(found.coefficients, planes[[0, 0]], atol=1e-6)

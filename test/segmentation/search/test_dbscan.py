@@ -7,13 +7,13 @@ import pytest
 from sklearn.cluster import DBSCAN
 
 from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.search.dbscan import label_clusters, neighbourhood
+from plane_detector.segmentation.search.dbscan import label_clusters
 
 
 def grid_clusters(mask, eps, min_samples):
     """Return the clusters of the set cells."""
     labels = np.where(mask, 0, -1).astype(np.int32)
-    return label_clusters(labels, neighbourhood(DbscanConfig(eps, min_samples)))[0]
+    return label_clusters(labels, DbscanConfig(eps, min_samples))[0]
 
 
 def same_partition(first, second):

@@ -14,8 +14,7 @@ SHAPE = (23, 31)
 
 def label_clusters(labels, eps, min_samples):
     """Return the clusters alone, without their number."""
-    clusters, count = dbscan.label_clusters(
-        labels, dbscan.neighbourhood(DbscanConfig(eps, min_samples)))
+    clusters, count = dbscan.label_clusters(labels, DbscanConfig(eps, min_samples))
     assert count == clusters.max() + 1
     return clusters
 

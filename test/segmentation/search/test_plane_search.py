@@ -12,8 +12,8 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
-from plane_detector.segmentation.search.ransac import Search
 
 ROOMS = (3, 7, 11)
 CONFIG = Config()
@@ -24,9 +24,10 @@ PART = np.sqrt(0.5)
 
 def found(depth_m, noise_floor=EXACT, config=CONFIG):
     """Return model, regions and noise of a depth image."""
-    grid = build_cell_grid(disparity_image(depth_m))
-    inputs = Search(grid, 600, config, np.random.default_rng(0))
-    return search_planes(inputs, noise_floor)
+    image = disparity_image(depth_m)
+    frame, regions = search_planes(Frame(image, build_cell_grid(image), noise_floor, 600, config,
+                                         np.random.default_rng(0)))
+    return frame.cells, regions, frame.noise
 
 
 def pixel_labels(regions, scene):
