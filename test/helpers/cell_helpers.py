@@ -13,7 +13,7 @@ from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, camera_rotati
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.model import PlaneRegions, region_moments, weigh_cells
+from plane_detector.segmentation.cells.model import PlaneRegions, add_up, weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.search.frame import Frame
@@ -109,7 +109,8 @@ def relative_labels(disparity):
 def hand_made(model, labels):
     """Return regions of given labels (R, C) with the planes that fit their flat cells."""
     labels = labels.astype(np.int32)
-    return PlaneRegions(labels, fit_planes(region_moments(model, labels, labels.max() + 1)))
+    moments = add_up(model.grid.moments, labels.ravel(), model.is_planar, labels.max() + 1)
+    return PlaneRegions(labels, fit_planes(moments))
 
 
 def one_patch(model):

@@ -11,7 +11,7 @@ read no pixels until the labels return to full resolution.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 
 import numpy as np
 
@@ -134,15 +134,11 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     size = size or cell_size((height, width))
     frame = frame or pixel_frame((height, width))
     shape = -(-height // size), -(-width // size)
-    every, no_slopes = _defaults(shape[0] * shape[1])
-    sums = _sum_up(image.values, image.valid, size, frame, every if wanted is None else wanted)
-    return CellGrid(size, int(frame[0]), frame[1:], shape, *sums, no_slopes)
-
-
-@lru_cache(maxsize=4)
-def _defaults(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return that all cells are wanted, and no normal slopes, for all images of a size."""
-    return np.ones(count, bool), np.full((count, 2), np.nan)
+    if wanted is None:
+        wanted = np.ones(shape[0] * shape[1], bool)
+    fields = _sum_up(image.values, image.valid, size, frame, wanted)
+    no_slopes = np.full((len(wanted), 2), np.nan)
+    return CellGrid(size, int(frame[0]), frame[1:], shape, *fields, no_slopes)
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '

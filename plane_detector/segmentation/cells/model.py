@@ -10,6 +10,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_planes
 
@@ -123,12 +124,6 @@ def chi_squared(table, i, a, b, c):
             + (tilt_x * tilt_x + tilt_y * tilt_y) * table[i, 6])
 
 
-def region_moments(cells: WeightedCells, labels: np.ndarray, count: int) -> np.ndarray:
-    """Return the moments (K, 10) of the pixels of each region's planar cells."""
-    return add_up(cells.grid.moments, np.ascontiguousarray(labels).reshape(-1), cells.is_planar,
-                  count)
-
-
 @kernel('float64[:, ::1](float64[:, ::1], int32[::1], boolean[::1], int64)', is_short=True)
 def add_up(moments, labels, is_used, count):
     """Add up the moments of the used cells of each label, (count, 10)."""
@@ -142,22 +137,7 @@ def add_up(moments, labels, is_used, count):
 def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
                 min_pixels: float = 1.0) -> PlaneRegions:
     """Fit planes to labels (R, C) int32; drop labels with too few planar pixels or on a line."""
-    return PlaneRegions(*_fit_regions(cells.grid.moments, np.ascontiguousarray(labels),
-                                      cells.is_planar, count, max(min_pixels, 1.0)))
-
-
-@kernel('Tuple((int32[:, ::1], float64[:, ::1]))(float64[:, ::1], int32[:, ::1], boolean[::1], '
-        'int64, float64)', is_short=True)
-def _fit_regions(moments, labels, is_planar, count, min_pixels):
-    total = add_up(moments, labels.reshape(-1), is_planar, count)
-    planes, found, kept = fit_planes(total), np.empty_like(labels), 0
-    names = np.full(count + 1, np.int32(-1))  # the last is that of cells without a label
-    for k in range(count):
-        if total[k, 0] >= min_pixels and not np.isnan(planes[k, 0]):
-            for axis in range(3):
-                planes[kept, axis] = planes[k, axis]
-            names[k], kept = kept, kept + 1
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            found[row, column] = names[labels[row, column]]
-    return found, planes[:kept]
+    moments = add_up(cells.grid.moments, labels.reshape(-1), cells.is_planar, count)
+    planes = fit_planes(moments)
+    kept = np.flatnonzero((moments[:, 0] >= max(min_pixels, 1.0)) & ~np.isnan(planes[:, 0]))
+    return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])

@@ -198,22 +198,19 @@ def _rms_quantile(freedom: int) -> float:
 @kernel('UniTuple(float64[::1], 2)(float64[:, ::1], float64[:, ::1], boolean[::1], int64, int64)')
 def _differences(mean, slope, usable, columns, lag):
     """Return moduli of second differences of means, and squared differences of slopes."""
-    rows, curved, bent = len(usable) // columns, 0, 0
+    rows, curved, bent, i = len(usable) // columns, 0, 0, 0
     curvatures, bends = np.empty(2 * len(usable)), np.empty(2 * len(usable))
-    for down in range(2):
-        stride, reach = lag * columns if down else lag, columns if down else columns - lag
-        for row in range(rows - lag if down else rows):
-            inside = columns - 2 * lag
-            if down:
-                inside = columns if row + 2 * lag < rows else 0
-            for column in range(reach):
-                i = np.uint64(row * columns + column)  # unsigned: no wrap-around check
-                j, k = i + np.uint64(stride), i + np.uint64(2 * stride)
-                bends[bent] = (slope[j, 0] - slope[i, 0])**2 + (slope[j, 1] - slope[i, 1])**2
-                bent += usable[i] & usable[j]
-                if column < inside:
+    for row in range(rows):
+        for column in range(columns):
+            for step, left in ((lag, columns - column), (lag * columns, rows - row)):
+                j, k = i + step, i + 2 * step
+                if left > lag and usable[i] and usable[j]:
+                    bends[bent] = (slope[j, 0] - slope[i, 0])**2 + (slope[j, 1] - slope[i, 1])**2
+                    bent += 1
+                if left > 2 * lag and usable[i] and usable[j] and usable[k]:
                     curvatures[curved] = abs(mean[i, 2] - 2 * mean[j, 2] + mean[k, 2])
-                    curved += usable[i] & usable[j] & usable[k]
+                    curved += 1
+            i += 1
     return curvatures[:curved], bends[:bent]
 
 

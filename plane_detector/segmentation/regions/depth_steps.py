@@ -63,8 +63,7 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
         return graph
     residual, owner = _block_residuals(image.values, image.valid, graph.labels, graph.planes,
                                        grid.size_px, (grid.width_px, *grid.origin))
-    _remove_steps(residual, owner)
-    count, pieces = cv2.connectedComponents((owner >= 0).view(np.uint8), connectivity=4,
+    count, pieces = cv2.connectedComponents(_off_steps(residual, owner), connectivity=4,
                                             ltype=cv2.CV_16U)
     label, blocks, mean = _describe(pieces, owner, residual, count)
     is_candidate = ((blocks >= frame.min_pixels * (BLOCKS / grid.size_px) ** 2)
@@ -135,31 +134,23 @@ def _centroid(valid, top, left, side):
     return x / count, y / count
 
 
-def _remove_steps(residual: np.ndarray, owner: np.ndarray) -> None:
+def _off_steps(residual: np.ndarray, owner: np.ndarray) -> np.ndarray:
     """
-    Remove the blocks on a step from their regions.
+    Return 255 for the blocks of regions that are on no step, 0 for the others, uint8.
 
     A step is the sum of the blocks on one side minus that on the other side of a block's left or
     upper side.
     """
-    inside = owner[SAMPLE] >= 0
-    if not inside.any():
-        return
+    inside, sample = cv2.inRange(owner, 0, np.iinfo(np.int32).max), owner[SAMPLE] >= 0
+    if not sample.any():
+        return inside
     apart = np.repeat(np.float32([-1, 1]), BLOCKS // 2)
     along = np.ones(REACH_CELLS * BLOCKS, np.float32)
     for sides in ((apart, along), (along, apart)):
         step = cv2.sepFilter2D(residual, -1, *sides, borderType=cv2.BORDER_REPLICATE)
-        typical = SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][inside]))
-        _remove_higher(step, MIN_STEP_DEVIATIONS * typical, owner)
-
-
-@kernel('void(float32[:, ::1], float64, int32[:, ::1])')
-def _remove_higher(step, limit, owner):
-    """Remove the blocks where a step is higher than a limit from their regions."""
-    for row in range(owner.shape[0]):
-        for column in range(owner.shape[1]):
-            if abs(step[row, column]) > limit:
-                owner[row, column] = -1
+        limit = MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][sample]))
+        inside &= cv2.inRange(step, -limit, limit)
+    return inside
 
 
 @kernel('Tuple((int64[::1], int64[::1], float64[::1]))(uint16[:, ::1], int32[:, ::1], '
