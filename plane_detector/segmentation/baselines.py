@@ -14,22 +14,17 @@ import random
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from plane_detector.config import Config, PaperConfig
 from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.segmentation.cells.grid import (
-    CellGrid,
-    DisparityImage,
-    build_cell_grid,
-    image_coordinates,
-)
+from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
 from plane_detector.segmentation.search.frame import Frame
-from plane_detector.segmentation.search.point_clusters import point_clusters
 from plane_detector.segmentation.search.ransac import add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.stopping import raise_if_stopped
@@ -128,19 +123,22 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     points_m = depth_to_points(np.asarray(depth_m, np.float32), intrinsics)
     stride = int(np.ceil(np.sqrt(depth_m.size / config.paper.max_points)))
     thinned_m = points_m[::stride, ::stride]
-    thinned = np.full(thinned_m.shape[:2], -1, np.int32)
     seen = np.isfinite(thinned_m[..., 2])
-    min_points = max(3, config.segmentation.min_plane_share * thinned.size)
-    thinned[seen], equations = _peel(thinned_m[seen], min_points, config, rng)
+    seen_m, min_points = thinned_m[seen], max(3, config.segmentation.min_plane_share * seen.size)
+    found = _peel(seen_m, min_points, config, rng)
     if cluster:
-        thinned[seen], equations = _clusters(thinned[seen], thinned_m[seen], equations,
-                                             min_points, config.paper)
-    return _to_all_pixels(thinned, points_m, equations, stride, config.paper.distance_threshold)
+        found = [(equation, members[piece]) for equation, members in found
+                 for piece in _large_clusters(seen_m[members], min_points, config.paper)]
+    return _to_all_pixels(found, seen, points_m, stride, config.paper.distance_threshold)
 
 
-def _to_all_pixels(thinned: np.ndarray, points_m: np.ndarray, equations: np.ndarray, stride: int,
-                   threshold_m: float) -> np.ndarray:
+def _to_all_pixels(found: list[tuple[np.ndarray, np.ndarray]], seen: np.ndarray,
+                   points_m: np.ndarray, stride: int, threshold_m: float) -> np.ndarray:
     """Label each pixel like its subsampled point if it is near that point's plane."""
+    thinned, places = np.full(seen.shape, -1, np.int32), np.flatnonzero(seen)
+    for k, (_, members) in enumerate(found):
+        thinned.flat[places[members]] = k
+    equations = np.array([equation for equation, _ in found], float).reshape(-1, 4)
     labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)[:len(points_m)]
     labels = np.ascontiguousarray(labels[:, :points_m.shape[1]])
     inside = labels >= 0
@@ -151,29 +149,26 @@ def _to_all_pixels(thinned: np.ndarray, points_m: np.ndarray, equations: np.ndar
 
 
 def _peel(points_m: np.ndarray, min_points: float, config: Config,
-          rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Fit the best plane, remove its inliers, repeat: labels (n,) and equations (K, 4)."""
+          rng: np.random.Generator) -> list[tuple[Any, np.ndarray]]:
+    """Fit the best plane, remove its inliers, repeat: equations (4,) and indices of inliers."""
     try:
         from pyransac3d import Plane
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError('segmentation.method paper needs the package pyransac3d: '
                                   'pip install pyransac3d') from error
-    labels, equations = np.full(len(points_m), -1, np.int32), []
+    left, found = np.arange(len(points_m)), []
     state = random.getstate()
     random.seed(int(rng.integers(2**31)))  # pyransac3d draws from the global generator
     try:
-        while len(equations) < config.segmentation.max_planes:
-            left = np.flatnonzero(labels < 0)
-            if len(left) < min_points:
-                break
+        while len(found) < config.segmentation.max_planes and len(left) >= min_points:
             equation, inliers = _fit(Plane, points_m[left], config.paper)
             if len(inliers) < min_points:
                 break
-            labels[left[inliers]] = len(equations)
-            equations.append(np.asarray(equation, float))
+            found.append((equation, left[inliers]))
+            left = np.delete(left, inliers)
     finally:
         random.setstate(state)
-    return labels, np.array(equations).reshape(-1, 4)
+    return found
 
 
 def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.ndarray]:
@@ -192,19 +187,54 @@ def _fit(plane: Any, points_m: np.ndarray, paper: PaperConfig) -> tuple[Any, np.
     return equation, inliers
 
 
-def _clusters(labels: np.ndarray, points_m: np.ndarray, equations: np.ndarray,
-              min_points: float, paper: PaperConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Replace each plane by the density clusters of its points (n, 3) that are large enough."""
-    found, owner = np.full_like(labels, -1), []
-    for k in range(len(equations)):
-        members = np.flatnonzero(labels == k)
-        clusters = point_clusters(points_m[members], paper.dbscan_eps, paper.dbscan_min_samples)
-        for cluster in range(clusters.max(initial=-1) + 1):
-            piece = members[clusters == cluster]
-            if len(piece) >= min_points:
-                found[piece] = len(owner)
-                owner.append(k)
-    return found, equations[np.array(owner, int)]
+def _large_clusters(points_m: np.ndarray, min_points: float,
+                    paper: PaperConfig) -> list[np.ndarray]:
+    """Return the indices of the points of each density cluster that is large enough."""
+    clusters = point_clusters(points_m, paper.dbscan_eps, paper.dbscan_min_samples)
+    sizes = np.bincount(clusters[clusters >= 0])
+    return [np.flatnonzero(clusters == k) for k in np.flatnonzero(sizes >= min_points)]
+
+
+def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.ndarray:
+    """
+    Cluster points by density, as scikit-learn's DBSCAN does (Ester et al. 1996).
+
+    That keeps the neighbours of all points at once: if all points are within the radius of each
+    other, 20 000 points take 5 GB. Here those of one point are kept, and the search can be
+    stopped.
+
+    Parameters
+    ----------
+    points_m : (n, 3) floating
+    eps_m : float
+        Radius of the neighbourhood.
+    min_samples : int
+        Points in the neighbourhood of a core point, including itself.
+
+    Returns
+    -------
+    (n,) int64
+        Cluster of each point, in the order of their first core points; -1 for noise. A border
+        point belongs to the first of the clusters that reach it.
+
+    """
+    labels, count = np.full(len(points_m), -1), 0
+    if not len(points_m):
+        return labels
+    tree = cKDTree(points_m)
+    is_core = tree.query_ball_point(points_m, eps_m, return_length=True) >= min_samples
+    for first in np.flatnonzero(is_core):
+        if labels[first] >= 0:
+            continue
+        labels[first], waiting = count, [first]
+        while waiting:
+            raise_if_stopped()
+            near = np.array(tree.query_ball_point(points_m[waiting.pop()], eps_m))
+            new = near[labels[near] < 0]
+            labels[new] = count
+            waiting.extend(new[is_core[new]])
+        count += 1
+    return labels
 
 
 @one_blas_thread
@@ -234,17 +264,10 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
     frame = Frame(image, grid, noise, config.segmentation.min_plane_share * depth_m.size, config,
                   np.random.default_rng(config.ransac.seed))
     planes = add_planes(frame, no_planes(grid), config.segmentation.max_planes).coefficients
-    return np.where(image.valid, _first_plane(image.values, planes, noise,
-                                              config.ransac.inlier_threshold), -1)
-
-
-def _first_plane(disparity: np.ndarray, planes: np.ndarray, noise: Noise,
-                 threshold: float) -> np.ndarray:
-    """Return the first plane of each pixel that is within the threshold, else -1."""
-    x, y = image_coordinates(disparity.shape)
-    variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.variance_floor(disparity)
-    labels = np.full(disparity.shape, -1, np.int32)
-    for k, (a, b, c) in enumerate(planes):
-        error = (disparity - (a * x + b * y[:, None] + c)) ** 2
-        labels[(labels < 0) & (error < threshold**2 * variance)] = k
+    variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.variance_floor(image.values)
+    labels = np.full(image.valid.shape, -1, np.int32)
+    v, u = np.ogrid[:labels.shape[0], :labels.shape[1]]
+    for k, (a, b, c) in enumerate(grid.planes_in_pixels(planes)):
+        error = (image.values - (a * u + b * v + c)) ** 2
+        labels[image.valid & (labels < 0) & (error < frame.threshold**2 * variance)] = k
     return labels

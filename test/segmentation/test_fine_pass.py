@@ -8,7 +8,7 @@ from cell_helpers import EXACT, best_iou, cell_model, disparity_image, view, wal
 
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
-from plane_detector.segmentation.cells.grid import build_cell_grid, image_coordinates
+from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.region_graph import RegionGraph
@@ -73,12 +73,11 @@ def test_the_plane_is_in_coordinates_of_the_image(first_px):
     given = before_narrow(scene.depth_m)
     labels, planes = add_small_planes(*given)
     own = np.bincount(labels[(scene.labels == 1) & (labels >= 0)]).argmax()
-    x, y = image_coordinates(labels.shape)
     rows, columns = np.nonzero(labels == own)
     assert len(rows) > 0.8 * np.count_nonzero(scene.labels == 1)
-    a, b, c = planes[own]
+    a, b, c = given[0].grid.planes_in_pixels(planes)[own]
     disparity = given[0].image.values[rows, columns]
-    np.testing.assert_allclose(a * x[columns] + b * y[rows] + c, disparity, atol=1e-4)
+    np.testing.assert_allclose(a * columns + b * rows + c, disparity, atol=1e-4)
 
 
 @pytest.mark.parametrize('second_px', [335, 500])

@@ -89,17 +89,16 @@ class CellGrid:
         """The median disparity of the usable cells; 0 when there is none."""
         return median(self.mean[:, 2][self.usable]) if self.usable.any() else 0.0
 
+    def planes_in_pixels(self, planes: np.ndarray) -> np.ndarray:
+        """Return a, b, c (K, 3) of d = a u + b v + c in columns and rows of the image."""
+        a, b, c = planes.T
+        return np.column_stack([a / self.width_px, b / self.width_px,
+                                c + a * self.origin[0] + b * self.origin[1]])
+
 
 def cell_size(shape: tuple[int, int]) -> int:
     """Return the side of the cells of an image in pixels."""
     return max(1, round((shape[0] * shape[1] / CELLS_PER_IMAGE) ** 0.5))
-
-
-def image_coordinates(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return x of each column (W,) and y of each row (H,) as the moments use them, float64."""
-    height, width = shape
-    return ((np.arange(width) - (width - 1) / 2) / width,
-            (np.arange(height) - (height - 1) / 2) / width)
 
 
 def pixel_frame(shape: tuple[int, int],

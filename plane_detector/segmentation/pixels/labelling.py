@@ -51,12 +51,10 @@ def label_pixels(frame: Frame, graph: RegionGraph,
         found, first = others[0].copy(), others[1]
     elif sees_creases(grid, noise, frame.threshold):
         sweeps = sum(grid.shape)  # a border moves by one cell per sweep
-    to_pixels = np.array([[1 / grid.width_px, 0, grid.origin[0]],
-                          [0, 1 / grid.width_px, grid.origin[1]], [0, 0, 1]])
     variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
     tolerance = frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2
     _label((found, first), (image.values, image.valid, grid.size_px), graph.labels,
-           (graph.planes @ to_pixels, graph.intersections()), tolerance, sweeps)
+           (grid.planes_in_pixels(graph.planes), graph.intersections()), tolerance, sweeps)
     return found
 
 

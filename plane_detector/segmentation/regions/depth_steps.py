@@ -61,8 +61,8 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
     grid = cells.grid
     if correlation is None or grid.size_px < BLOCKS:
         return graph
-    residual, owner = _block_residuals(image.values, image.valid, graph.labels, graph.planes,
-                                       grid.size_px, (grid.width_px, *grid.origin))
+    residual, owner = _block_residuals(image.values, image.valid, graph.labels,
+                                       grid.planes_in_pixels(graph.planes), grid.size_px)
     count, pieces = cv2.connectedComponents(_off_steps(residual, owner), connectivity=4,
                                             ltype=cv2.CV_16U)
     label, blocks, mean = _describe(pieces, owner, residual, count)
@@ -79,8 +79,8 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
 
 
 @kernel('Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], boolean[:, ::1], '
-        'int32[:, ::1], float64[:, ::1], int64, UniTuple(float64, 3))')
-def _block_residuals(disparity, valid, labels, planes, size, frame):
+        'int32[:, ::1], float64[:, ::1], int64)')
+def _block_residuals(disparity, valid, labels, planes, size):
     """
     Return the mean residual of each block to its region's plane, and the region, -1 none.
 
@@ -90,7 +90,6 @@ def _block_residuals(disparity, valid, labels, planes, size, frame):
     residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
     total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.float32)
-    pixel = 1 / frame[0]
     for i in range(rows * BLOCKS):
         top = i * size // BLOCKS
         for u in range(width):
@@ -105,8 +104,6 @@ def _block_residuals(disparity, valid, labels, planes, size, frame):
                 continue
             ends_below = i % BLOCKS == BLOCKS - 1 and labels[min(row + 1, rows - 1), column] != k
             ends_right = labels[row, min(column + 1, columns - 1)] != k
-            a, b = planes[k, 0] * pixel, planes[k, 1] * pixel
-            c = planes[k, 2] + planes[k, 0] * frame[1] + planes[k, 1] * frame[2]
             for j in range(column * BLOCKS, column * BLOCKS + BLOCKS):
                 left, d, n = j * size // BLOCKS, np.float32(0), np.float32(0)
                 for u in range(left, left + side):
@@ -116,7 +113,7 @@ def _block_residuals(disparity, valid, labels, planes, size, frame):
                     x, y = left + (side - 1) / 2, top + (side - 1) / 2
                     if n < side * side:
                         x, y = _centroid(valid, top, left, side)
-                    residual[i, j] = d / n - (a * x + b * y + c)
+                    residual[i, j] = d / n - (planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
                     if not (ends_below or (ends_right and j % BLOCKS == BLOCKS - 1)):
                         owner[i, j] = k
     return residual, owner

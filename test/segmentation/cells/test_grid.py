@@ -28,7 +28,7 @@ def disparity_image(rng, holes=0.2):
 
 def brute_force(disparity, valid, size):
     """Return the moments of each cell and the cell's least-squares plane, by loops."""
-    x, y = cells.image_coordinates(disparity.shape)
+    x, y = ((np.arange(side) - (side - 1) / 2) / SHAPE[1] for side in (SHAPE[1], SHAPE[0]))
     moments, planes = [], []
     for row in range(0, SHAPE[0], size):
         for column in range(0, SHAPE[1], size):
@@ -161,3 +161,13 @@ def test_the_cells_of_a_part_are_those_of_the_whole_image():
     for name in ('moments', 'mean', 'slope', 'residual_rms', 'usable'):
         values = getattr(whole, name).reshape(*whole.shape, -1)[4:13, 20:34]
         np.testing.assert_allclose(getattr(grid, name).reshape(values.shape), values, atol=1e-9)
+
+
+def test_planes_in_pixels_have_the_disparity_of_the_same_planes_in_cells():
+    part, shape = np.s_[40:100, 200:280], (480, 640)
+    image = cells.DisparityImage(np.ones((60, 80), np.float32), np.ones((60, 80), bool))
+    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame(shape, part))
+    u, v = 7, 12  # in the part
+    x, y = (200 + u - 319.5) / 640, (40 + v - 239.5) / 640
+    (a, b, c), = grid.planes_in_pixels(np.array([[0.3, -0.2, 0.5]]))
+    assert a * u + b * v + c == pytest.approx(0.3 * x - 0.2 * y + 0.5)

@@ -101,8 +101,8 @@ def test_a_block_is_compared_at_the_pixels_that_it_has():
     image, model = disparity_image(depth_m), cell_model(depth_m)
     region, grid = one_patch(model), model.grid
     residual, owner = depth_steps._block_residuals(
-        image.values, image.valid, region.labels, region.coefficients, grid.size_px,
-        (grid.width_px, *grid.origin))
+        image.values, image.valid, region.labels, grid.planes_in_pixels(region.coefficients),
+        grid.size_px)
     assert (owner >= 0).mean() > 0.7
     assert np.abs(residual[owner >= 0]).max() < 1e-6
 

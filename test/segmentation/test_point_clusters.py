@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from sklearn.cluster import DBSCAN
 
-from plane_detector.segmentation.search.point_clusters import point_clusters
+from plane_detector.segmentation.baselines import point_clusters
 from plane_detector.stopping import Stop, Stopped
 
 
