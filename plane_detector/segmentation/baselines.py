@@ -62,7 +62,7 @@ def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_
     """
     rng = rng or np.random.default_rng(config.ransac.seed)
     labels = paper_labels(to_depth(disparity), intrinsics, config, rng)
-    image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
+    image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image)
     planes, labels = fit_labels(grid, labels)
     return PixelRegions(image.values, labels, planes, grid, estimate_noise(grid, noise_floor))
@@ -258,7 +258,7 @@ def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarra
 
     """
     config = config or Config()
-    image = DisparityImage(*zero_filled(np.ascontiguousarray(to_disparity(depth_m))))
+    image = DisparityImage(*zero_filled(to_disparity(depth_m)))
     grid = build_cell_grid(image)
     noise = estimate_noise(grid, metric_noise_floor(config))
     frame = Frame(image, grid, noise, config.segmentation.min_plane_share * depth_m.size, config,

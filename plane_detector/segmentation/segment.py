@@ -106,7 +106,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     """
     retain_freed_memory()
     rng = rng or np.random.default_rng(config.ransac.seed)
-    image = DisparityImage(*zero_filled(np.ascontiguousarray(disparity)))
+    image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image)
     if normals is not None:
         grid = with_normals(grid, normals, noise_floor.source_sigma)

@@ -124,10 +124,6 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     frame : (float, float, float), optional
         If the image is a part of another one: the :func:`pixel_frame` of this part.
 
-    Returns
-    -------
-    CellGrid
-
     """
     height, width = image.valid.shape
     size = size or cell_size((height, width))

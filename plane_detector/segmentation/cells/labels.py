@@ -35,6 +35,16 @@ def _renamed(labels, names, none):
     return found
 
 
+@kernel('int64[::1](int32[:, ::1], int64)')
+def region_sizes(labels, count):
+    """Return the number of cells (K,) of each label."""
+    sizes = np.zeros(count, np.int64)
+    for label in labels.reshape(-1):
+        if label >= 0:
+            sizes[label] += 1
+    return sizes
+
+
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:
     """Return the number of pixels of each label in each cell, (R * C, K) float64."""
     return _count(np.ascontiguousarray(labels), grid.size_px, count)

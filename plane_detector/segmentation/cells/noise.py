@@ -84,14 +84,10 @@ class Noise:
         """Return whether the smooth noise is below the floor at this disparity."""
         return self.mean_sigma**2 < self.variance_floor(disparity)
 
-    def with_smooth_part(self, mean_sigma: float, slope_sigma: float,
-                         pixel_sigma: float | None = None) -> Noise:
+    def with_smooth_part(self, mean_sigma: float, slope_sigma: float) -> Noise:
         """Return the noise with these deviations, bounded below by those of the source."""
-        if pixel_sigma is None:
-            pixel_sigma = self.pixel_sigma
-        return Noise(self.depth_floor_m, self.disparity_floor, self.source_sigma,
-                     max(float(mean_sigma), self.source_sigma),
-                     max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma), pixel_sigma)
+        return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
+                       slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
@@ -112,7 +108,7 @@ class Noise:
             mean_sigma, slope_sigma = (
                 max(sigma**2 - pixel_sigma**2 * median(added), 0.0) ** 0.5
                 for sigma, added in zip((mean_sigma, slope_sigma), sparsity.T, strict=True))
-        return self.with_smooth_part(mean_sigma, slope_sigma, pixel_sigma)
+        return replace(self, pixel_sigma=pixel_sigma).with_smooth_part(mean_sigma, slope_sigma)
 
     def rescaled(self, scale: float) -> Noise:
         """
@@ -141,16 +137,7 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     """
     Estimate the noise of an image before any plane is known.
 
-    Parameters
-    ----------
-    grid : CellGrid
-    noise_floor : Noise
-        Its floors and its ``source_sigma`` bound the estimate from below.
-
-    Returns
-    -------
-    Noise
-
+    The floors and the ``source_sigma`` of ``noise_floor`` bound the estimate from below.
     """
     curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], LAG_CELLS)
     if not len(curvature) or not len(bend):
@@ -221,12 +208,6 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     Stereo matching by whole pixels quantises disparity: a slanted wall is a staircase, and each
     step is an exact plane. Depth in millimetres is quantised too, but its disparities are not
     evenly spaced, and the floor covers it.
-
-    Parameters
-    ----------
-    noise_floor : Noise
-    image : DisparityImage
-
     """
     # Whole rows and columns are sampled, so that no value of a slope is missed. Both must have
     # equal neighbours: along the columns of a vertical wall they are equal without quantisation.

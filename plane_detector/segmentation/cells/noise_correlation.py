@@ -16,6 +16,7 @@ from functools import lru_cache
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.labels import region_sizes
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 
@@ -97,12 +98,8 @@ def _table(correlation: Correlation, shape: tuple[int, int]) -> np.ndarray:
         is_short=True)
 def _covariances(labels, planes, table, is_planar):
     """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
-    (rows, columns), size = labels.shape, np.zeros(len(planes), np.int64)
+    (rows, columns), size = labels.shape, region_sizes(labels, len(planes))
     residual, total, count = np.full((rows, columns), np.nan), np.zeros(3), np.zeros(3)
-    for row in range(rows):
-        for column in range(columns):
-            if labels[row, column] >= 0:
-                size[labels[row, column]] += 1
     for i in range(labels.size):
         row, column = i // columns, i % columns
         k = labels[row, column]

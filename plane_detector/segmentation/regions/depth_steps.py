@@ -41,21 +41,9 @@ SAMPLE = np.s_[::BLOCKS + 1, ::BLOCKS + 1]
 def split_at_depth_steps(frame: Frame, graph: RegionGraph,
                          correlation: Correlation | None) -> RegionGraph:
     """
-    Split regions along depth steps.
+    Split regions along depth steps; without a correlation of the noise, nothing is split.
 
-    Parameters
-    ----------
-    frame : Frame
-    graph : RegionGraph
-        On its cells.
-    correlation : Correlation or None
-        If None, nothing is split.
-
-    Returns
-    -------
-    RegionGraph
-        The pieces follow the other regions, each with its own plane.
-
+    The pieces follow the other regions, each with its own plane.
     """
     image, cells, regions = frame.image, frame.cells, graph.regions()
     grid = cells.grid

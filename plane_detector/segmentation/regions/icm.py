@@ -34,17 +34,6 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
 
     Planes are split into density clusters; pieces far apart become separate planes, and small ones
     are dropped.
-
-    Parameters
-    ----------
-    frame : Frame
-    regions : PlaneRegions
-        On its cells.
-
-    Returns
-    -------
-    PlaneRegions
-
     """
     if len(regions.coefficients) == 0:
         return regions

@@ -117,21 +117,15 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     is_apart : callable
         Returns whether two regions stay separate although they fit; called once per pair.
 
-    Returns
-    -------
-    RegionGraph
-
     """
     count = len(graph.planes)
-    cost = misfit(graph) if count > 1 else np.ones((0, 0))
-    if not cost.size or cost.min() > 1:
+    cost = misfit(graph)
+    if not (cost <= 1).any():
         return graph
     graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
     refused: set[tuple[int, int]] = set()
-    while True:
+    while cost.min() <= 1:
         i, j = divmod(int(cost.argmin()), count)
-        if not cost[i, j] <= 1:
-            break
         if is_apart(graph, i, j):
             refused.add((i, j))
         else:

@@ -20,6 +20,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.segmentation.cells.labels import region_sizes
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
@@ -43,19 +44,9 @@ MIN_CREASE_DEG = 35.0
 
 def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     """
-    Find planes and noise.
+    Find planes and noise; return the frame with this noise, and the planes.
 
-    Parameters
-    ----------
-    frame : Frame
-        The floors and the ``source_sigma`` of its noise bound the noise from below.
-
-    Returns
-    -------
-    frame : Frame
-        With the noise that was found.
-    regions : PlaneRegions
-
+    The floors and the ``source_sigma`` of the noise given bound the noise from below.
     """
     grid, most = frame.grid, frame.config.segmentation.max_planes
     noise = estimate_noise(grid, frame.noise)
@@ -90,11 +81,8 @@ def _deviations(labels, planes, table, residual_rms, sparsity):
 
     Return moduli of residuals (n,) and of slopes' (2 * n,), rms (n,) and sparsity (n, 2).
     """
-    is_member, size = np.zeros(labels.size, np.bool_), np.zeros(len(planes), np.int64)
+    is_member, size = np.zeros(labels.size, np.bool_), region_sizes(labels, len(planes))
     label = labels.reshape(-1)
-    for i in range(len(label)):
-        if label[i] >= 0:
-            size[label[i]] += 1
     for i in range(len(label)):
         is_member[i] = label[i] >= 0 and size[label[i]] > MIN_REGION_CELLS
     cells, rms, sparsity = sample_cells(is_member, residual_rms, sparsity)

@@ -51,8 +51,6 @@ SETTLED_SHARE = 0.03
 # Types of kernels' arguments. Steps to the neighbours in a flat grid, and how many of them a core
 # cell has.
 NEAR = 'Tuple((int64[::1], int64))'
-# What a cell is tested with: free cells, table, squared threshold.
-TEST = f'Tuple(({FREE}, float64[:, ::1], float64))'
 
 
 def no_planes(grid: CellGrid) -> PlaneRegions:
@@ -64,19 +62,8 @@ def add_planes(frame: Frame, regions: PlaneRegions, most: int) -> PlaneRegions:
     """
     Find planes among the cells that belong to none, one after the other.
 
-    Parameters
-    ----------
-    frame : Frame
-    regions : PlaneRegions
-        Planes found before.
-    most : int
-        Total number of planes at which the search ends.
-
-    Returns
-    -------
-    PlaneRegions
-        With the planes found before first.
-
+    The search ends when ``most`` planes are found. Those found before, ``regions``, count; they
+    are the first of the planes returned.
     """
     raise_if_stopped()
     cells, ransac, dbscan = frame.cells, frame.config.ransac, frame.config.dbscan
@@ -163,7 +150,7 @@ def _refine(plane, search, threshold2):
     (left, free, (table, moments), near), total = search, np.empty(10)
     inliers, members = np.full(len(free), np.int16(-1)), left
     for trial in range(MAX_TRIALS):
-        changes = _find_inliers(inliers, left, plane, (free, table, threshold2))
+        changes = _find_inliers(inliers, left, plane, free, table, threshold2)
         if changes == 0 and trial > 0:  # the same cluster
             break
         grown, kept = _cluster_about(members, inliers.copy(), _cores(inliers, left, near), near[0])
@@ -180,11 +167,10 @@ def _refine(plane, search, threshold2):
     return plane, members
 
 
-@kernel(f'int64(int16[::1], int64[::1], float64[::1], {TEST})')
-def _find_inliers(inliers, left, plane, test):
+@kernel(f'int64(int16[::1], int64[::1], float64[::1], {FREE}, float64[:, ::1], float64)')
+def _find_inliers(inliers, left, plane, free, table, threshold2):
     """Write 0 at the places of inliers, -1 at other free cells; return how many have changed."""
-    (free, table, threshold2), changes = test, 0
-    a, b, c = plane[0], plane[1], plane[2]
+    a, b, c, changes = plane[0], plane[1], plane[2], 0
     for k in range(len(left)):
         p = np.uint64(left[k])  # unsigned: no wrap-around check
         is_inlier = chi_squared(table, np.uint64(free[p]), a, b, c) < threshold2
