@@ -131,7 +131,7 @@ def _label(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth: its errors are below the noise floor."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_ones(frame, graph, None, (0.0, MIN_TURN_DEG))
+    return _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
 
 
 def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -143,8 +143,8 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
         graph = split_at_depth_steps(frame, graph, correlation)
     density = correlation.density(frame.grid.shape) if correlation else np.inf
-    return _label_flat_ones(frame, graph, correlation,
-                            (density, frame.config.segmentation.flatness_angle))
+    return _label_flat_ones(frame, graph, correlation, density,
+                            frame.config.segmentation.flatness_angle)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -159,10 +159,11 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
 
 
 def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
-                     limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+                     noise_density: float, min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
-    labels, planes = add_small_planes(frame, label_pixels(frame, graph), graph.planes, limits[1])
-    curved = find_curved(graph, *limits)
+    labels = label_pixels(frame, graph)
+    labels, planes = add_small_planes(frame, labels, graph.planes, min_turn_deg)
+    curved = find_curved(graph, noise_density, min_turn_deg)
     owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
                                      frame.config.segmentation)
     names = np.arange(len(planes))

@@ -69,7 +69,7 @@ class RegionGraph:
     def of(cls, cells: WeightedCells, regions: PlaneRegions) -> RegionGraph:
         """Sum up the cells of regions."""
         labels, count = np.ascontiguousarray(regions.labels), len(regions.coefficients)
-        sums = _sum_up(labels, (cells.table, cells.grid.moments, cells.grid.normal_slope),
+        sums = _sum_up(labels, cells.table, cells.grid.moments, cells.grid.normal_slope,
                        cells.is_planar, count)
         return cls(labels, np.arange(count), regions.coefficients, *sums)
 
@@ -139,11 +139,11 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, :, ::1]))'
-        '(int32[:, ::1], UniTuple(float64[:, ::1], 3), boolean[::1], int64)', is_short=True)
-def _sum_up(labels, values, is_planar, count):
-    (table, moments, slope), (rows, columns) = values, labels.shape
+        '(int32[:, ::1], float64[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1], int64)',
+        is_short=True)
+def _sum_up(labels, table, moments, slope, is_planar, count):
+    (rows, columns), borders = labels.shape, np.zeros((count, count, 4))
     pixels, sums = np.zeros((count, 10)), np.zeros((count, 28))
-    borders = np.zeros((count, count, 4))
     for row in range(rows):
         for column in range(columns):
             i, one = row * columns + column, labels[row, column]
@@ -227,6 +227,14 @@ def _merge(labels, owner, parts, borders, pair):
     planes[target, 0], planes[target, 1], planes[target, 2] = fit_plane(pixels[target])
 
 
+@kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, :, ::1], int64, int64)')
+def _gaps(planes, borders, i, j):
+    """Return plane i minus plane j, summed over the pairs along their border, in i and in j."""
+    a, b, c = planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1], planes[i, 2] - planes[j, 2]
+    return (a * borders[i, j, 1] + b * borders[i, j, 2] + c * borders[i, j, 0],
+            a * borders[j, i, 1] + b * borders[j, i, 2] + c * borders[j, i, 0])
+
+
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, :, ::1])', is_short=True)
 def _intersections(planes, borders):
     signs = np.zeros((len(planes), len(planes)), np.int8)
@@ -234,10 +242,7 @@ def _intersections(planes, borders):
         for j in range(i + 1, len(planes)):
             if borders[i, j, 0] == 0:
                 continue
-            a, b, c = (planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1],
-                       planes[i, 2] - planes[j, 2])
-            here = a * borders[i, j, 1] + b * borders[i, j, 2] + c * borders[i, j, 0]
-            there = a * borders[j, i, 1] + b * borders[j, i, 2] + c * borders[j, i, 0]
+            here, there = _gaps(planes, borders, i, j)
             if here * there < 0:
                 signs[i, j] = signs[j, i] = 1 if here > 0 else -1
     return signs
@@ -246,10 +251,8 @@ def _intersections(planes, borders):
 @kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
 def fold(planes, sums, borders, i, j):
     """Return the dihedral angle of two planes, degrees, and the gap at their border, in sigma."""
-    a, b, c = planes[i, 0] - planes[j, 0], planes[i, 1] - planes[j, 1], planes[i, 2] - planes[j, 2]
-    number = 2 * borders[i, j, 0]
-    gap = abs(c + (a * (borders[i, j, 1] + borders[j, i, 1])
-                   + b * (borders[i, j, 2] + borders[j, i, 2])) / number)
+    here, there = _gaps(planes, borders, i, j)
+    gap = abs(here + there) / (2 * borders[i, j, 0])
     variance = max(sums[i, 10] / max(sums[i, 0], 1.0), MIN_VARIANCE)
     scale = TYPICAL_FOCAL_SHARE**2
     dot = scale * (planes[i, 0] * planes[j, 0] + planes[i, 1] * planes[j, 1])

@@ -29,10 +29,10 @@ CELLS = 'UniTuple(float64[:, ::1], 2)'
 FREE = 'int32[::1]'
 
 
-@kernel(f'float64[:, ::1](int64[::1], {FREE}, int64, {CELLS}, Tuple((int64, float64)))')
-def draw_planes(left, free, stride, cells, draws):
+@kernel(f'float64[:, ::1](int64[::1], {FREE}, int64, {CELLS}, int64, float64)')
+def draw_planes(left, free, stride, cells, wanted, share):
     """Return the planes (h, 3) of windows that are flat, about some of the cells left."""
-    (table, moments), (wanted, share) = cells, draws
+    table, moments = cells
     planes, total, n = np.empty((wanted * len(WINDOWS_CELLS), 3)), np.empty(10), 0
     for window in range(len(WINDOWS_CELLS)):
         height, width = WINDOWS_CELLS[window, 0], WINDOWS_CELLS[window, 1]
@@ -71,9 +71,9 @@ def supported(planes, gain, least):
     return planes[:n], gain[:n]
 
 
-@kernel(f'void(float32[::1], float64[:, ::1], Tuple(({CELLS}, {FREE})), int64[::1], '
+@kernel(f'void(float32[::1], float64[:, ::1], {CELLS}, {FREE}, int64[::1], '
         'Tuple((int64, float64)))')
-def add_support(gain, planes, free, places, limits):
+def add_support(gain, planes, cells, free, places, limits):
     """
     Add the support of cells to gain (H,): pixels times 1 - (residual / threshold)**2 (MSAC).
 
@@ -85,12 +85,12 @@ def add_support(gain, planes, free, places, limits):
         work[0, h], work[1, h], work[2, h] = planes[h, 0], planes[h, 1], planes[h, 2]
         work[3, h] = gain[h]
     a, b, c, total = work[0], work[1], work[2], work[3]
-    ((table, moments), cell), (sign, threshold2) = free, limits
+    (table, moments), (sign, threshold2) = cells, limits
     zero, one, per = np.float32(0), np.float32(1), 1 / threshold2
     for p in places:
         if p & 1:
             continue
-        i = cell[p]
+        i = free[p]
         x, y, d = np.float32(table[i, 0]), np.float32(table[i, 1]), np.float32(table[i, 2])
         slope_x, slope_y = np.float32(table[i, 3]), np.float32(table[i, 4])
         w, s = np.float32(table[i, 5] * per), np.float32(table[i, 6] * per)

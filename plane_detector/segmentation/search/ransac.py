@@ -91,8 +91,8 @@ def find_planes(cells, grid, labels, near, counts, limits):
     left = np.flatnonzero(free >= 0)
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
-        hypotheses = draw_planes(left, free, stride, cells,
-                                 (min(wanted, len(left)), share + GOLDEN_RATIO * drawn))
+        hypotheses = draw_planes(left, free, stride, cells, min(wanted, len(left)),
+                                 share + GOLDEN_RATIO * drawn)
         before, all_drawn = taken, len(left) <= wanted
         new, left = _take_best(hypotheses, (left, free, cells, near), labels, planes[taken:],
                                (first + taken, min_pixels, threshold2))
@@ -118,7 +118,7 @@ def _take_best(hypotheses, search, labels, planes, limits):
     (left, free, cells, near), (first, min_pixels, threshold2) = search, limits
     gain, label = np.zeros(len(hypotheses), np.float32), labels.reshape(-1)
     taken = failures = 0
-    add_support(gain, hypotheses, (cells, free), left, (1, threshold2))
+    add_support(gain, hypotheses, cells, free, left, (1, threshold2))
     while taken < len(planes) and failures < MAX_TRIALS:
         hypotheses, gain = supported(hypotheses, gain, min_pixels / 2)
         if not len(gain):
@@ -130,7 +130,7 @@ def _take_best(hypotheses, search, labels, planes, limits):
             failures += 1
             continue
         if taken + 1 < len(planes):
-            add_support(gain, hypotheses, (cells, free), members, (-1, threshold2))
+            add_support(gain, hypotheses, cells, free, members, (-1, threshold2))
         for p in members:
             label[free[p]], free[p] = first + taken, -1
         n = 0
