@@ -77,13 +77,6 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage) -> np.ndarray:
     filled = cv2.dilate(np.maximum(markers, 0).astype(np.uint16), np.ones((3, 3), np.uint8))
     snapped = np.where(markers > 0, markers, filled).astype(np.int32) - 2
     snapped[~band | narrow | (snapped < -1)] = -2  # not moved
-    return _replaced(labels, snapped)
-
-
-def _replaced(labels: np.ndarray, snapped: np.ndarray) -> np.ndarray:
-    """Return labels (H, W) with those of a reduced image where that has moved them."""
-    # Nearest neighbour copies the elements, whatever their type.
-    large = cv2.resize(snapped.view(np.float32), None, fx=SCALE, fy=SCALE,
-                       interpolation=cv2.INTER_NEAREST).view(np.int32)
-    large = large[:labels.shape[0], :labels.shape[1]]
-    return np.where(large == -2, labels, large)
+    moved = snapped.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
+    moved = moved[:labels.shape[0], :labels.shape[1]]
+    return np.where(moved == -2, labels, moved)

@@ -17,6 +17,10 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.config import DbscanConfig
 
+# Type of kernels' arguments: steps to the neighbours in a flat grid, and how many of them, itself
+# included, a core cell has.
+NEAR = 'Tuple((int64[::1], int64))'
+
 
 def with_margin(grid: np.ndarray, margin: int) -> np.ndarray:
     """Return a grid (R, C) with a margin of -1; its rows have an odd length."""
@@ -58,57 +62,45 @@ def label_clusters(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray
     """
     (rows, columns), margin = labels.shape, int(dbscan.eps)
     wide = with_margin(labels.astype(np.int16), margin)
-    clusters, count = _cluster(wide.reshape(-1), neighbour_steps(dbscan.eps, wide.shape[1]),
-                               dbscan.min_samples)
+    near = neighbour_steps(dbscan.eps, wide.shape[1]), dbscan.min_samples
+    clusters, count = _cluster(wide.reshape(-1), near)
     clusters = clusters.reshape(wide.shape)[margin:margin + rows, margin:margin + columns]
     return np.ascontiguousarray(clusters), count
 
 
-@kernel('Tuple((int32[::1], int64))(int16[::1], int64[::1], int64)', is_short=True)
-def _cluster(labels, steps, min_samples):
-    """Return the cluster of each place, and their number; clustered places lose their label."""
+@kernel(f'Tuple((int32[::1], int64))(int16[::1], {NEAR})', is_short=True)
+def _cluster(labels, near):
+    """Return the cluster of each place, and their number."""
     clusters, queue, count = np.full(len(labels), np.int32(-1)), np.empty(len(labels), np.int64), 0
-    is_core = _core_places(labels, steps, min_samples)
+    is_taken = np.zeros(len(labels), np.bool_)
     for start in range(len(labels)):
-        if is_core[start] and labels[start] >= 0:
-            for k in range(grow_cluster(queue, 0, start, (labels, is_core), steps)):
+        if labels[start] >= 0 and not is_taken[start]:
+            end = grow_cluster(queue, 0, start, (labels, is_taken), near)
+            for k in range(end):
                 clusters[queue[k]] = count
-            count += 1
+            count += end > 0
     return clusters, count
 
 
-@kernel('boolean[::1](int16[::1], int64[::1], int64)')
-def _core_places(labels, steps, min_samples):
-    """Return the places of cores: labelled, with enough neighbours of their label."""
-    reach, is_core = steps[-1], np.zeros(len(labels), np.bool_)
-    count, least = len(labels) - 2 * reach, np.int16(min_samples)
-    here, found = labels[reach:reach + count], is_core[reach:reach + count]
-    samples = np.zeros(count, np.int16)
-    for j in range(len(steps)):  # step by step, so that the loop over places is vectorised
-        there = labels[reach + steps[j]:reach + steps[j] + count]
-        for k in range(count):
-            samples[k] += np.int16(here[k] == there[k])
-    for k in range(count):
-        found[k] = (here[k] >= 0) & (samples[k] >= least)
-    return is_core
-
-
-@kernel('int64(int64[::1], int64, int64, Tuple((int16[::1], boolean[::1])), int64[::1])')
-def grow_cluster(queue, end, start, grids, steps):
+@kernel(f'int64(int64[::1], int64, int64, Tuple((int16[::1], boolean[::1])), {NEAR})')
+def grow_cluster(queue, end, start, grids, near):
     """
     Append the density cluster of a core to a queue of places; return where the queue ends.
 
-    Its cells lose their label, since a cell is in one cluster.
+    Its cells are marked as taken, since a cell is in one cluster. If the start is no core, nothing
+    is appended.
     """
-    (labels, is_core), head, here = grids, end, start
+    (labels, is_taken), (steps, min_samples), head, here = grids, near, end, start
     label = labels[start]
     while True:
-        if is_core[here]:
-            for k in range(len(steps)):  # twice as fast as a loop over the array
-                p = np.uint64(here + steps[k])  # unsigned: no wrap-around check
-                if labels[p] == label:
-                    queue[end], labels[p] = p, -1
-                    end += 1
+        samples = 0
+        for k in range(len(steps)):  # twice as fast as a loop over the array
+            samples += labels[np.uint64(here + steps[k])] == label  # unsigned: no wrap-around
+        for k in range(len(steps) if samples >= min_samples else 0):
+            p = np.uint64(here + steps[k])
+            if labels[p] == label and not is_taken[p]:
+                queue[end], is_taken[p] = p, True
+                end += 1
         if head == end:
             return end
         here, head = queue[head], head + 1

@@ -21,6 +21,7 @@ from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
+    NEAR,
     cell_places,
     grow_cluster,
     neighbour_steps,
@@ -48,9 +49,6 @@ MAX_TRIALS = 4
 # A plane has settled when its cells change by no more than this share.
 # tuned: as above; flat from 0.02 to 0.043, where 1 % of the pixels of real frames lose a label.
 SETTLED_SHARE = 0.03
-# Types of kernels' arguments. Steps to the neighbours in a flat grid, and how many of them a core
-# cell has.
-NEAR = 'Tuple((int64[::1], int64))'
 
 
 def no_planes(grid: CellGrid) -> PlaneRegions:
@@ -153,7 +151,7 @@ def _refine(plane, search, threshold2):
         changes = _find_inliers(inliers, left, plane, free, table, threshold2)
         if changes == 0 and trial > 0:  # the same cluster
             break
-        grown, kept = _cluster_about(members, inliers.copy(), _cores(inliers, left, near), near[0])
+        grown, kept = _cluster_about(members, inliers, near)
         if len(grown) + len(members) - 2 * kept <= SETTLED_SHARE * len(grown):
             break
         for j in range(10):
@@ -180,31 +178,19 @@ def _find_inliers(inliers, left, plane, free, table, threshold2):
     return changes
 
 
-@kernel(f'boolean[::1](int16[::1], int64[::1], {NEAR})')
-def _cores(inliers, left, near):
-    """Return the places of inliers with enough inliers around; one by one, since most are few."""
-    (steps, min_samples), is_core = near, np.zeros(len(inliers), np.bool_)
-    for k in range(len(left)):
-        p, samples = np.uint64(left[k]), 0
-        if inliers[p] == 0:
-            for j in range(len(steps)):
-                samples += inliers[np.uint64(left[k] + steps[j])] + 1
-            is_core[p] = samples >= min_samples
-    return is_core
-
-
-@kernel('Tuple((int64[::1], int64))(int64[::1], int16[::1], boolean[::1], int64[::1])')
-def _cluster_about(members, inliers, is_core, steps):
+@kernel(f'Tuple((int64[::1], int64))(int64[::1], int16[::1], {NEAR})')
+def _cluster_about(members, inliers, near):
     """Return the density cluster of inliers that holds most members, and how many it holds."""
     end = most = first = last = 0
-    is_member, queue = np.zeros(len(inliers), np.bool_), np.empty(len(inliers), np.int64)
+    is_member, is_taken = np.zeros(len(inliers), np.bool_), np.zeros(len(inliers), np.bool_)
+    queue = np.empty(len(inliers), np.int64)
     for k in range(len(members)):
         is_member[members[k]] = True
     for p in members:
-        if inliers[p] < 0 or not is_core[p]:
+        if inliers[p] < 0 or is_taken[p]:
             continue
         begin, held = end, 0
-        end = grow_cluster(queue, begin, p, (inliers, is_core), steps)
+        end = grow_cluster(queue, begin, p, (inliers, is_taken), near)
         for k in range(begin, end):
             held += is_member[queue[k]]
         if held > most:
