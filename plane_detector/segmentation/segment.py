@@ -25,6 +25,7 @@ from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.labelling import label_pixels
+from plane_detector.segmentation.regions.correlated_errors import reassign_cells
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.icm import compete_for_cells
@@ -32,6 +33,7 @@ from plane_detector.segmentation.regions.merging import (
     join_nearly_flat,
     merge_bowed_walls,
     merge_coplanar,
+    merge_touching,
 )
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
@@ -138,10 +140,12 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells = frame.cells
     correlation = Correlation.of(cells, regions, frame.noise)
-    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
+    graph = merge_touching(cells, RegionGraph.of(cells, regions), correlation)
     # Only if creases do not stand far above the noise it can hide steps.
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
-        graph = split_at_depth_steps(frame, graph, correlation)
+        regions = split_at_depth_steps(frame, graph.regions(), correlation)
+        graph = RegionGraph.of(cells, reassign_cells(frame, regions, correlation))
+    graph = merge_coplanar(cells, graph, correlation)
     density = correlation.density(frame.grid.shape) if correlation else np.inf
     return _label_flat_ones(frame, graph, correlation, density,
                             frame.config.segmentation.flatness_angle)

@@ -16,10 +16,9 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.model import fit_regions
+from plane_detector.segmentation.cells.model import PlaneRegions, fit_regions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.model_selection import REACH_CELLS, prefer_two_planes
-from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 
 # Blocks of pixels along the side of a cell; the compared means are half a cell wide,
@@ -38,19 +37,19 @@ MIN_OFFSET_DEVIATIONS = 0.5
 SAMPLE = np.s_[::BLOCKS + 1, ::BLOCKS + 1]
 
 
-def split_at_depth_steps(frame: Frame, graph: RegionGraph,
-                         correlation: Correlation | None) -> RegionGraph:
+def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
+                         correlation: Correlation | None) -> PlaneRegions:
     """
     Split regions along depth steps; without a correlation of the noise, nothing is split.
 
     The pieces follow the other regions, each with its own plane.
     """
-    image, cells, regions = frame.image, frame.cells, graph.regions()
+    image, cells = frame.image, frame.cells
     grid = cells.grid
     if correlation is None or grid.size_px < BLOCKS:
-        return graph
-    residual, owner = _block_residuals(image.values, image.valid, graph.labels,
-                                       grid.planes_in_pixels(graph.planes), grid.size_px)
+        return regions
+    residual, owner = _block_residuals(image.values, image.valid, regions.labels,
+                                       grid.planes_in_pixels(regions.coefficients), grid.size_px)
     count, pieces = cv2.connectedComponents(_off_steps(residual, owner), connectivity=4,
                                             ltype=cv2.CV_16U)
     label, blocks, mean = _describe(pieces, owner, residual, count)
@@ -63,7 +62,7 @@ def split_at_depth_steps(frame: Frame, graph: RegionGraph,
             labels = _with_piece(regions.labels, pieces, k + 1, label[k], new)
             if prefer_two_planes(cells, labels, correlation, label[k], new):
                 regions = fit_regions(cells, labels, new + 1)
-    return RegionGraph.of(cells, regions) if regions.labels is not graph.labels else graph
+    return regions
 
 
 @kernel('Tuple((float32[:, ::1], int32[:, ::1]))(float32[:, ::1], boolean[:, ::1], '

@@ -27,7 +27,6 @@ from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions import depth_steps
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
-from plane_detector.segmentation.regions.region_graph import RegionGraph
 
 SIGMA = 0.01
 STEP = 0.003
@@ -61,8 +60,8 @@ def split(depth_m, noise=None):
     noise = noise or estimate_noise(build_cell_grid(image), EXACT)
     model = cell_model(depth_m, noise)
     regions = one_patch(model)
-    return split_at_depth_steps(frame_of(image, model, noise), RegionGraph.of(model, regions),
-                                Correlation.of(model, regions, noise)).regions()
+    return split_at_depth_steps(frame_of(image, model, noise), regions,
+                                Correlation.of(model, regions, noise))
 
 
 @pytest.mark.parametrize(('frame', 'gap_m', 'least'), [
@@ -140,6 +139,6 @@ def test_nothing_to_split_is_returned_as_it_is():
     model = cell_model(depth_m)
     none = one_patch(model)
     none = type(none)(np.full(model.grid.shape, -1, np.int32), none.coefficients[:0])
-    frame, graph = frame_of(disparity_image(depth_m), model), RegionGraph.of(model, none)
-    assert split_at_depth_steps(frame, graph, None) is graph
-    assert split_at_depth_steps(frame, graph, Correlation(1.0, 0.1, 0.1, 1.0)) is graph
+    frame = frame_of(disparity_image(depth_m), model)
+    assert split_at_depth_steps(frame, none, None) is none
+    assert split_at_depth_steps(frame, none, Correlation(1.0, 0.1, 0.1, 1.0)) is none
