@@ -115,9 +115,10 @@ def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
                    correlation: Correlation | None) -> RegionGraph:
     """Merge adjacent regions on one plane, then those that something nearer separates."""
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
-        return bool(graph.borders[i, j, 0] == 0 and not _is_hidden_between(
-            graph.labels, cells.table, cells.is_planar, graph.sums, (i, j))) or prefer_two_planes(
-                cells, graph.labels, correlation, i, j)
+        if graph.borders[i, j, 0] == 0 and not _is_hidden_between(
+                graph.labels, cells.table, cells.is_planar, graph.sums, (i, j)):
+            return True
+        return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
     graph = merge_touching(cells, graph, correlation)
     test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=0)
