@@ -101,6 +101,11 @@ def kernel(signature: str, is_short: bool = False) -> Callable[[Callable], Kerne
     return lambda function: Kernel(function, signature, is_short)
 
 
+def are_ready(subject: str) -> bool:
+    """Return whether the machine code of all imported kernels of a folder is loaded."""
+    return all(one.is_ready for one in _KERNELS if one.subject == subject)
+
+
 def compile_kernels(subjects: Iterable[str],
                     on_compiling: Callable[[], None] = lambda: None) -> None:
     """

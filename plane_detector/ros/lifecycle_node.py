@@ -197,6 +197,8 @@ class PlaneDetectorNode(ReloadableNode):
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
         facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.facts}
+        if self._live.late_kernels.is_loading:
+            facts['shapes'] = 'their loops are being compiled'
         if self._processor is not None:
             detector = self._processor.detector
             facts.update(detector.source.facts)

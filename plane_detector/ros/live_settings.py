@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
 from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.kernels import LateKernels
 
 
 class LiveSettings:
@@ -32,6 +33,8 @@ class LiveSettings:
     ----------
     config : Config
     settings : NodeConfig
+    late_kernels : LateKernels
+        Holds settings back until their machine code is loaded.
 
     Raises
     ------
@@ -44,6 +47,7 @@ class LiveSettings:
         self._is_active, self._on_change = is_active, on_change
         self.config = parameters.declare(node, Config())
         self.settings = parameters.declare(node, NodeConfig())
+        self.late_kernels = LateKernels(node.get_logger().info)
         parameters.warn_of_unknown(node)
         node.add_pre_set_parameters_callback(self._with_floats)
         node.add_on_set_parameters_callback(self._check)
@@ -52,7 +56,8 @@ class LiveSettings:
     def apply_to(self, processor: FrameProcessor) -> None:
         """Apply the settings to a processor, except those that are read at configure."""
         processor.settings = parameters.with_live(processor.settings, self.settings)
-        config = parameters.with_live(processor.detector.config, self.config)
+        config = self.late_kernels.usable(
+            parameters.with_live(processor.detector.config, self.config))
         if processor.detector.config != config:
             processor.detector.config = config
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.shapes.detection import find_shapes
@@ -41,7 +42,6 @@ class ShapeDetector:
         intrinsics : CameraIntrinsics
         config : Config
             Its ``shapes``, ``tracking`` and the seed of ``ransac``.
-
         in_metres : bool
             Whether depth is in metres; otherwise no shapes are searched for.
 
@@ -57,6 +57,7 @@ class ShapeDetector:
         """
         if not (config.shapes.wanted and in_metres):
             return planes, (), ()
+        load_once('shapes')
         planes, shapes = find_shapes(depth_m, planes, regions, intrinsics, config.shapes,
                                      np.random.default_rng(config.ransac.seed))
         if not config.tracking.enabled:
