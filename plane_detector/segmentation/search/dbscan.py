@@ -23,8 +23,9 @@ NEAR = 'Tuple((int64[::1], int64))'
 
 
 def with_margin(grid: np.ndarray, margin: int) -> np.ndarray:
-    """Return a grid (R, C) with a margin of -1; its rows have an odd length."""
+    """Return a grid (R, C) with a margin of -1."""
     rows, columns = grid.shape
+    # Rows of odd length: in the flat grid, places of one parity are a checkerboard.
     wide = np.full((rows + 2 * margin, (columns + 2 * margin) | 1), -1, grid.dtype)
     wide[margin:margin + rows, margin:margin + columns] = grid
     return wide
