@@ -91,9 +91,9 @@ class CellGrid:
 
     def planes_in_pixels(self, planes: np.ndarray) -> np.ndarray:
         """Return a, b, c (K, 3) of d = a u + b v + c in columns and rows of the image."""
-        a, b, c = planes.T
-        return np.column_stack([a / self.width_px, b / self.width_px,
-                                c + a * self.origin[0] + b * self.origin[1]])
+        pixel = 1 / self.width_px
+        return planes @ np.array([[pixel, 0, self.origin[0]], [0, pixel, self.origin[1]],
+                                  [0, 0, 1]])
 
 
 def cell_size(shape: tuple[int, int]) -> int:

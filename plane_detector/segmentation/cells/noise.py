@@ -86,8 +86,10 @@ class Noise:
 
     def with_smooth_part(self, mean_sigma: float, slope_sigma: float) -> Noise:
         """Return the noise with these deviations, bounded below by those of the source."""
-        return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
-                       slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
+        return Noise(self.depth_floor_m, self.disparity_floor, self.source_sigma,
+                     max(float(mean_sigma), self.source_sigma),
+                     max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma),
+                     self.pixel_sigma)
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
@@ -190,13 +192,13 @@ def _differences(mean, slope, usable, columns, lag):
     for row in range(rows):
         for column in range(columns):
             for step, left in ((lag, columns - column), (lag * columns, rows - row)):
-                j, k = i + step, i + 2 * step
+                j, k = np.uint64(i + step), np.uint64(i + 2 * step)  # no wrap-around check
                 if left > lag and usable[i] and usable[j]:
                     bends[bent] = (slope[j, 0] - slope[i, 0])**2 + (slope[j, 1] - slope[i, 1])**2
                     bent += 1
-                if left > 2 * lag and usable[i] and usable[j] and usable[k]:
-                    curvatures[curved] = abs(mean[i, 2] - 2 * mean[j, 2] + mean[k, 2])
-                    curved += 1
+                    if left > 2 * lag and usable[k]:
+                        curvatures[curved] = abs(mean[i, 2] - 2 * mean[j, 2] + mean[k, 2])
+                        curved += 1
             i += 1
     return curvatures[:curved], bends[:bent]
 

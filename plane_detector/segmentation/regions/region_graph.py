@@ -120,7 +120,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     """
     count = len(graph.planes)
     cost = misfit(graph)
-    if not (cost <= 1).any():
+    if cost.min(initial=np.inf) > 1:
         return graph
     graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
     refused: set[tuple[int, int]] = set()

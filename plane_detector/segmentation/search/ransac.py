@@ -83,10 +83,14 @@ def find_planes(cells, grid, labels, near, counts, limits):
     (first, most, wanted, max_drawn), (min_pixels, threshold2, share) = counts, limits
     (places, is_planar), label = grid, labels.reshape(-1)
     stride, free = places.shape[1], places.copy().reshape(-1)
+    left, n = np.empty(len(label), np.int64), 0
     for p in range(len(free)):
         if free[p] >= 0 and (label[free[p]] >= 0 or not is_planar[free[p]]):
             free[p] = -1
-    left = np.flatnonzero(free >= 0)
+        if free[p] >= 0:
+            left[n] = p
+            n += 1
+    left = left[:n].copy()
     planes, taken, drawn = np.empty((most - first, 3)), 0, 0
     while taken < len(planes) and drawn < max_drawn and _pixels(left, free, cells) >= min_pixels:
         hypotheses = draw_planes(left, free, stride, cells, min(wanted, len(left)),
