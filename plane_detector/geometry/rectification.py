@@ -31,11 +31,21 @@ class Rectification:
         Depth along the rectified optical axis divided by the depth along the original one; 1 if
         the camera is not rotated.
 
+    Raises
+    ------
+    ValueError
+        No pixel of the rectified image comes from the original one.
+
     """
 
     map_x: np.ndarray
     map_y: np.ndarray
     depth_factor: np.ndarray
+
+    def __post_init__(self) -> None:
+        if not self.inside().any():  # also if a number of the calibration is not finite
+            raise ValueError('the rectified image would be empty: K, D, R and P of the CameraInfo '
+                             'do not fit together')
 
     def image(self, rgb: np.ndarray) -> np.ndarray:
         """Rectify an image (H, W, 3) uint8; black outside of the original."""
@@ -87,7 +97,7 @@ def make_rectification(model: str, distortion: np.ndarray, camera_matrix: np.nda
     Raises
     ------
     ValueError
-        The model is not known, or the number of its coefficients is wrong.
+        The model is not known, the number of its coefficients is wrong, or nothing is left.
 
     """
     if model not in _COEFFICIENTS:

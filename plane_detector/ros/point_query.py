@@ -109,13 +109,15 @@ def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
         The point is not in the image, or no plane is near it.
 
     """
-    x, y, z = point_m
+    x, y, z = point_m.tolist()
     camera, labels = result.intrinsics, result.detection.labels
     if z <= 0:
         raise ValueError('it is behind the camera')
-    column, row = round(camera.fx * x / z + camera.cx), round(camera.fy * y / z + camera.cy)
-    if not (0 <= column < camera.width and 0 <= row < camera.height):
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    # Before rounding, because what is not finite cannot be rounded.
+    if not (-0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5):
         raise ValueError('it is not in the image')
+    column, row = round(u), round(v)
     top, left = max(row - REACH_PX, 0), max(column - REACH_PX, 0)
     near = labels[top:row + REACH_PX + 1, left:column + REACH_PX + 1]
     rows, columns = np.nonzero((near >= 0) & (near < len(result.detection.planes)))

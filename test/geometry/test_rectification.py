@@ -90,6 +90,15 @@ def test_unknown_models_are_refused(model, d, reason):
         make_rectification(model, d, MATRIX, np.eye(3), NEW_MATRIX, SIZE)
 
 
+@pytest.mark.parametrize('d, rotation', [
+    (np.full(5, np.nan), np.eye(3)), (np.zeros(5), np.diag([np.nan, 1.0, 1.0])),
+    (np.zeros(5), np.linalg.matrix_power(TURN, 12))])
+def test_a_calibration_that_leaves_nothing_of_the_image_is_refused(d, rotation):
+    """Else every frame has no depth and no planes, and nothing says why."""
+    with pytest.raises(ValueError, match='would be empty'):
+        make_rectification('plumb_bob', d, MATRIX, rotation, NEW_MATRIX, SIZE)
+
+
 def test_an_image_of_another_size_is_refused():
     maps = make_rectification('plumb_bob', np.zeros(5), MATRIX, np.eye(3), NEW_MATRIX, SIZE)
     with pytest.raises(ValueError, match='100 x 50'):

@@ -48,6 +48,8 @@ def test_the_pixel_that_shows_the_point_or_the_nearest(labels):
 
 @pytest.mark.parametrize('point_m, reason', [
     ((0.0, 0.0, -2.0), 'behind the camera'), ((9.0, 0.0, 2.0), 'not in the image'),
+    ((np.inf, 0.0, 2.0), 'not in the image'), ((np.nan, 0.0, 2.0), 'not in the image'),
+    ((1.0, 0.0, 1e-320), 'not in the image'),
     ((0.0, -0.6, 2.0), 'there is no plane')])
 def test_a_click_without_a_plane_is_reported(labels, point_m, reason):
     with pytest.raises(ValueError, match=reason):

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import TransformStamped
 
 from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
@@ -63,12 +64,21 @@ class TransformBuffer:
         self._edges: dict[str, _Edge] = {}
 
     def add(self, msg: Any, is_static: bool = False) -> None:
-        """Add a geometry_msgs/TransformStamped; static ones hold at any time."""
+        """
+        Add a geometry_msgs/TransformStamped; static ones hold at any time.
+
+        Raises
+        ------
+        ValueError
+            Its quaternion is zero, or a number is not finite.
+
+        """
+        transform = transform_from_msg(msg)
         edge = self._edges.get(msg.child_frame_id)
         if edge is None or edge.parent != msg.header.frame_id:
             edge = self._edges[msg.child_frame_id] = _Edge(msg.header.frame_id, is_static)
         stamp = msg.header.stamp
-        edge.add(stamp.sec * 1_000_000_000 + stamp.nanosec, transform_from_msg(msg))
+        edge.add(stamp.sec * 1_000_000_000 + stamp.nanosec, transform)
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Any,
                          timeout: Any = None) -> TransformStamped:
@@ -108,10 +118,22 @@ class TransformBuffer:
 
 
 def transform_from_msg(msg: Any) -> RigidTransform:
-    """Return the transform of a geometry_msgs/TransformStamped, from child to parent frame."""
+    """
+    Return the transform of a geometry_msgs/TransformStamped, from child to parent frame.
+
+    Raises
+    ------
+    ValueError
+        Its quaternion is zero, or a number is not finite.
+
+    """
     rotation, translation = msg.transform.rotation, msg.transform.translation
-    return RigidTransform.from_quaternion((rotation.x, rotation.y, rotation.z, rotation.w),
-                                          (translation.x, translation.y, translation.z))
+    quaternion = rotation.x, rotation.y, rotation.z, rotation.w
+    translation_m = translation.x, translation.y, translation.z
+    if not np.isfinite([*quaternion, *translation_m]).all():
+        raise ValueError(f'the transform from {msg.child_frame_id} to {msg.header.frame_id} has '
+                         'numbers that are not finite')
+    return RigidTransform.from_quaternion(quaternion, translation_m)
 
 
 def _to_msg(target_frame: str, source_frame: str, time: Any,

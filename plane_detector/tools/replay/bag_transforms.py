@@ -18,6 +18,7 @@ def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | N
     Return all transforms of a bag; None if the settings name no frame.
 
     All are read before the first image, because they may be recorded after the image they precede.
+    Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``.
 
     Raises
     ------
@@ -34,6 +35,14 @@ def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | N
     buffer = TransformBuffer()
     for recorded in bag.read(topics):
         is_static = recorded.topic.rpartition('/')[2] == _STATIC_NAME
-        for transform in bag.plain(recorded).transforms:
-            buffer.add(transform, is_static)
+        try:
+            transforms = bag.plain(recorded).transforms
+        except Exception:  # damaged bytes may cause any exception in a parser
+            bag.damaged += 1
+            continue
+        for transform in transforms:
+            try:
+                buffer.add(transform, is_static)
+            except ValueError:  # recorders keep them, tf2 ignores them
+                bag.damaged += 1
     return FrameTransforms(buffer)

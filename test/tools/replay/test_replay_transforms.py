@@ -36,6 +36,11 @@ def tf_message(gravity_camera, stamp_ns):
 @pytest.fixture
 def bag_with_tf(tmp_path, scenes):
     """Return a bag whose first scene is seen from a camera that /tf_static places."""
+    return write_bag_with_tf(tmp_path, scenes)
+
+
+def write_bag_with_tf(tmp_path, scenes, broken=()):
+    """Write that bag, with further messages on /tf_static after the good one."""
     source = write_bag(tmp_path / 'plain', camera_messages(scenes[:1]))
     floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
     target = tmp_path / 'walk'
@@ -43,6 +48,8 @@ def bag_with_tf(tmp_path, scenes):
         tf = writer.add_connection('/tf_static', 'tf2_msgs/msg/TFMessage', typestore=STORE)
         msg = tf_message(-scenes[0].planes[floor, :3], time_ns(0))
         writer.write(tf, time_ns(0), STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage'))
+        for data in broken:
+            writer.write(tf, time_ns(0), data)
         connections = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=STORE)
                        for c in reader.connections}
         for connection, when, data in reader.messages():
@@ -57,6 +64,23 @@ def test_base_frame_tells_the_floor(bag_with_tf, replay):
     (floor,) = table[table['class'] == PlaneClass.FLOOR]
     assert floor['d'] == pytest.approx(HEIGHT_M, abs=0.02)
     assert len(messages_of(target, '/plane_detector/points_without_floor', PointCloud2)) == 1
+
+
+def test_broken_transforms_are_skipped_and_counted(tmp_path, scenes, replay):
+    """A frame that nobody needs, with a quaternion of zeros or NaN, does not end the replay."""
+    broken = [b'\0\1\0\0\7']
+    for name, value in (('w', 0.0), ('x', np.nan)):
+        msg = tf_message(np.array([0.0, 1.0, 0.0]), time_ns(0))
+        msg.transforms[0].child_frame_id = 'gripper'
+        rotation = msg.transforms[0].transform.rotation
+        rotation.x = rotation.w = 0.0
+        setattr(rotation, name, value)
+        broken.append(bytes(STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage')))
+    code, target, text = replay(write_bag_with_tf(tmp_path, scenes, broken), '-p',
+                                'base_frame:=base_link')
+    assert code == 3, text
+    assert '3 damaged messages were skipped' in text
+    assert PlaneClass.FLOOR in cloud_array(planes_of(target)[0])[0]['class']
 
 
 def test_target_frame_is_that_of_the_outputs(bag_with_tf, replay):
