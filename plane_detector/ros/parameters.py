@@ -51,11 +51,17 @@ def warn_of_unknown(node: Node) -> None:
     given = node._parameter_overrides  # rclpy has no public name for these
     unknown = sorted(name for name in given
                      if name not in declared and not name.startswith('qos_overrides.'))
-    told = [name + ''.join(f' (meant: {near}?)' for near in get_close_matches(name, declared, 1))
-            for name in unknown]
-    if told:
-        node.get_logger().warning(
-            f'ignored, because no parameter has this name: {", ".join(told)}')
+    if unknown:
+        node.get_logger().warning('ignored, because no parameter has this name: '
+                                  f'{with_nearest(unknown, declared)}')
+
+
+def with_nearest(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """Return the unknown names in a list, each with the most similar known one, if there is."""
+    known = sorted(known)
+    return ', '.join(
+        name + ''.join(f' (meant: {near}?)' for near in get_close_matches(name, known, 1))
+        for name in unknown)
 
 
 def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettings:

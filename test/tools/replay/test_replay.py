@@ -213,7 +213,7 @@ def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
 
 
 @pytest.mark.parametrize('options, told', [
-    (('-p', 'segmentation.max_plane:=1'), 'unknown parameter segmentation.max_plane'),
+    (('-p', 'segmentation.max_plane:=1'), 'max_plane (meant: segmentation.max_planes?)'),
     (('-p', 'segmentation.max_planes:=0'), 'max_planes must be in'),
     (('-p', 'segmentation.max_planes=1'), 'NAME:=VALUE'),
     (('--params-file', 'nowhere.yaml'), 'nowhere.yaml')])
