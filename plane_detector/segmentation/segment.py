@@ -18,7 +18,7 @@ from plane_detector.memory import retain_freed_memory
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions
-from plane_detector.segmentation.cells.noise import Noise, with_quantisation
+from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
@@ -33,7 +33,6 @@ from plane_detector.segmentation.regions.merging import (
     join_nearly_flat,
     merge_bowed_walls,
     merge_coplanar,
-    merge_touching,
 )
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
@@ -122,16 +121,13 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
 
 
 def _label(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes by the stages for the kind of depth errors."""
-    if frame.noise.source_sigma > 0:
-        return _network(frame, regions)
-    if frame.noise.is_exact(frame.grid.typical_disparity):
-        return _exact(frame, regions)
-    return _measured(frame, regions)
+    """Return pixel labels and planes by the stages for the kind of depth."""
+    stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
+    return stages[frame.kind](frame, regions)
 
 
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """Return pixel labels and planes of exact depth: its errors are below the noise floor."""
+    """Return pixel labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
     return _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
 
@@ -140,23 +136,18 @@ def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarr
     """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells = frame.cells
     correlation = Correlation.of(cells, regions, frame.noise)
-    graph = merge_touching(cells, RegionGraph.of(cells, regions), correlation)
     # Only if creases do not stand far above the noise it can hide steps.
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
-        regions = split_at_depth_steps(frame, graph.regions(), correlation)
-        graph = RegionGraph.of(cells, reassign_cells(frame, regions, correlation))
-    graph = merge_coplanar(cells, graph, correlation)
+        regions = split_at_depth_steps(frame, regions, correlation)
+        regions = reassign_cells(frame, regions, correlation)
+    graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
     density = correlation.density(frame.grid.shape) if correlation else np.inf
     return _label_flat_ones(frame, graph, correlation, density,
                             frame.config.segmentation.flatness_angle)
 
 
 def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return pixel labels and planes of depth with a noise level specified for its source.
-
-    The errors of networks and of quantised disparity contain bends and steps.
-    """
+    """Return pixel labels and planes of network depth, whose errors contain bends and steps."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
     graph = merge_bowed_walls(graph)
     return label_pixels(frame, graph), graph.planes

@@ -13,6 +13,7 @@ edges). One estimator serves depth of any noise level, exact or not.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from enum import Enum
 from statistics import NormalDist
 
 import numpy as np
@@ -44,6 +45,20 @@ SLOPE_PER_NOISE = 8.0
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat from 0.7
 # to 1.4 times, -0.028 at 0.
 GRAIN_PER_NOISE = 0.25
+
+
+class DepthKind(Enum):
+    """
+    Kind of the depth errors; it decides which stages of the segmentation run.
+
+    EXACT: the errors are below the noise floor. MEASURED: pixel noise and smooth noise, as of a
+    sensor. NETWORK: the noise level is specified for the source, and the errors contain bends and
+    steps, as those of networks and of quantised disparity do.
+    """
+
+    EXACT = 'exact'
+    MEASURED = 'measured'
+    NETWORK = 'network'
 
 
 @dataclass(frozen=True)
@@ -83,6 +98,12 @@ class Noise:
     def is_exact(self, disparity: float) -> bool:
         """Return whether the smooth noise is below the floor at this disparity."""
         return self.mean_sigma**2 < self.variance_floor(disparity)
+
+    def kind(self, disparity: float) -> DepthKind:
+        """Return the kind of depth at this disparity."""
+        if self.source_sigma > 0:
+            return DepthKind.NETWORK
+        return DepthKind.EXACT if self.is_exact(disparity) else DepthKind.MEASURED
 
     def with_smooth_part(self, mean_sigma: float, slope_sigma: float) -> Noise:
         """Return the noise with these deviations, bounded below by those of the source."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.regions.icm import at_borders
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
@@ -55,8 +56,8 @@ def label_pixels(frame: Frame, graph: RegionGraph,
     variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
     tolerance = frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2
     disparity = image.values
-    # The mean of neighbouring pixels of a network has the same error as each.
-    if noise.source_sigma == 0 and not noise.is_exact(grid.typical_disparity):
+    # In other depth neighbouring pixels share their error, and small planes gain nothing.
+    if others is None and frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
     _label((found, first), (disparity, image.valid, grid.size_px), graph.labels,
            (grid.planes_in_pixels(graph.planes), graph.intersections()), tolerance, sweeps)
@@ -113,20 +114,19 @@ def _open_around(is_open, labels, row, column):
 
 @kernel('float32[:, ::1](float32[:, ::1], boolean[:, ::1], float32)')
 def _smooth(disparity, valid, limit):
-    """Return the mean of the 3 x 3 pixels around each where it is near the pixel itself."""
-    (height, width), smooth = disparity.shape, np.empty_like(disparity)
-    total, count = np.zeros(width + 2, np.float32), np.zeros(width + 2, np.float32)
-    for v in range(height):
-        up, down, here, out = max(v - 1, 0), min(v + 1, height - 1), disparity[v], smooth[v]
-        above, below, one, two, three = (disparity[up], disparity[down], valid[up], valid[v],
-                                         valid[down])
+    """Return the mean of the 3 x 3 pixels around each where all are valid and it is near."""
+    (height, width), smooth = disparity.shape, disparity.copy()
+    total, is_whole = np.empty(width, np.float32), np.empty(width, np.bool_)
+    for v in range(1, height - 1):
+        above, here, below, out = disparity[v - 1], disparity[v], disparity[v + 1], smooth[v]
+        one, two, three = valid[v - 1], valid[v], valid[v + 1]
         for u in range(width):
-            total[u + 1] = above[u] + here[u] + below[u]  # 0 where invalid
-            count[u + 1] = np.float32(one[u]) + np.float32(two[u]) + np.float32(three[u])
-        for u in range(width):
-            mean = (total[u] + total[u + 1] + total[u + 2]) / max(
-                count[u] + count[u + 1] + count[u + 2], np.float32(1))
-            out[u] = mean if abs(mean - here[u]) <= limit else here[u]
+            total[u] = above[u] + here[u] + below[u]
+            is_whole[u] = one[u] & two[u] & three[u]
+        for u in range(1, width - 1):
+            mean = (total[u - 1] + total[u] + total[u + 1]) * np.float32(1 / 9)
+            is_near = (abs(mean - here[u]) <= limit) & is_whole[u - 1] & is_whole[u]
+            out[u] = mean if is_near & is_whole[u + 1] else here[u]
     return smooth
 
 

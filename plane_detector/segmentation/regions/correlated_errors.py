@@ -91,11 +91,12 @@ def _pieces(labels):
         while head < end:
             row, column = queue[head] // columns, queue[head] % columns
             head += 1
-            for r in range(max(row - 1, 0), min(row + 2, rows)):
-                for c in range(max(column - 1, 0), min(column + 2, columns)):
-                    if piece[r, c] < 0 and labels[r, c] == labels[row, column]:
-                        piece[r, c], queue[end] = count, r * columns + c
-                        end += 1
+            for r, c in ((row - 1, column), (row, column - 1), (row, column + 1),
+                         (row + 1, column)):
+                if (0 <= r < rows and 0 <= c < columns and piece[r, c] < 0
+                        and labels[r, c] == labels[row, column]):
+                    piece[r, c], queue[end] = count, r * columns + c
+                    end += 1
         count += 1
         starts[count] = end
     return piece, queue, starts[:count + 1]

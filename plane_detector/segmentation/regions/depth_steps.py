@@ -163,7 +163,14 @@ def _offsets(label: np.ndarray, blocks: np.ndarray, mean: np.ndarray) -> np.ndar
 def _with_piece(labels: np.ndarray, pieces: np.ndarray, piece: int, label: int,
                 new: int) -> np.ndarray:
     """Return labels, ``new`` in the cells that a piece and half the step around it half fill."""
-    filled = cv2.dilate(cv2.compare(pieces, int(piece), cv2.CMP_EQ),  # 255 in the piece
+    mask, found = cv2.compare(pieces, int(piece), cv2.CMP_EQ), labels.copy()  # 255 in the piece
+    left, top, width, height = cv2.boundingRect(mask)
+    rows, columns = (slice(max(first // BLOCKS - 1, 0), (first + size) // BLOCKS + 2)
+                     for first, size in ((top, height), (left, width)))
+    here = found[rows, columns]
+    filled = cv2.dilate(mask[BLOCKS * rows.start:BLOCKS * rows.stop,
+                             BLOCKS * columns.start:BLOCKS * columns.stop],
                         np.ones((BLOCKS + 1, BLOCKS + 1), np.uint8))
-    share = cv2.resize(filled, labels.shape[::-1], interpolation=cv2.INTER_AREA)
-    return np.where((labels == label) & (share >= 128), np.int32(new), labels)
+    share = cv2.resize(filled, here.shape[::-1], interpolation=cv2.INTER_AREA)
+    here[(here == label) & (share >= 128)] = new
+    return found

@@ -86,10 +86,10 @@ MAX_BOW_RATIO = 3.0
 SIGHT_LINES = 24
 
 
-def merge_touching(cells: WeightedCells, graph: RegionGraph,
+def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
                    correlation: Correlation | None) -> RegionGraph:
     """
-    Merge pairs of adjacent regions on one plane, best fit first, until no pair fits.
+    Merge pairs of regions, best fit first, until no pair fits.
 
     Parameters
     ----------
@@ -105,24 +105,15 @@ def merge_touching(cells: WeightedCells, graph: RegionGraph,
 
     """
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
-        return prefer_two_planes(cells, graph.labels, correlation, i, j)
-
-    test = OnePlane(PLANE, MAX_JOINT_VARIANCES)
-    return merge_pairs(graph, partial(misfits, test=test), is_apart).without_merged()
-
-
-def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
-                   correlation: Correlation | None) -> RegionGraph:
-    """Merge adjacent regions on one plane, then those that something nearer separates."""
-    def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
         if graph.borders[i, j, 0] == 0 and not _is_hidden_between(
                 graph.labels, cells.table, cells.is_planar, graph.sums, (i, j)):
             return True
         return prefer_two_planes(cells, graph.labels, correlation, i, j)
 
-    graph = merge_touching(cells, graph, correlation)
-    test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=0)
-    return merge_pairs(graph, partial(misfits, test=test), is_apart).without_merged()
+    for min_pairs in (1, 0):  # neighbours first
+        test = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=min_pairs)
+        graph = merge_pairs(graph, partial(misfits, test=test), is_apart)
+    return graph.without_merged()
 
 
 def merge_bowed_walls(graph: RegionGraph) -> RegionGraph:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import replace
 
 import numpy as np
 
@@ -51,14 +50,14 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     grid, most = frame.grid, frame.config.segmentation.max_planes
     noise = estimate_noise(grid, frame.noise)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
-    frame, floor = replace(frame, noise=noise), sys.float_info.min
+    frame, floor = frame.with_noise(noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
     for _ in range(MAX_TRIALS):
         regions = add_planes(frame, no_planes(grid), min(CALIBRATION_PLANES, most))
         noise = _noise_from_planes(frame, regions)
         if abs(max(noise.mean_sigma, floor) / max(frame.noise.mean_sigma, floor) - 1) < TOLERANCE:
             break
-        frame, regions = replace(frame, noise=noise), no_planes(grid)
+        frame, regions = frame.with_noise(noise), no_planes(grid)
     return frame, add_planes(frame, regions, most)
 
 

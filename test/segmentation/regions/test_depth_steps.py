@@ -65,9 +65,9 @@ def split(depth_m, noise=None):
 
 
 @pytest.mark.parametrize(('frame', 'gap_m', 'least'), [
-    ('wide', 0.06, 2), ('high', 0.06, 7), ('wide', 0.08, 5), ('high', 0.08, 8)])
+    ('wide', 0.06, 2), ('high', 0.06, 6), ('wide', 0.08, 5), ('high', 0.08, 9)])
 def test_a_picture_frame_is_a_plane_of_its_own(frame, gap_m, least):
-    """At 6 cm the step is 1.4 deviations of the smooth part: 3 and 8 of 10; at 8 cm 6 and 8."""
+    """At 6 cm, 1.4 deviations of the smooth part, 10 and 26 of 40; at 8 cm 30 and 39."""
     scene, hits = framed(frame, gap_m), 0
     for seed in range(10):
         noisy_m = with_disparity_noise(scene.depth_m, SIGMA, np.random.default_rng(seed))
