@@ -20,14 +20,11 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
-from plane_detector.segmentation.regions.icm import at_borders
+from plane_detector.segmentation.regions.icm import POTTS_WEIGHT, at_borders
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS
 
-# Cost of a pair of neighbours on two planes, in units of chi-squared.
-# tuned: on rooms and lived-in rooms below seed 9000; flat from 0.25 to 1.
-BORDER_COST = 0.5
-# derived: so many pairs of neighbours share one error per cell.
+# derived: a cell has one error, but eight neighbours, each pair of which is shared by two cells.
 PAIRS_PER_CELL = 4
 # Types of kernels' arguments: planes, table, is_planar of the cells; weights of the three terms.
 MODEL = 'Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), UniTuple(float64, 3)'
@@ -57,8 +54,8 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
         return regions
     table = correlation.table(frame.grid.shape)
     variance = 2 * (table[0, 0] - table[0, 1])  # of the difference between neighbours
-    weights = (table[0, 0] / correlation.density(frame.grid.shape), BORDER_COST,
-               1 / (PAIRS_PER_CELL * variance))
+    weights = (table[0, 0] / correlation.density(frame.grid.shape),
+               POTTS_WEIGHT / PAIRS_PER_CELL, 1 / (PAIRS_PER_CELL * variance))
     labels = _reassign(np.ascontiguousarray(regions.labels),
                        (regions.coefficients, cells.table, cells.is_planar), weights)
     return fit_regions(cells, labels, count, frame.min_pixels)
