@@ -22,6 +22,7 @@ from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
     PLANE_TERMS,
     PRODUCTS,
+    VARIANCE,
     RegionGraph,
     fold,
 )
@@ -76,9 +77,9 @@ def fit_quadric(first, second, noise_share):
             for column in range(7):
                 error += quadric[row] * products[row, column] * quadric[column]
         own = solve_least_squares(products, PLANE_TERMS, np.empty(7))
-        own = max(own, noise_share * sums[10])
+        own = max(own, noise_share * sums[VARIANCE])
         total, worst = total + own, max(worst, error / own)
-    return (of_plane - of_quadric) / (first[10] + second[10]), of_quadric / total, worst
+    return (of_plane - of_quadric) / (first[VARIANCE] + second[VARIANCE]), of_quadric / total, worst
 
 
 def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -> np.ndarray:
@@ -131,7 +132,7 @@ def _is_curved(sums, noise_density, min_deg):
     count, mean, quadric, products = sums[0], sums[6] / sums[0], np.zeros(7), _products(sums)
     of_plane = solve_least_squares(products, PLANE_TERMS, quadric)
     of_quadric = solve_least_squares(products, QUADRIC_TERMS, quadric)
-    variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, sums[10] / count)
+    variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, sums[VARIANCE] / count)
     # The bend over the width of the region along each direction, whose variance is a twelfth of
     # the width squared: its squares have this trace.
     xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
@@ -144,25 +145,9 @@ def _is_curved(sums, noise_density, min_deg):
             and np.degrees(np.arctan2(slope, mean)) > min_deg)
 
 
-@kernel('boolean[::1](int8[:, ::1])', is_short=True)
-def _in_bends(bends):
+def _in_bends(bends: np.ndarray) -> np.ndarray:
     """Return which regions bends link to a clear one (hysteresis, Canny 1986) or to a chain."""
-    count = len(bends)
-    curved, is_seen, queue = np.zeros(count, np.bool_), np.zeros(count, np.bool_), np.empty(
-        count, np.int64)
-    for seed in range(count):
-        if is_seen[seed]:
-            continue
-        queue[0], is_seen[seed] = seed, True
-        head, tail, is_clear = 0, 1, False
-        while head < tail:
-            for other in range(count):
-                if bends[queue[head], other] > 0:
-                    is_clear |= bends[queue[head], other] > 1
-                    if not is_seen[other]:
-                        queue[tail], is_seen[other] = other, True
-                        tail += 1
-            head += 1
-        for k in range(tail):
-            curved[queue[k]] = is_clear or tail >= MIN_CHAIN
-    return curved
+    linked, further = np.zeros(bends.shape, bool), (bends > 0) | np.eye(len(bends), dtype=bool)
+    while not np.array_equal(linked, further):
+        linked, further = further, further @ further
+    return (linked @ (bends > 1)).any(axis=1) | (linked.sum(axis=1) >= MIN_CHAIN)

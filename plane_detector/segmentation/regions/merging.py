@@ -37,7 +37,13 @@ from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quad
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
+    NORMALS,
+    NORMALS_D,
     PLANE_TERMS,
+    SLOPE_SQUARES,
+    SLOPE_X,
+    SLOPE_Y,
+    VARIANCE,
     RegionGraph,
     fold,
     merge_pairs,
@@ -188,7 +194,7 @@ def _misfits(planes, sums, borders, test):
             if surface == PLANE:
                 large, small = (i, j) if sums[i, 0] >= sums[j, 0] else (j, i)
                 bulge = squared_error(planes[large, 0], planes[large, 1], planes[large, 2],
-                                      sums[small]) / sums[small, 10]
+                                      sums[small]) / sums[small, VARIANCE]
                 misfit[i, j] = min(misfit[i, j], bulge / MAX_BULGE_VARIANCES)
     return misfit
 
@@ -207,7 +213,7 @@ def _joint_misfit(sums, i, j, joint, surface):
     for k in (i, j):
         square = squared_error(a, b, c, sums[k])
         if surface == PLANE:
-            worst = max(worst, square / sums[k, 10])
+            worst = max(worst, square / sums[k, VARIANCE])
         else:  # a point at 1/z is off the plane by offset_m times its relative residual
             worst = max(worst, offset_m * np.sqrt(max(square, 0.0) * sums[k, 0]) / sums[k, 6])
     return worst
@@ -221,15 +227,16 @@ def normals_differ(sums, i, j):
     The slopes of the disparity are constant on a plane. The scatter of the normals' slopes within
     a region is their noise.
     """
-    if min(sums[i, 11], sums[j, 11]) <= PLANE_TERMS:
+    if min(sums[i, NORMALS], sums[j, NORMALS]) <= PLANE_TERMS:
         return False
     apart, variance = 0.0, 0.0
-    for k in range(12, 14):
-        apart += (sums[i, k] / sums[i, 11] - sums[j, k] / sums[j, 11]) ** 2
+    for slope in (SLOPE_X, SLOPE_Y):
+        apart += (sums[i, slope] / sums[i, NORMALS] - sums[j, slope] / sums[j, NORMALS]) ** 2
     for k in (i, j):
-        n = sums[k, 11]
-        min_slope = np.radians(MIN_NORMAL_ERROR_DEG) * sums[k, 15] / n / TYPICAL_FOCAL_SHARE
-        spread = sums[k, 14] / n - (sums[k, 12] / n) ** 2 - (sums[k, 13] / n) ** 2
+        n = sums[k, NORMALS]
+        min_slope = np.radians(MIN_NORMAL_ERROR_DEG) * sums[k, NORMALS_D] / n / TYPICAL_FOCAL_SHARE
+        spread = (sums[k, SLOPE_SQUARES] / n - (sums[k, SLOPE_X] / n) ** 2
+                  - (sums[k, SLOPE_Y] / n) ** 2)
         variance += max(spread, 0.0) / 2 + min_slope**2
     return apart > MAX_DEVIATIONS**2 * variance
 

@@ -27,11 +27,16 @@ BORDER_REACH_CELLS = 2
 MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
-# derived: the layout of RegionGraph.sums; the columns of the sums of the products of two of
-# 1, x, y, xx, xy, yy and d.
-PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 16, 17, 18, 7], [2, 4, 5, 17, 18, 19, 8],
-                     [3, 16, 17, 20, 21, 22, 25], [4, 17, 18, 21, 22, 23, 26],
-                     [5, 18, 19, 22, 23, 24, 27], [6, 7, 8, 25, 26, 27, 9]])
+# derived: the columns of RegionGraph.sums. First the products of two of 1, x, y, xx, xy, yy and d,
+# given by their numbers: the ten moments, then what a quadric needs in addition.
+FACTORS = np.array([[0, 0], [0, 1], [0, 2], [0, 3], [0, 4], [0, 5], [0, 6], [1, 6], [2, 6], [6, 6],
+                    [1, 3], [2, 3], [1, 5], [2, 5], [3, 3], [3, 4], [3, 5], [4, 5], [5, 5],
+                    [3, 6], [4, 6], [5, 6]])
+VARIANCE, NORMALS, SLOPE_X, SLOPE_Y, SLOPE_SQUARES, NORMALS_D = range(22, 28)
+# derived: the column of the product of each two of the seven.
+PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 11, 12, 13, 8],
+                     [3, 10, 11, 14, 15, 16, 19], [4, 11, 12, 15, 16, 17, 20],
+                     [5, 12, 13, 16, 17, 18, 21], [6, 7, 8, 19, 20, 21, 9]])
 
 
 @dataclass(frozen=True)
@@ -50,9 +55,8 @@ class RegionGraph:
     pixels : (K, 10) float64
         Moments of these pixels.
     sums : (K, 28) float64
-        Moments of the means of the cells, each as one pixel (10), and sums of their variances; of
-        the cells with normals their number, two slopes, the squares of these, and disparity; xxx,
-        xxy, xyy, yyy, xxxx, xxxy, xxyy, xyyy, yyyy, xxd, xyd, yyd of the means.
+        Of the means of the cells: the products FACTORS, and the variances; of the cells with
+        normals: their number, two slopes, the squares of these, and disparity.
     borders : (K, K, 4) float64
         Entry i, j: pairs of cells along the border of i and j, sums of x, y, d of those in i.
 
@@ -129,8 +133,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
         if is_apart(graph, i, j):
             refused.add((i, j))
         else:
-            _merge(graph.labels, graph.owner, (graph.planes, graph.pixels, graph.sums),
-                   graph.borders, (i, j))
+            _merge(graph, i, j)
             refused = {pair for pair in refused if i not in pair and j not in pair}
             cost = misfit(graph)
         for pair in refused:
@@ -169,62 +172,29 @@ def _sum_up(labels, table, moments, slope, is_planar, count):
 def _add_cell(table, slope, sums, i, k):
     """Add cell i to the sums of region k: numba takes longer to pass rows than to add them up."""
     x, y, d = table[i, 0], table[i, 1], table[i, 2]
-    xx, xy, yy = x * x, x * y, y * y
-    sums[k, 0] += 1
-    sums[k, 1] += x
-    sums[k, 2] += y
-    sums[k, 3] += xx
-    sums[k, 4] += xy
-    sums[k, 5] += yy
-    sums[k, 6] += d
-    sums[k, 7] += x * d
-    sums[k, 8] += y * d
-    sums[k, 9] += d * d
-    sums[k, 10] += 1 / table[i, 5]
+    terms = (1.0, x, y, x * x, x * y, y * y, d)
+    for m in range(len(FACTORS)):
+        sums[k, m] += terms[FACTORS[m, 0]] * terms[FACTORS[m, 1]]
+    sums[k, VARIANCE] += 1 / table[i, 5]
     if np.isfinite(slope[i, 0]):
-        sums[k, 11] += 1
-        sums[k, 12] += slope[i, 0]
-        sums[k, 13] += slope[i, 1]
-        sums[k, 14] += slope[i, 0] ** 2 + slope[i, 1] ** 2
-        sums[k, 15] += d
-    sums[k, 16] += xx * x
-    sums[k, 17] += xx * y
-    sums[k, 18] += yy * x
-    sums[k, 19] += yy * y
-    sums[k, 20] += xx * xx
-    sums[k, 21] += xx * xy
-    sums[k, 22] += xx * yy
-    sums[k, 23] += xy * yy
-    sums[k, 24] += yy * yy
-    sums[k, 25] += xx * d
-    sums[k, 26] += xy * d
-    sums[k, 27] += yy * d
+        sums[k, NORMALS] += 1
+        sums[k, SLOPE_X] += slope[i, 0]
+        sums[k, SLOPE_Y] += slope[i, 1]
+        sums[k, SLOPE_SQUARES] += slope[i, 0] ** 2 + slope[i, 1] ** 2
+        sums[k, NORMALS_D] += d
 
 
-@kernel('void(int32[:, ::1], int64[::1], UniTuple(float64[:, ::1], 3), float64[:, :, ::1], '
-        'UniTuple(int64, 2))', is_short=True)
-def _merge(labels, owner, parts, borders, pair):
-    (planes, pixels, sums), (target, source) = parts, pair
-    for row in range(labels.shape[0]):
-        for column in range(labels.shape[1]):
-            if labels[row, column] == source:
-                labels[row, column] = target
-    for k in range(len(owner)):
-        if owner[k] == source:
-            owner[k] = target
-    for k in range(10):
-        pixels[target, k] += pixels[source, k]
-    for k in range(sums.shape[1]):
-        sums[target, k] += sums[source, k]
-        sums[source, k] = 0
-    for other in range(len(owner)):
-        for k in range(4):
-            borders[target, other, k] += borders[source, other, k]
-            borders[other, target, k] += borders[other, source, k]
-            borders[source, other, k] = borders[other, source, k] = 0
-    for k in range(4):
-        borders[target, target, k] = 0
-    planes[target, 0], planes[target, 1], planes[target, 2] = fit_plane(pixels[target])
+def _merge(graph: RegionGraph, target: int, source: int) -> None:
+    """Merge region ``source`` into ``target`` in place."""
+    graph.labels[graph.labels == source] = target
+    graph.owner[graph.owner == source] = target
+    graph.pixels[target] += graph.pixels[source]
+    graph.planes[target] = fit_plane(graph.pixels[target])
+    graph.sums[target] += graph.sums[source]
+    graph.sums[source] = 0
+    graph.borders[target] += graph.borders[source]
+    graph.borders[:, target] += graph.borders[:, source]
+    graph.borders[source] = graph.borders[:, source] = graph.borders[target, target] = 0
 
 
 @kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, :, ::1], int64, int64)')
@@ -253,7 +223,7 @@ def fold(planes, sums, borders, i, j):
     """Return the dihedral angle of two planes, degrees, and the gap at their border, in sigma."""
     here, there = _gaps(planes, borders, i, j)
     gap = abs(here + there) / (2 * borders[i, j, 0])
-    variance = max(sums[i, 10] / max(sums[i, 0], 1.0), MIN_VARIANCE)
+    variance = max(sums[i, VARIANCE] / max(sums[i, 0], 1.0), MIN_VARIANCE)
     scale = TYPICAL_FOCAL_SHARE**2
     dot = scale * (planes[i, 0] * planes[j, 0] + planes[i, 1] * planes[j, 1])
     norm = 1.0
