@@ -147,7 +147,7 @@ def _is_curved(sums, noise_density, min_deg):
 
 def _in_bends(bends: np.ndarray) -> np.ndarray:
     """Return which regions bends link to a clear one (hysteresis, Canny 1986) or to a chain."""
-    linked, further = np.zeros(bends.shape, bool), (bends > 0) | np.eye(len(bends), dtype=bool)
-    while not np.array_equal(linked, further):
-        linked, further = further, further @ further
-    return (linked @ (bends > 1)).any(axis=1) | (linked.sum(axis=1) >= MIN_CHAIN)
+    linked = (bends > 0) + np.eye(len(bends))
+    for _ in range(len(bends).bit_length()):  # each time over chains of twice the length
+        linked = np.sign(linked @ linked)
+    return (linked @ (bends > 1).any(axis=1) > 0) | (linked.sum(axis=1) >= MIN_CHAIN)
