@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -33,6 +34,12 @@ def _renamed(labels, names, none):
         for j in range(labels.shape[1]):
             found[i, j] = index[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
     return found
+
+
+def at_borders(labels: np.ndarray, reach: int = 1) -> np.ndarray:
+    """Return which labels (H, W) have another one so near in rows and columns, (H, W) bool."""
+    labels, square = labels.astype(np.int16), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    return cv2.dilate(labels, square) != cv2.erode(labels, square)
 
 
 @kernel('int64[::1](int32[:, ::1], int64)')

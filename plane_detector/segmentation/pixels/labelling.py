@@ -17,8 +17,8 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.regions.icm import at_borders
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import sees_creases
@@ -59,21 +59,23 @@ def label_pixels(frame: Frame, graph: RegionGraph,
     # In other depth neighbouring pixels share their error, and small planes gain nothing.
     if others is None and frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
-    _label((found, first), (disparity, image.valid, grid.size_px), graph.labels,
+    _label((found, first), (disparity, image.valid, grid.size_px),
+           (graph.labels, at_borders(graph.labels)),
            (grid.planes_in_pixels(graph.planes), graph.intersections()), tolerance, sweeps)
     return found
 
 
 @kernel('void(Tuple((int32[:, ::1], int64)), Tuple((float32[:, ::1], boolean[:, ::1], int64)), '
-        'int32[:, ::1], Tuple((float64[:, ::1], int8[:, ::1])), UniTuple(float64, 2), int64)')
-def _label(output, image, labels, planes, tolerance, sweeps):
-    """Write the label of every valid pixel, given the labels of cells."""
-    (found, shift), (disparity, valid, size) = output, image
+        'Tuple((int32[:, ::1], boolean[:, ::1])), Tuple((float64[:, ::1], int8[:, ::1])), '
+        'UniTuple(float64, 2), int64)')
+def _label(output, image, cells, planes, tolerance, sweeps):
+    """Write the label of every valid pixel, given the labels of cells and those at borders."""
+    (found, shift), (disparity, valid, size), (labels, is_open) = output, image, cells
     (height, width), columns, extent = disparity.shape, labels.shape[1], (0, 0)
     local, pixels = np.empty((9, 3), np.float32), np.empty((5, size**2), np.float32)
     chosen, offset = np.empty(size**2, np.int32), np.empty(size**2, np.uint64)
     values, is_valid, out = disparity.reshape(-1), valid.reshape(-1), found.reshape(-1)
-    near, is_open = np.full(10, np.int32(-1)), at_borders(labels)
+    near = np.full(10, np.int32(-1))
     _fill_cells(found, shift, valid, labels, is_open, size)
     for _ in range(sweeps):
         changed, is_next, is_changed = labels.copy(), np.zeros(labels.shape, np.bool_), False

@@ -18,9 +18,10 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
-from plane_detector.segmentation.regions.icm import POTTS_WEIGHT, at_borders
+from plane_detector.segmentation.regions.icm import POTTS_WEIGHT
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS
 
@@ -61,8 +62,7 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
     return fit_regions(cells, labels, count, frame.min_pixels)
 
 
-@kernel(f'int32[:, ::1](int32[:, ::1], {MODEL})')
-def _reassign(given, model, weights):
+def _reassign(given: np.ndarray, model: tuple, weights: tuple) -> np.ndarray:
     """Lower the energy of labels by single cells and by pieces, in turn; return the labels."""
     labels, single = given.copy(), np.arange(given.size).reshape(given.shape)
     for _ in range(MAX_TRIALS):

@@ -79,7 +79,8 @@ def fit_quadric(first, second, noise_share):
         own = solve_least_squares(products, PLANE_TERMS, np.empty(7))
         own = max(own, noise_share * sums[VARIANCE])
         total, worst = total + own, max(worst, error / own)
-    return (of_plane - of_quadric) / (first[VARIANCE] + second[VARIANCE]), of_quadric / total, worst
+    gain = (of_plane - of_quadric) / (first[VARIANCE] + second[VARIANCE])
+    return gain, of_quadric / total, worst
 
 
 def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -> np.ndarray:

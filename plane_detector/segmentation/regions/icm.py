@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
 from plane_detector.segmentation.search.dbscan import label_clusters
 from plane_detector.segmentation.search.frame import Frame
@@ -37,18 +38,18 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
     """
     if len(regions.coefficients) == 0:
         return regions
-    labels = _compete(np.ascontiguousarray(regions.labels, np.int32),
+    labels = _compete(regions.labels, at_borders(regions.labels),
                       (regions.coefficients, frame.cells.table), frame.threshold**2)
     clusters, count = label_clusters(labels, frame.config.dbscan)
     return fit_regions(frame.cells, clusters, count, frame.min_pixels)
 
 
-@kernel('int32[:, ::1](int32[:, ::1], UniTuple(float64[:, ::1], 2), float64)')
-def _compete(given, model, threshold2):
-    """Return the labels of lowest energy. Every change lowers it, so that the sweeps end."""
+@kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1], UniTuple(float64[:, ::1], 2), float64)')
+def _compete(given, is_open, model, threshold2):
+    """Change the labels of open cells while that lowers the energy, so that the sweeps end."""
     labels, (rows, columns) = given.copy(), given.shape
     work = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
-    is_open, has_open, has_converged = at_borders(labels), np.ones(rows, np.bool_), False
+    has_open, has_converged = np.ones(rows, np.bool_), False
     while not has_converged:
         has_converged = True
         for row in range(rows):
@@ -65,21 +66,6 @@ def _compete(given, model, threshold2):
                         for u in range(max(column - 1, 0), min(column + 2, columns)):
                             is_open[v, u] = True
     return labels
-
-
-@kernel('boolean[:, ::1](int32[:, ::1])')
-def at_borders(labels):
-    """Return which cells have a neighbour with another label; row by row it is vectorised."""
-    (rows, columns), found = labels.shape, np.zeros(labels.shape, np.bool_)
-    for down in range(-1, 2):
-        for right in range(-1, 2):
-            left, end = max(-right, 0), min(columns - right, columns)
-            for row in range(max(-down, 0), min(rows - down, rows)):
-                here, there = labels[row, left:end], labels[row + down, left + right:end + right]
-                marks = found[row, left:end]
-                for k in range(len(here)):
-                    marks[k] |= here[k] != there[k]
-    return found
 
 
 @kernel('int32(int32[:, ::1], int64, int64, Tuple((int32[::1], int64[::1])), '
