@@ -30,17 +30,15 @@ class Autostart:
     may_pass : callable
         Whether the cause of the last failure may be temporary: an unreachable host, but not a
         wrong setting.
-    failure : callable
-        Describes the failure in a sentence.
     exits : bool
         Raise at the first failure instead of retrying.
 
     """
 
     def __init__(self, node: Any, transitions: Transitions, may_pass: Callable[[], bool],
-                 failure: Callable[[], str], exits: bool):
+                 exits: bool):
         self._node, self._transitions = node, transitions
-        self._may_pass, self._failure, self._exits = may_pass, failure, exits
+        self._may_pass, self._exits = may_pass, exits
         self._pause_s = FIRST_PAUSE_S
         self._wait(0.0)
 
@@ -66,7 +64,7 @@ class Autostart:
                 and self._node.trigger_activate() == TransitionCallbackReturn.SUCCESS):
             return
         if self._exits:
-            raise ValueError(self._failure())
+            raise ValueError('it failed, for the reason logged, and exit_on_failure is true')
         if self._node.state == 'unconfigured' and self._may_pass():
             self._node.get_logger().info(f'trying again in {self._pause_s:.0f} s')
             self._wait(self._pause_s)

@@ -89,10 +89,9 @@ class Health:
             There are no subscribers, so no frame is processed.
 
         """
-        if silence:
-            return DiagnosticStatus.WARN, silence
-        if report.skipped_lately:
-            return DiagnosticStatus.WARN, f'frames skipped: {report.last_error}'
+        skipped = f'frames skipped: {report.last_error}' if report.skipped_lately else ''
+        if skipped or silence:  # a silent IMU does not hide that images give nothing
+            return DiagnosticStatus.WARN, '; '.join(filter(None, (skipped, silence)))
         if report.unpaired_lately and not report.stage_seconds:
             return DiagnosticStatus.WARN, ('images arrive, but no depth image with their stamp, '
                                            'within stamp_slop')

@@ -96,7 +96,7 @@ class PlaneDetectorNode(ReloadableNode):
         self._transitions = Transitions(self, self._load)
         if self._live.settings.autostart:
             Autostart(self, self._transitions, lambda: self._health.may_pass,
-                      lambda: self._health.failure, exits=self._live.settings.exit_on_failure)
+                      exits=self._live.settings.exit_on_failure)
 
     def destroy_node(self) -> None:
         """Stop the work and destroy the node; work that does not stop is left in its thread."""

@@ -52,10 +52,11 @@ def test_configuring_by_hand_ends_the_retries(robot, tries):
     assert node.state == 'inactive'
 
 
-def test_with_exit_on_failure_the_spinning_ends_with_the_reason(robot, tries):
+def test_with_exit_on_failure_the_spinning_ends_after_the_reason(robot, tries):
     start(robot, lambda rgb: None, wait=False, exit_on_failure=True)
-    with pytest.raises(ValueError, match='cannot be configured: unreachable'):
+    with pytest.raises(ValueError, match='exit_on_failure is true'):
         robot.spin(timeout_s=5.0)
+    assert robot.is_logged('cannot be configured: unreachable')
 
 
 def test_the_log_at_configure_is_three_lines():

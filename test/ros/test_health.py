@@ -61,6 +61,13 @@ def test_images_without_matching_depth_are_reported():
     assert 'stamp_slop' in message
 
 
+def test_a_silent_imu_does_not_hide_skipped_frames():
+    health = Health(SimpleNamespace(warning=print, info=print))
+    report = Report(0, 0, 5, 0.0, skipped_lately=True, last_error='encoding 8UC7')
+    assert health.status(report, 'nobody publishes /imu') == (
+        DiagnosticStatus.WARN, 'frames skipped: encoding 8UC7; nobody publishes /imu')
+
+
 def test_a_silent_imu_is_reported(robot):
     room = small_room()
     start(robot, lambda rgb: room.depth_m, use_imu=True)
