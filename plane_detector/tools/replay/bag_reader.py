@@ -275,8 +275,9 @@ def _listing(path: Path) -> str:
 
 
 def _repair(path: Path) -> str:
-    """Return the tool that repairs such a bag."""
+    """Return the tools that repair the files of such a bag."""
     if path.suffix == '.bag':
         return 'rosbag reindex'
     is_mcap = path.suffix == '.mcap' or any(path.glob('*.mcap'))
-    return 'mcap recover' if is_mcap else 'ros2 bag reindex'
+    of_file = 'mcap recover' if is_mcap else '.recover of sqlite3'
+    return f'{of_file}, or ros2 bag reindex for metadata.yaml alone,' if path.is_dir() else of_file

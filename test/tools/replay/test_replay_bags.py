@@ -127,15 +127,22 @@ def damaged(tmp_path, scenes, kind):
     return path
 
 
-@pytest.mark.parametrize('kind', ['mcap_cut', 'mcap_garbled', 'mcap_gone', 'sqlite3_cut',
-                                  'sqlite3_garbled', 'ros1_cut', 'ros1_garbled', 'metadata'])
-def test_damaged_bags_are_reported_in_one_line(tmp_path, scenes, replay, kind):
+MCAP_TOOL = 'mcap recover, or ros2 bag reindex for metadata.yaml alone, may help'
+
+
+@pytest.mark.parametrize(('kind', 'tool'), [
+    ('mcap_cut', MCAP_TOOL), ('mcap_garbled', MCAP_TOOL), ('mcap_gone', ''),
+    ('sqlite3_cut', '.recover of sqlite3'), ('sqlite3_garbled', '.recover of sqlite3'),
+    ('ros1_cut', 'rosbag reindex may help'), ('ros1_garbled', 'rosbag reindex may help'),
+    ('metadata', MCAP_TOOL)])
+def test_damaged_bags_are_reported_in_one_line(tmp_path, scenes, replay, kind, tool):
     source = damaged(tmp_path, scenes, kind)
     code, _, text = replay(source)
     assert code == 1
     assert text.startswith(f'replay: {source} cannot be read: ')
     assert text.count('\n') == 1
     assert 'There is ' in text
+    assert tool in text
 
 
 def test_reading_continues_after_a_damaged_record(tmp_path, scenes, replay):
