@@ -90,10 +90,6 @@ class RegionGraph:
         """
         return _intersections(self.planes, self.borders)
 
-    def regions(self) -> PlaneRegions:
-        """Return labels and planes."""
-        return PlaneRegions(self.labels, self.planes)
-
     def without_merged(self) -> RegionGraph:
         """Return the graph of the regions that were not merged into others."""
         return self.only(self.owner == np.arange(len(self.owner)))

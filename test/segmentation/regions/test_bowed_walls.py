@@ -9,6 +9,7 @@ from cell_helpers import cell_model, fold, hand_made, view, wall
 from plane_detector import segment_planes
 from plane_detector.config import Config
 from plane_detector.evaluation.scenes.rendering import VGA
+from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.regions import merging
 from plane_detector.segmentation.regions.region_graph import RegionGraph
@@ -33,7 +34,8 @@ def halves(depth_m, noise=NETWORK):
 
 
 def merge_bowed_walls(model, regions):
-    return merging.merge_bowed_walls(RegionGraph.of(model, regions)).regions()
+    merged = merging.merge_bowed_walls(RegionGraph.of(model, regions))
+    return PlaneRegions(merged.labels, merged.planes)
 
 
 def test_the_halves_of_a_bowed_wall_are_one():

@@ -10,6 +10,7 @@ import pytest
 from cell_helpers import EXACT, cell_model, hand_made, view, wall
 
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.merging import (
     MAX_JOINT_VARIANCES,
@@ -54,7 +55,8 @@ def correlation_of(model, regions, sigma):
 
 
 def merged_regions(model, regions, correlation):
-    return merge_coplanar(model, RegionGraph.of(model, regions), correlation).regions()
+    merged = merge_coplanar(model, RegionGraph.of(model, regions), correlation)
+    return PlaneRegions(merged.labels, merged.planes)
 
 
 def two_walls(step_m):
@@ -156,11 +158,11 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
     np.testing.assert_allclose(result.borders[np.ix_(left, left)],
                                expected.borders[np.ix_(left, left)], rtol=1e-9, atol=1e-9)
     assert (result.sums[[1, 2, 7]] == 0).all()
-    merged = result.without_merged().regions()
+    merged = result.without_merged()
     np.testing.assert_array_equal(merged.labels, np.array([0, 0, 0, 1, 2, 3, 4, 2])[labels])
     refitted = hand_made(model, merged.labels).coefficients
-    np.testing.assert_allclose(merged.coefficients[[0, 2]], refitted[[0, 2]], rtol=1e-9)
-    np.testing.assert_array_equal(merged.coefficients[[1, 3, 4]],
+    np.testing.assert_allclose(merged.planes[[0, 2]], refitted[[0, 2]], rtol=1e-9)
+    np.testing.assert_array_equal(merged.planes[[1, 3, 4]],
                                   regions.coefficients[[3, 5, 6]])
 
 
