@@ -18,7 +18,7 @@ from plane_detector.segmentation.cells.grid import D, N, X, Y
 from plane_detector.segmentation.cells.labels import count_labels
 from plane_detector.segmentation.cells.model import add_up
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import squared_errors
+from plane_detector.segmentation.cells.plane_fit import squared_error
 from plane_detector.types import CameraIntrinsics
 
 # derived: fewer than two cells of 8 x 8 pixels; one cell does not determine angles.
@@ -82,4 +82,6 @@ def _variances(regions: PixelRegions, moments: np.ndarray) -> np.ndarray:
     noise, count = regions.noise, np.maximum(moments[:, N], 1)
     floor = (noise.pixel_sigma**2 + noise.mean_sigma**2
              + noise.variance_floor(moments[:, D] / count))
-    return np.maximum(squared_errors(regions.coefficients, moments) / count, floor)
+    squares = [squared_error(*plane, own)
+               for plane, own in zip(regions.coefficients, moments, strict=True)]
+    return np.maximum(squares / count, floor)

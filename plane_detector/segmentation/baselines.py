@@ -61,9 +61,9 @@ def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_
 
     """
     rng = rng or np.random.default_rng(config.ransac.seed)
-    labels = paper_labels(to_depth(disparity), intrinsics, config, rng)
     image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image)
+    labels = paper_labels(to_depth(disparity), intrinsics, config, rng)
     planes, labels = fit_labels(grid, labels)
     return PixelRegions(image.values, labels, planes, grid, estimate_noise(grid, noise_floor))
 
@@ -102,10 +102,8 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     ----------
     depth_m : (H, W) floating
     intrinsics : CameraIntrinsics
-    config : Config
-        Its ``segmentation`` and ``paper`` are used.
-    rng : numpy.random.Generator
-        Seeds pyransac3d.
+    config, rng
+        As of :func:`segment_by_paper`.
     cluster : bool
         False: without DBSCAN, the planes of RANSAC alone.
 
@@ -122,29 +120,27 @@ def paper_labels(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Conf
     """
     points_m = depth_to_points(np.asarray(depth_m, np.float32), intrinsics)
     stride = int(np.ceil(np.sqrt(depth_m.size / config.paper.max_points)))
-    thinned_m = points_m[::stride, ::stride]
-    seen = np.isfinite(thinned_m[..., 2])
-    seen_m, min_points = thinned_m[seen], max(3, config.segmentation.min_plane_share * seen.size)
+    seen = np.isfinite(points_m[::stride, ::stride, 2])
+    seen_m = points_m[::stride, ::stride][seen]
+    min_points = max(3, config.segmentation.min_plane_share * seen.size)
     found = _peel(seen_m, min_points, config, rng)
     if cluster:
         found = [(equation, members[piece]) for equation, members in found
                  for piece in _large_clusters(seen_m[members], min_points, config.paper)]
-    return _to_all_pixels(found, seen, points_m, stride, config.paper.distance_threshold)
-
-
-def _to_all_pixels(found: list[tuple[np.ndarray, np.ndarray]], seen: np.ndarray,
-                   points_m: np.ndarray, stride: int, threshold_m: float) -> np.ndarray:
-    """Label each pixel like its subsampled point if it is near that point's plane."""
     thinned, places = np.full(seen.shape, -1, np.int32), np.flatnonzero(seen)
     for k, (_, members) in enumerate(found):
         thinned.flat[places[members]] = k
-    equations = np.array([equation for equation, _ in found], float).reshape(-1, 4)
-    labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)[:len(points_m)]
-    labels = np.ascontiguousarray(labels[:, :points_m.shape[1]])
-    inside = labels >= 0
-    equation = equations[labels[inside]]
-    distance_m = np.abs((points_m[inside] * equation[:, :3]).sum(axis=1) + equation[:, 3])
-    labels[inside] = np.where(distance_m <= threshold_m, labels[inside], -1)
+    labels = thinned.repeat(stride, axis=0).repeat(stride, axis=1)
+    labels = labels[:depth_m.shape[0], :depth_m.shape[1]].copy()
+    return _near_planes(labels, points_m, [equation for equation, _ in found], config.paper)
+
+
+def _near_planes(labels: np.ndarray, points_m: np.ndarray, equations: list[Any],
+                 paper: PaperConfig) -> np.ndarray:
+    """Remove the labels of pixels that are not near the plane of their subsampled point."""
+    for k, equation in enumerate(equations):
+        distance_m = np.abs(points_m @ np.array(equation[:3]) + equation[3])
+        labels[(labels == k) & ~(distance_m <= paper.distance_threshold)] = -1
     return labels
 
 
@@ -197,11 +193,10 @@ def _large_clusters(points_m: np.ndarray, min_points: float,
 
 def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.ndarray:
     """
-    Cluster points by density, as scikit-learn's DBSCAN does (Ester et al. 1996).
+    Cluster points by density (Ester et al. 1996), with the result of scikit-learn's DBSCAN.
 
-    That keeps the neighbours of all points at once: if all points are within the radius of each
-    other, 20 000 points take 5 GB. Here those of one point are kept, and the search can be
-    stopped.
+    That keeps the neighbours of all points at once, 5 GB for 20 000 points near each other. Here
+    those of one point are kept, and the search can be stopped.
 
     Parameters
     ----------

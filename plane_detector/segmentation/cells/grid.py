@@ -17,7 +17,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
-from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE
+from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 
 # The number of cells hardly depends on the image size: the cells grow with the image.
 # tuned: benchmark sensitivity; not flat: precision -0.044 at 0.7 times, -0.013 at 1.4 times.
@@ -131,102 +131,68 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     shape = -(-height // size), -(-width // size)
     if wanted is None:
         wanted = np.ones(shape[0] * shape[1], bool)
-    fields = _sum_up(image.values, image.valid, size, frame, wanted)
+    moments = _sum_up(image.values, image.valid, size, frame, wanted)
     no_slopes = np.full((len(wanted), 2), np.nan)
-    return CellGrid(size, int(frame[0]), frame[1:], shape, *fields, no_slopes)
+    return CellGrid(size, int(frame[0]), frame[1:], shape, moments,
+                    *_fit_cells(moments, size, int(frame[0])), no_slopes)
 
 
-@kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], '
-        'float64[:, ::1]))(float32[:, ::1], boolean[:, ::1], int64, UniTuple(float64, 3), '
+@kernel('float64[:, ::1](float32[:, ::1], boolean[:, ::1], int64, UniTuple(float64, 3), '
         'boolean[::1])')
 def _sum_up(disparity, valid, size, frame, wanted):
-    """Return the fields of the cells from ``moments`` to ``sparsity``."""
+    """Return the moments (R * C, 10) of the wanted cells."""
     rows, columns = -(-disparity.shape[0] // size), -(-disparity.shape[1] // size)
-    moments, mean = np.zeros((rows * columns, 10)), np.zeros((rows * columns, 3))
-    slope, rms = np.zeros((rows * columns, 2)), np.zeros(rows * columns)
-    usable, sparsity = np.zeros(rows * columns, np.bool_), np.zeros((rows * columns, 2))
-    sums, m = np.empty((6, columns * size), np.float32), np.empty(10)
-    reference, pixel = np.empty(columns * size, np.float32), 1 / frame[0]
+    moments, pixel = np.zeros((rows * columns, 10)), 1 / frame[0]
+    sums = np.empty((6, columns * size), np.float32)
+    reference = np.empty(columns * size, np.float32)
     for row in range(rows):
-        first, last = columns, -1
-        for column in range(columns):
-            if wanted[row * columns + column]:
-                first, last = min(first, column), column
-        if last >= 0:
-            _sum_up_columns(disparity, valid, (row * size, size, first, last), reference, sums)
+        wanted_here = np.flatnonzero(wanted[row * columns:(row + 1) * columns])
+        if len(wanted_here) == 0:
+            continue
+        band = row * size, size, wanted_here[0] * size, (wanted_here[-1] + 1) * size
+        _sum_up_columns(disparity, valid, band, reference, sums)
         y = frame[2] + (row * size + (size - 1) / 2) * pixel
-        for column in range(first, last + 1):
-            i, left = row * columns + column, column * size
-            if not wanted[i] or not _sum_up_cell(sums, left, size, m):
-                continue
-            usable[i], rms[i], slope[i, 0], slope[i, 1], sparsity[i, 0], sparsity[i, 1] = (
-                _fit_cell(m, size, frame[0]))
-            _shift(m, frame[1] + (left + (size - 1) / 2) * pixel, y, reference[left], pixel,
-                   moments[i])
-            per = 1 / m[0]
-            mean[i, 0], mean[i, 1], mean[i, 2] = (moments[i, 1] * per, moments[i, 2] * per,
-                                                  moments[i, 6] * per)
-    return moments, mean, slope, rms, usable, sparsity
-
-
-@kernel('Tuple((boolean, float64, float64, float64, float64, float64))'
-        '(float64[::1], int64, float64)')
-def _fit_cell(m, size, width):
-    """Return if a cell of moments m, in pixels, is usable, its rms, its slope, its sparsity."""
-    area, n, per = np.float64(size * size), m[0], 1 / m[0]
-    whole = (area - 1) * (1 / 12)
-    mx, my, md = m[1] * per, m[2] * per, m[6] * per
-    xx, xy, yy = m[3] * per - mx * mx, m[4] * per - mx * my, m[5] * per - my * my
-    xd, yd, dd = m[7] * per - mx * md, m[8] * per - my * md, m[9] * per - md * md
-    determinant = xx * yy - xy * xy
-    is_usable = (n >= max(MIN_VALID_SHARE * area, 4.0)) & (
-        determinant > MIN_EIGENVALUE * whole * whole)
-    slope_x = slope_y = of_mean = of_slope = 0.0
-    if is_usable:
-        inverse = 1 / determinant
-        slope_x, slope_y = (yy * xd - xy * yd) * inverse, (xx * yd - xy * xd) * inverse
-        if n < area:
-            of_mean = per - 1 / area
-            of_slope = max((xx + yy) / 2 * per * inverse - 1 / (area * whole), 0.0) * width**2
-    rms = np.sqrt(max(dd - slope_x * xd - slope_y * yd, 0.0))
-    return is_usable, rms, slope_x * width, slope_y * width, of_mean, of_slope
+        for column in wanted_here:
+            left = column * size
+            centre = frame[1] + (left + (size - 1) / 2) * pixel, y, np.float64(reference[left])
+            _sum_up_cell(sums, (left, size), centre, pixel, moments[row * columns + column])
+    return moments
 
 
 @kernel('void(float32[:, ::1], boolean[:, ::1], UniTuple(int64, 4), float32[::1], '
         'float32[:, ::1])')
 def _sum_up_columns(disparity, valid, band, reference, sums):
     """
-    Sum up the columns of some cells of a row, ``band``: its top, their side, the first, the last.
+    Sum up the columns of some cells of a row, ``band``: its top, their side, its left and right.
 
     Writes the sums of n, y, yy, d, yd and dd of each column, with y in pixels from the centre of
     the cells and d relative to ``reference``, a value in the middle row of each cell.
     """
-    top, size, first, last = band
-    bottom, end = min(top + size, disparity.shape[0]), min((last + 1) * size, disparity.shape[1])
-    middle = (top + bottom) // 2
-    sums[:, first * size:(last + 1) * size] = 0
-    for left in range(first * size, end, size):
-        u = left
-        while u < min(left + size, end) - 1 and not valid[middle, u]:
+    top, size, begin, end = band
+    bottom, right = min(top + size, disparity.shape[0]), min(end, disparity.shape[1])
+    n, d = np.zeros(end - begin, np.float32), np.zeros(end - begin, np.float32)
+    for left in range(begin, right, size):
+        u, middle = left, (top + bottom) // 2
+        while u < min(left + size, right) - 1 and not valid[middle, u]:
             u += 1
         for k in range(left, left + size):
             reference[k] = disparity[middle, u]
-    n, d = np.empty(end - first * size, np.float32), np.empty(end - first * size, np.float32)
-    here = reference[first * size:end]
+    sums[:, begin:end] = 0
+    here = reference[begin:end]
     for v in range(top, bottom):
-        row, is_valid = disparity[v, first * size:end], valid[v, first * size:end]
-        for u in range(len(n)):
+        row, is_valid = disparity[v, begin:right], valid[v, begin:right]
+        for u in range(len(row)):
             n[u] = np.float32(is_valid[u])
             d[u] = (row[u] - here[u]) * n[u]
-        _add_powers(n, d, np.float32(v - top - (size - 1) / 2), sums, first * size)
+        _add_powers(n, d, np.float32(v - top - (size - 1) / 2), sums, begin)
 
 
 @kernel('void(float32[::1], float32[::1], float32, float32[:, ::1], int64)')
-def _add_powers(n, d, y, sums, first):
+def _add_powers(n, d, y, sums, begin):
     """Add n, y n, y**2 n, d, y d and d**2 to the sums; so few arrays at once are vectorised."""
-    end = first + len(n)
-    sum_n, sum_y, sum_yy = sums[0, first:end], sums[1, first:end], sums[2, first:end]
-    sum_d, sum_yd, sum_dd = sums[3, first:end], sums[4, first:end], sums[5, first:end]
+    end = begin + len(n)
+    sum_n, sum_y, sum_yy = sums[0, begin:end], sums[1, begin:end], sums[2, begin:end]
+    sum_d, sum_yd, sum_dd = sums[3, begin:end], sums[4, begin:end], sums[5, begin:end]
     for u in range(len(n)):
         sum_n[u] += n[u]
         sum_y[u] += n[u] * y
@@ -237,10 +203,11 @@ def _add_powers(n, d, y, sums, first):
         sum_dd[u] += d[u] * d[u]
 
 
-@kernel('boolean(float32[:, ::1], int64, int64, float64[::1])')
-def _sum_up_cell(sums, left, size, m):
-    """Write the moments of a cell about its centre, in pixels; return whether it has any."""
-    n = m_x = m_y = xx = xy = yy = d = xd = yd = dd = np.float32(0)
+@kernel('void(float32[:, ::1], UniTuple(int64, 2), UniTuple(float64, 3), float64, float64[::1])')
+def _sum_up_cell(sums, extent, centre, pixel, out):
+    """Write the moments of a cell from the sums of its columns about its centre x, y, d."""
+    left, size = extent
+    n = m_x = m_y = xx = xy = yy = m_d = xd = yd = dd = np.float32(0)
     middle = np.float32((size - 1) / 2)
     for k in range(size):
         u, x = np.uint64(left + k), np.float32(k) - middle  # unsigned: no wrap-around check
@@ -250,25 +217,41 @@ def _sum_up_cell(sums, left, size, m):
         xx += sums[0, u] * (x * x)
         xy += sums[1, u] * x
         yy += sums[2, u]
-        d += sums[3, u]
+        m_d += sums[3, u]
         xd += sums[3, u] * x
         yd += sums[4, u]
         dd += sums[5, u]
-    m[0], m[1], m[2], m[3], m[4], m[5] = n, m_x, m_y, xx, xy, yy
-    m[6], m[7], m[8], m[9] = d, xd, yd, dd
-    return n > 0
+    x, y, d = centre
+    of_x, of_y, of_d = m_x * pixel, m_y * pixel, np.float64(m_d)
+    sum_x, sum_y = of_x + n * x, of_y + n * y
+    out[0], out[1], out[2], out[6] = n, sum_x, sum_y, of_d + n * d
+    out[3] = xx * pixel**2 + x * (of_x + sum_x)
+    out[4] = xy * pixel**2 + x * of_y + y * sum_x
+    out[5] = yy * pixel**2 + y * (of_y + sum_y)
+    out[7] = xd * pixel + x * of_d + d * sum_x
+    out[8] = yd * pixel + y * of_d + d * sum_y
+    out[9] = dd + d * (2 * of_d + n * d)
 
 
-@kernel('void(float64[::1], float64, float64, float64, float64, float64[::1])')
-def _shift(m, x, y, d, pixel, out):
-    """Write moments (10,) with the origin at 0 of m, in pixels, whose origin is at x, y, d."""
-    n, m_x, m_y, m_d = m[0], m[1] * pixel, m[2] * pixel, m[6]
-    sum_x, sum_y = m_x + n * x, m_y + n * y
-    out[0], out[1], out[2] = n, sum_x, sum_y
-    out[3] = m[3] * pixel**2 + x * (m_x + sum_x)
-    out[4] = m[4] * pixel**2 + x * m_y + y * sum_x
-    out[5] = m[5] * pixel**2 + y * (m_y + sum_y)
-    out[6] = m_d + n * d
-    out[7] = m[7] * pixel + x * m_d + d * sum_x
-    out[8] = m[8] * pixel + y * m_d + d * sum_y
-    out[9] = m[9] + d * (2 * m_d + n * d)
+@kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], float64[:, ::1]))'
+        '(float64[:, ::1], int64, int64)', is_short=True)
+def _fit_cells(moments, size, width):
+    """Return the fields of the cells from ``mean`` to ``sparsity``."""
+    count, area = len(moments), np.float64(size * size)
+    mean, slope, rms = np.zeros((count, 3)), np.zeros((count, 2)), np.zeros(count)
+    usable, sparsity = np.zeros(count, np.bool_), np.zeros((count, 2))
+    of_full = 12 * width**2 / (area * (area - 1))
+    for i in np.flatnonzero(moments[:, 0]):
+        m, per = moments[i], 1 / moments[i, 0]  # no row is held where paths part: faster
+        n, x, y, d = m[0], m[1] * per, m[2] * per, m[6] * per
+        xx, xy, yy = m[3] * per - x * x, m[4] * per - x * y, m[5] * per - y * y
+        mean[i, 0], mean[i, 1], mean[i, 2] = x, y, d
+        a, b, c = fit_plane(m)
+        square = max(squared_error(a, b, c, m), 0.0)
+        usable[i] = n >= max(MIN_VALID_SHARE * area, 4.0) and not np.isnan(a)
+        if usable[i]:
+            slope[i, 0], slope[i, 1], rms[i] = a, b, np.sqrt(square * per)
+        if usable[i] and n < area:
+            sparsity[i, 0] = per - 1 / area
+            sparsity[i, 1] = max((xx + yy) / 2 * per / (xx * yy - xy * xy) - of_full, 0.0)
+    return mean, slope, rms, usable, sparsity

@@ -22,17 +22,16 @@ def rename_labels(labels: np.ndarray, names: np.ndarray, none: int = -1) -> np.n
     """Return labels (H, W) int32 in which k is ``names[k]``, and -1 is ``none``."""
     if none == -1 and names.tolist() == list(range(len(names))):
         return labels
-    return _renamed(np.ascontiguousarray(labels, np.int32), names.astype(np.int32), none)
+    return _renamed(np.ascontiguousarray(labels, np.int32),
+                    np.concatenate([[none], names]).astype(np.int32))
 
 
-@kernel('int32[:, ::1](int32[:, ::1], int32[::1], int32)')
-def _renamed(labels, names, none):
-    index, found = np.full(len(names) + 1, none), np.empty_like(labels)
-    for k in range(len(names)):
-        index[k + 1] = names[k]
+@kernel('int32[:, ::1](int32[:, ::1], int32[::1])')
+def _renamed(labels, names):
+    found = np.empty_like(labels)
     for i in range(labels.shape[0]):
         for j in range(labels.shape[1]):
-            found[i, j] = index[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
+            found[i, j] = names[np.uint32(labels[i, j] + 1)]  # unsigned: no wrap-around check
     return found
 
 
@@ -40,16 +39,6 @@ def at_borders(labels: np.ndarray, reach: int = 1) -> np.ndarray:
     """Return which labels (H, W) have another one so near in rows and columns, (H, W) bool."""
     labels, square = labels.astype(np.int16), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     return cv2.dilate(labels, square) != cv2.erode(labels, square)
-
-
-@kernel('int64[::1](int32[:, ::1], int64)')
-def region_sizes(labels, count):
-    """Return the number of cells (K,) of each label."""
-    sizes = np.zeros(count, np.int64)
-    for label in labels.reshape(-1):
-        if label >= 0:
-            sizes[label] += 1
-    return sizes
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:

@@ -95,35 +95,23 @@ class Noise:
         """Return the lower bound of the variance of pixels of this disparity."""
         return (self.depth_floor_m * disparity * disparity) ** 2 + self.disparity_floor**2
 
-    def is_exact(self, disparity: float) -> bool:
-        """Return whether the smooth noise is below the floor at this disparity."""
-        return self.mean_sigma**2 < self.variance_floor(disparity)
-
     def kind(self, disparity: float) -> DepthKind:
         """Return the kind of depth at this disparity."""
         if self.source_sigma > 0:
             return DepthKind.NETWORK
-        return DepthKind.EXACT if self.is_exact(disparity) else DepthKind.MEASURED
+        is_exact = self.mean_sigma**2 < self.variance_floor(disparity)
+        return DepthKind.EXACT if is_exact else DepthKind.MEASURED
 
     def with_smooth_part(self, mean_sigma: float, slope_sigma: float) -> Noise:
         """Return the noise with these deviations, bounded below by those of the source."""
-        return Noise(self.depth_floor_m, self.disparity_floor, self.source_sigma,
-                     max(float(mean_sigma), self.source_sigma),
-                     max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma),
-                     self.pixel_sigma)
+        return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
+                       slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
-        Return the noise from deviations measured on cells.
+        Return the noise from standard deviations of the means, slopes and pixels of cells.
 
-        Parameters
-        ----------
-        deviations : (float, float, float)
-            Standard deviations of their means, slopes and pixels.
-        sparsity : (n, 2) float64
-            Of these cells: the noise of their missing pixels is not part of ``mean_sigma`` and
-            ``slope_sigma``.
-
+        The noise of missing pixels, by the ``sparsity`` (n, 2) of these cells, is not part of it.
         """
         mean_sigma, slope_sigma, pixel_sigma = deviations
         pixel_sigma = max(pixel_sigma, GRAIN_PER_NOISE * self.source_sigma)
@@ -164,38 +152,28 @@ def estimate_noise(grid: CellGrid, noise_floor: Noise) -> Noise:
     """
     curvature, bend = _differences(grid.mean, grid.slope, grid.usable, grid.shape[1], LAG_CELLS)
     if not len(curvature) or not len(bend):
-        return noise_floor.with_smooth_part(noise_floor.mean_sigma, noise_floor.slope_sigma)
+        return noise_floor.with_smooth_part(0.0, 0.0)
     # The variance of a - 2 b + c is 6 times that of each, that of a difference 2 times; the
     # quantile of chi-squared with 2 degrees of freedom is -2 log(1 - QUANTILE).
     mean_sigma = _quantile(curvature) / MODULUS_QUANTILE / 6**0.5
     slope_sigma = (_quantile(bend) / (-4 * np.log(1 - QUANTILE))) ** 0.5
     # Smooth noise changes by at most its slopes times the distance of the cells; a step does not.
     mean_sigma = min(mean_sigma, slope_sigma * 2 * LAG_CELLS * grid.size_px / grid.width_px)
-    _, rms, sparsity = sample_cells(grid.usable, grid.residual_rms, grid.sparsity)
-    pixel_sigma = _quantile(rms) / _rms_quantile(grid.size_px**2 - 3)
+    cells = sample_cells(grid.usable)
+    pixel_sigma = _quantile(grid.residual_rms[cells]) / _rms_quantile(grid.size_px**2 - 3)
+    sparsity = grid.sparsity.take(cells, 0)
     return noise_floor.from_cells((mean_sigma, slope_sigma, pixel_sigma), sparsity)
 
 
-@kernel('Tuple((int64[::1], float64[::1], float64[:, ::1]))(boolean[::1], float64[::1], '
-        'float64[:, ::1])', is_short=True)
-def sample_cells(is_wanted, residual_rms, sparsity):
-    """Return evenly spaced ones of the wanted cells, (n,), their rms (n,) and sparsity (n, 2)."""
-    wanted, count = np.empty(len(is_wanted), np.int64), 0
-    for i in range(len(is_wanted)):
-        wanted[count] = i
-        count += is_wanted[i]
-    cells = wanted[:count][::count // MAX_SAMPLES + 1].copy()
-    rms, added = np.empty(len(cells)), np.empty((len(cells), 2))
-    for k in range(len(cells)):
-        rms[k], added[k, 0] = residual_rms[cells[k]], sparsity[cells[k], 0]
-        added[k, 1] = sparsity[cells[k], 1]
-    return cells, rms, added
+def sample_cells(is_wanted: np.ndarray) -> np.ndarray:
+    """Return evenly spaced ones (n,) of the wanted cells, ``is_wanted`` (R * C,) bool."""
+    wanted = np.flatnonzero(is_wanted)
+    return wanted[::len(wanted) // MAX_SAMPLES + 1]
 
 
 def _quantile(values: np.ndarray) -> float:
-    rank, ordered = int(QUANTILE * (len(values) - 1)), values.copy()
-    ordered.partition(rank)
-    return float(ordered[rank])
+    rank = int(QUANTILE * (len(values) - 1))
+    return float(np.partition(values, rank)[rank])
 
 
 def _rms_quantile(freedom: int) -> float:
@@ -237,8 +215,8 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     lines = []
     for rows in (image.values, image.values.T):
         line = rows[np.arange(1, ROUNDING_LINES + 1) * (len(rows) - 1) // (ROUNDING_LINES + 1)]
-        equal = np.count_nonzero(line[:, 1:] == line[:, :-1])
-        if equal < max(MIN_EQUAL_SHARE * ROUNDING_LINES * (line.shape[1] - 1), 1):
+        is_equal = line[:, 1:] == line[:, :-1]
+        if np.count_nonzero(is_equal) < max(MIN_EQUAL_SHARE * is_equal.size, 1):
             return noise_floor
         lines.append(line)
     values = np.unique(np.concatenate(lines, axis=None)).astype(float)
@@ -247,9 +225,8 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
         return noise_floor
     gaps = np.diff(values)
     step = median(gaps)
-    if np.count_nonzero(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE * len(gaps):
-        return noise_floor
-    if step / 2 < 2 * noise_floor.variance_floor(median(values)) ** 0.5:
+    if (np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE
+            or step / 2 < 2 * noise_floor.variance_floor(median(values)) ** 0.5):
         return noise_floor
     # The quantisation error is uniform over one step.
     return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),

@@ -11,12 +11,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property
 
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.labels import region_sizes
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.noise import Noise
 
@@ -44,6 +43,8 @@ class Correlation:
         Variances of these parts, per square metre.
     decay, power : float
         The smooth parts of cells r sides apart correlate by exp(-decay * r**power).
+    shape : (int, int)
+        Rows and columns of cells.
 
     """
 
@@ -51,6 +52,7 @@ class Correlation:
     own: float
     decay: float
     power: float
+    shape: tuple[int, int]
 
     @classmethod
     def of(cls, model: WeightedCells, regions: PlaneRegions, noise: Noise) -> Correlation | None:
@@ -59,53 +61,56 @@ class Correlation:
 
         None if no region is large enough.
         """
-        square, *at_lags = _covariances(np.ascontiguousarray(regions.labels), regions.coefficients,
-                                        model.table, model.is_planar).tolist()
+        labels, planes = np.ascontiguousarray(regions.labels), regions.coefficients
+        is_used = in_large_regions(labels, len(planes)) & model.is_planar
+        square, *at_lags = _covariances(labels, planes, model.table, is_used).tolist()
         if square <= 0:
             return None
         own = square * _bounded((noise.pixel_sigma / model.grid.size_px) ** 2 / square)
         smooth = square - own
         decay, at_two = (-math.log(_bounded(at_lag / smooth)) for at_lag in at_lags)
         power = min(max(math.log2(at_two / decay), MIN_POWER), MAX_POWER)
-        return cls(smooth, own, decay, power)
+        return cls(smooth, own, decay, power, model.grid.shape)
 
-    def covariance(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Return the covariance of cells at these distances in rows and columns, broadcast."""
-        square = rows * rows + columns * columns
+    @cached_property
+    def table(self) -> np.ndarray:
+        """The covariance of two cells by their distance in rows and columns, (R, C)."""
+        square = np.add.outer(*(np.arange(float(side)) ** 2 for side in self.shape))
         decayed = np.exp(-self.decay * square ** (self.power / 2))
         return self.smooth * decayed + self.own * (square == 0)
 
-    def density(self, shape: tuple[int, int]) -> float:
-        """Return the variance of a cell times the number of cells that share their noise."""
-        table = self.table(shape)
+    @cached_property
+    def density(self) -> float:
+        """The variance of a cell times the number of cells that share their noise."""
+        table = self.table
         return float(4 * table.sum() - 2 * (table[0].sum() + table[:, 0].sum()) + table[0, 0])
 
-    def table(self, shape: tuple[int, int]) -> np.ndarray:
-        """Return the covariance of two cells by their distance in rows and columns, (R, C)."""
-        return _table(self, shape)
+
+@kernel('boolean[::1](int32[:, ::1], int64)', is_short=True)
+def in_large_regions(labels, count):
+    """Return which cells (R * C,) are in regions large enough to show their noise."""
+    sizes, label = np.zeros(count + 1, np.int64), labels.reshape(-1)
+    for k in label:
+        sizes[k] += 1  # the last are those of no region
+    sizes[count] = 0
+    return (sizes > MIN_REGION_CELLS)[label]
 
 
 def _bounded(share: float) -> float:
     return min(max(share, MIN_SHARE), 1 - MIN_SHARE)
 
 
-@lru_cache(maxsize=4)
-def _table(correlation: Correlation, shape: tuple[int, int]) -> np.ndarray:
-    return correlation.covariance(np.arange(float(shape[0]))[:, None], np.arange(float(shape[1])))
-
-
 @kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1])',
         is_short=True)
-def _covariances(labels, planes, table, is_planar):
+def _covariances(labels, planes, table, is_used):
     """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
-    (rows, columns), size = labels.shape, region_sizes(labels, len(planes))
+    rows, columns = labels.shape
     residual, total, count = np.full((rows, columns), np.nan), np.zeros(3), np.zeros(3)
-    for i in range(labels.size):
+    for i in np.flatnonzero(is_used):
         row, column = i // columns, i % columns
-        k = labels[row, column]
-        if k >= 0 and is_planar[i] and size[k] > MIN_REGION_CELLS:
-            residual[row, column] = table[i, 2] - (planes[k, 0] * table[i, 0]
-                                                   + planes[k, 1] * table[i, 1] + planes[k, 2])
+        plane = planes[labels[row, column]]
+        residual[row, column] = table[i, 2] - (plane[0] * table[i, 0] + plane[1] * table[i, 1]
+                                               + plane[2])
     for row in range(rows):
         for column in range(columns):
             for lag in range(3):

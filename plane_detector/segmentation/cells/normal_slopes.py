@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import MIN_VARIANCE
 from plane_detector.types import CameraIntrinsics, Prediction
@@ -109,30 +108,13 @@ def slopes_of(grid: CellGrid, normals: NormalMap) -> np.ndarray:
 
 def _cell_means(normals: NormalMap, grid: CellGrid) -> np.ndarray:
     """Return the weighted mean normal (R * C, 3) of each cell, NaN where none is valid."""
-    weight = normals.confidence
-    if weight is None:
-        weight = np.ones(normals.normals_camera.shape[:2], np.float32)
-    sums = _sum_up(np.ascontiguousarray(normals.normals_camera, np.float32),
-                   np.ascontiguousarray(weight, np.float32), grid.size_px)
+    weight = 1.0 if normals.confidence is None else np.maximum(normals.confidence, 0)[..., None]
+    sums = np.nan_to_num(weight * normals.normals_camera)
+    for axis in (0, 1):
+        sums = np.add.reduceat(sums, range(0, sums.shape[axis], grid.size_px), axis)
+    sums = sums.reshape(-1, 3)
     with np.errstate(invalid='ignore'):
         return sums / np.linalg.norm(sums, axis=1, keepdims=True)
-
-
-@kernel('float64[:, ::1](float32[:, :, ::1], float32[:, ::1], int64)')
-def _sum_up(normals, weight, size):
-    """Return the weighted sum (R * C, 3) of the valid normals of each cell."""
-    height, width = weight.shape
-    columns = -(-width // size)
-    sums = np.zeros((-(-height // size) * columns, 3))
-    for v in range(height):
-        for u in range(width):
-            x, y, z = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
-            if np.isfinite(x + y + z) and weight[v, u] > 0:
-                cell = v // size * columns + u // size
-                sums[cell, 0] += weight[v, u] * x
-                sums[cell, 1] += weight[v, u] * y
-                sums[cell, 2] += weight[v, u] * z
-    return sums
 
 
 def _neighbour_variance(grid: CellGrid, slope: np.ndarray, is_usable: np.ndarray) -> float:

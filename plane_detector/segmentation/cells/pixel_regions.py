@@ -39,16 +39,7 @@ class PixelRegions:
     noise: Noise
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:
-        """
-        Return the same regions in the unit of 1/z = scale * disparity + shift.
-
-        Parameters
-        ----------
-        scale : float
-            Above 0.
-        shift : float
-
-        """
+        """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""
         if scale == 1 and shift == 0:
             return self
         return replace(self, disparity=np.float32(scale) * self.disparity + np.float32(shift),

@@ -36,14 +36,15 @@ def fit_plane(moments):
         NaN where the pixels lie on a line or are fewer than three.
 
     """
-    n = max(moments[0], 1.0)
-    x, y, d = moments[1] / n, moments[2] / n, moments[6] / n
-    xx, xy, yy = moments[3] / n - x * x, moments[4] / n - x * y, moments[5] / n - y * y
-    xd, yd = moments[7] / n - x * d, moments[8] / n - y * d
+    per = 1 / max(moments[0], 1.0)
+    x, y, d = moments[1] * per, moments[2] * per, moments[6] * per
+    xx, xy, yy = moments[3] * per - x * x, moments[4] * per - x * y, moments[5] * per - y * y
+    xd, yd = moments[7] * per - x * d, moments[8] * per - y * d
     determinant = xx * yy - xy * xy
     if not determinant > MIN_EIGENVALUE * (xx + yy) ** 2:
         return np.nan, np.nan, np.nan
-    a, b = (yy * xd - xy * yd) / determinant, (xx * yd - xy * xd) / determinant
+    inverse = 1 / determinant
+    a, b = (yy * xd - xy * yd) * inverse, (xx * yd - xy * xd) * inverse
     return a, b, d - a * x - b * y
 
 
@@ -62,15 +63,6 @@ def fit_planes(moments):
     for k in range(len(moments)):
         planes[k, 0], planes[k, 1], planes[k, 2] = fit_plane(moments[k])
     return planes
-
-
-@kernel('float64[::1](float64[:, ::1], float64[:, ::1])')
-def squared_errors(planes, moments):
-    """Return the squared error (K,) of planes (K, 3) over the pixels of moments (K, 10)."""
-    error = np.empty(len(planes))
-    for k in range(len(planes)):
-        error[k] = squared_error(planes[k, 0], planes[k, 1], planes[k, 2], moments[k])
-    return error
 
 
 @kernel('float64(float64[:, ::1], int64, float64[::1])')

@@ -53,9 +53,9 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
     cells, count = frame.cells, len(regions.coefficients)
     if correlation is None or count < 2:
         return regions
-    table = correlation.table(frame.grid.shape)
+    table = correlation.table
     variance = 2 * (table[0, 0] - table[0, 1])  # of the difference between neighbours
-    weights = (table[0, 0] / correlation.density(frame.grid.shape),
+    weights = (table[0, 0] / correlation.density,
                POTTS_WEIGHT / PAIRS_PER_CELL, 1 / (PAIRS_PER_CELL * variance))
     labels = _reassign(np.ascontiguousarray(regions.labels),
                        (regions.coefficients, cells.table, cells.is_planar), weights)

@@ -61,7 +61,7 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     cell, is_first = _cells_about(labels, cells.is_planar, (first, second))
     if min(np.count_nonzero(is_first), np.count_nonzero(~is_first)) <= PLANE_TERMS:
         return False
-    gain = _gain(cells.table, cell, is_first, correlation.table(cells.grid.shape))
+    gain = _gain(cells.table, cell, is_first, correlation.table)
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
 
 

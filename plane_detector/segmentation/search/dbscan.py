@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -24,11 +25,9 @@ NEAR = 'Tuple((int64[::1], int64))'
 
 def with_margin(grid: np.ndarray, margin: int) -> np.ndarray:
     """Return a grid (R, C) with a margin of -1."""
-    rows, columns = grid.shape
     # Rows of odd length: in the flat grid, places of one parity are a checkerboard.
-    wide = np.full((rows + 2 * margin, (columns + 2 * margin) | 1), -1, grid.dtype)
-    wide[margin:margin + rows, margin:margin + columns] = grid
-    return wide
+    right = margin + 1 - grid.shape[1] % 2
+    return cv2.copyMakeBorder(grid, margin, margin, margin, right, cv2.BORDER_CONSTANT, value=-1)
 
 
 @lru_cache(maxsize=8)

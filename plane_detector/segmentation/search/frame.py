@@ -55,7 +55,3 @@ class Frame:
     def cells(self) -> WeightedCells:
         """The cells of the grid, weighted by the noise."""
         return weigh_cells(self.grid, self.noise)
-
-    def with_noise(self, noise: Noise) -> Frame:
-        """Return the frame with another noise; ``replace`` takes five times as long."""
-        return Frame(self.image, self.grid, noise, self.min_pixels, self.config, self.rng)

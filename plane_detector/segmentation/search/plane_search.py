@@ -13,16 +13,16 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.labels import region_sizes
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
-from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS
+from plane_detector.segmentation.cells.noise_correlation import in_large_regions
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
@@ -50,47 +50,39 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     grid, most = frame.grid, frame.config.segmentation.max_planes
     noise = estimate_noise(grid, frame.noise)
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
-    frame, floor = frame.with_noise(noise), sys.float_info.min
+    frame, floor = replace(frame, noise=noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
     for _ in range(MAX_TRIALS):
         regions = add_planes(frame, no_planes(grid), min(CALIBRATION_PLANES, most))
         noise = _noise_from_planes(frame, regions)
         if abs(max(noise.mean_sigma, floor) / max(frame.noise.mean_sigma, floor) - 1) < TOLERANCE:
             break
-        frame, regions = frame.with_noise(noise), no_planes(grid)
+        frame, regions = replace(frame, noise=noise), no_planes(grid)
     return frame, add_planes(frame, regions, most)
 
 
 def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
     """Return the noise from the median absolute deviation from the large planes, if any."""
-    residual, tilt, rms, sparsity = _deviations(
-        regions.labels, regions.coefficients, frame.cells.table, frame.grid.residual_rms,
-        frame.grid.sparsity)
-    if not len(residual):
+    grid, planes = frame.grid, regions.coefficients
+    cells = sample_cells(in_large_regions(regions.labels, len(planes)))
+    if not len(cells):
         return frame.noise
-    sigmas = SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt), median(rms)
-    return frame.noise.from_cells(sigmas, sparsity)
+    residual, tilt = _deviations(regions.labels, planes, frame.cells.table, cells)
+    sigmas = (SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt),
+              median(grid.residual_rms[cells]))
+    return frame.noise.from_cells(sigmas, grid.sparsity.take(cells, 0))
 
 
-@kernel('Tuple((float64[::1], float64[::1], float64[::1], float64[:, ::1]))(int32[:, ::1], '
-        'float64[:, ::1], float64[:, ::1], float64[::1], float64[:, ::1])', is_short=True)
-def _deviations(labels, planes, table, residual_rms, sparsity):
-    """
-    Compare some cells of large planes with these.
-
-    Return moduli of residuals (n,) and of slopes' (2 * n,), rms (n,) and sparsity (n, 2).
-    """
-    is_member, size = np.zeros(labels.size, np.bool_), region_sizes(labels, len(planes))
-    label = labels.reshape(-1)
-    for i in range(len(label)):
-        is_member[i] = label[i] >= 0 and size[label[i]] > MIN_REGION_CELLS
-    cells, rms, sparsity = sample_cells(is_member, residual_rms, sparsity)
-    residual, tilt = np.empty(len(cells)), np.empty(2 * len(cells))
+@kernel('UniTuple(float64[::1], 2)(int32[:, ::1], float64[:, ::1], float64[:, ::1], int64[:])',
+        is_short=True)
+def _deviations(labels, planes, table, cells):
+    """Return moduli of residuals (n,) of cells to their planes, and of slopes' (2 * n,)."""
+    residual, tilt, label = np.empty(len(cells)), np.empty(2 * len(cells)), labels.reshape(-1)
     for m, i in enumerate(cells):
         a, b, c = planes[label[i], 0], planes[label[i], 1], planes[label[i], 2]
         residual[m] = abs(table[i, 2] - a * table[i, 0] - b * table[i, 1] - c)
         tilt[2 * m], tilt[2 * m + 1] = abs(table[i, 3] - a), abs(table[i, 4] - b)
-    return residual, tilt, rms, sparsity
+    return residual, tilt
 
 
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:

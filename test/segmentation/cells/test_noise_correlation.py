@@ -22,7 +22,7 @@ def test_the_correlation_of_blurred_noise(sigma):
     lag = np.arange(1, 5)
     expected = np.exp(-(8 * lag) ** 2 / (4 * (12**2 + 8**2 / 12)))
     found = [correlation_of(noisy(bare_wall(), seed, sigma)) for seed in range(4)]
-    shape = np.mean([c.covariance(0, lag) / c.smooth for c in found], axis=0)
+    shape = np.mean([c.table[0, lag] / c.smooth for c in found], axis=0)
     np.testing.assert_allclose(shape, expected, atol=0.08)
     assert np.mean([c.power for c in found]) == pytest.approx(1.9, abs=0.15)
     assert np.mean([c.own for c in found]) == pytest.approx(sigma**2 / 2 / 64, rel=0.15)
@@ -45,10 +45,11 @@ def test_the_covariance_goes_by_rows_and_columns():
     model, noise = cells_and_noise(noisy(bare_wall(), 0))
     correlation = Correlation.of(model, one_patch(model), noise)
     row, column = np.divmod(np.array([0, 1, 80, 82, 4799]), 80)
-    table = correlation.table(model.grid.shape)
+    table = correlation.table
     matrix = table[np.abs(row[:, None] - row), np.abs(column[:, None] - column)]
     assert np.linalg.eigvalsh(matrix).min() > 0
-    assert matrix[0, 1] == matrix[0, 2] == correlation.covariance(0, 1)
-    assert matrix[1, 3] == correlation.covariance(1, 1)
-    assert matrix[0, 4] == correlation.covariance(59, 79)
+    assert matrix[0, 1] == pytest.approx(correlation.smooth * np.exp(-correlation.decay))
+    assert matrix[0, 1] == matrix[0, 2]
+    assert matrix[1, 3] == table[1, 1] < table[0, 1]
+    assert matrix[0, 4] == table[59, 79]
     np.testing.assert_allclose(matrix[0, 0], correlation.smooth + correlation.own, rtol=0.01)

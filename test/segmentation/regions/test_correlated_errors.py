@@ -16,7 +16,7 @@ from plane_detector.segmentation.regions.correlated_errors import reassign_cells
 SIGMA = 0.004
 NOISE = Noise(0.001, 0.0, 0.0, SIGMA / 2**0.5, 0.05, SIGMA / 2**0.5)
 # Of the blur of the rendered noise, 12 pixels, in cells of 8 pixels.
-CORRELATION = Correlation(SIGMA**2 / 2, SIGMA**2 / 128, (8 / 24)**2, 2.0)
+CORRELATION = Correlation(SIGMA**2 / 2, SIGMA**2 / 128, (8 / 24)**2, 2.0, (60, 80))
 NEAR_M, FAR_M = 2.0, 2.04
 """A gap of 0.01 per metre, 3.5 deviations of the smooth part."""
 HALF = 40

@@ -141,4 +141,4 @@ def test_nothing_to_split_is_returned_as_it_is():
     none = type(none)(np.full(model.grid.shape, -1, np.int32), none.coefficients[:0])
     frame = frame_of(disparity_image(depth_m), model)
     assert split_at_depth_steps(frame, none, None) is none
-    assert split_at_depth_steps(frame, none, Correlation(1.0, 0.1, 0.1, 1.0)) is none
+    assert split_at_depth_steps(frame, none, Correlation(1.0, 0.1, 0.1, 1.0, (60, 80))) is none

@@ -11,7 +11,7 @@ from plane_detector.config import Config, SegmentationConfig
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.cells.grid import build_cell_grid
-from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.noise import DepthKind, Noise
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 
@@ -41,7 +41,7 @@ def test_exact_depth_has_no_noise(room, seed):
     model, regions, noise = found(scene.depth_m)
     assert noise.mean_sigma < 1e-5
     assert noise.pixel_sigma < 1e-5
-    assert noise.is_exact(model.grid.typical_disparity)
+    assert noise.kind(model.grid.typical_disparity) is DepthKind.EXACT
     large = np.bincount(scene.labels[scene.labels >= 0]) > 20000
     assert (best_iou(scene, pixel_labels(regions, scene))[large] > 0.7).all()
 
@@ -53,7 +53,7 @@ def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma):
     model, regions, noise = found(noisy_m)
     assert sigma * PART / 1.5 < noise.mean_sigma < sigma * PART * 1.5
     assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
-    assert not noise.is_exact(model.grid.typical_disparity)
+    assert noise.kind(model.grid.typical_disparity) is DepthKind.MEASURED
     assert len(regions.coefficients) >= 5
 
 
