@@ -11,6 +11,7 @@ code that does neither keeps running in its thread; `leave` then ends the proces
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -174,6 +175,25 @@ class Background(Generic[Result]):
         finally:
             self._running.discard(self)
             self._on_end()
+
+
+@contextmanager
+def quiet_interrupt() -> Iterator[None]:
+    """
+    Let SIGINT end the process at once, without a traceback, while this block imports a program.
+
+    The imports take a second, and KeyboardInterrupt would be raised somewhere in them. Nothing
+    changes in another thread than the main one, or if SIGINT is ignored or handled already.
+    """
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def leave(exit_code: int) -> int:

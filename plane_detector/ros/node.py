@@ -4,8 +4,9 @@
 
 from __future__ import annotations
 
-import signal
 import sys
+
+from plane_detector.stopping import quiet_interrupt
 
 USAGE = """\
 usage: ros2 run plane_detector node [--ros-args [-r FROM:=TO] [-p NAME:=VALUE]
@@ -30,10 +31,9 @@ def main(args: list[str] | None = None) -> int:
         stream = sys.stdout if is_asked else sys.stderr
         print(USAGE, end='' if is_asked else f'\nnot understood: {" ".join(own)}\n', file=stream)
         return 0 if is_asked else 2
-    # The imports take a second; SIGINT would raise KeyboardInterrupt somewhere in them.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from plane_detector.ros.lifecycle_node import PlaneDetectorNode
-    from plane_detector.ros.spinning import run
+    with quiet_interrupt():
+        from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+        from plane_detector.ros.spinning import run
     return run(PlaneDetectorNode, args)
 
 

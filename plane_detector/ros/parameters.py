@@ -45,6 +45,7 @@ def warn_of_unknown(node: Node) -> None:
     """
     Warn of initial values for undeclared parameters, each with the most similar declared name.
 
+    A warning, not an error: ROS 2 ignores such values, and a file may set one for many nodes.
     Values for qos_overrides are not checked: they are declared later, with their topics.
     """
     declared = node.list_parameters([], 0).names
@@ -52,16 +53,16 @@ def warn_of_unknown(node: Node) -> None:
     unknown = sorted(name for name in given
                      if name not in declared and not name.startswith('qos_overrides.'))
     if unknown:
-        node.get_logger().warning('ignored, because no parameter has this name: '
-                                  f'{with_nearest(unknown, declared)}')
+        node.get_logger().warning(f'ignored: {no_such_parameter(unknown, declared)}')
 
 
-def with_nearest(unknown: Iterable[str], known: Iterable[str]) -> str:
-    """Return the unknown names in a list, each with the most similar known one, if there is."""
+def no_such_parameter(unknown: Iterable[str], known: Iterable[str]) -> str:
+    """Return the message about unknown names, each with the most similar known one, if any."""
     known = sorted(known)
-    return ', '.join(
+    names = ', '.join(
         name + ''.join(f' (meant: {near}?)' for near in get_close_matches(name, known, 1))
         for name in unknown)
+    return f'no parameter has this name (see docs/parameters.md): {names}'
 
 
 def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettings:

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter, get_parameter_value, parameter_dict_from_
 from rclpy.parameter import parameter_value_to_python as value_to_python
 
 from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.parameters import updated, with_nearest
+from plane_detector.ros.parameters import no_such_parameter, updated
 from plane_detector.settings import parameters_of
 
 _NODE_NAME = 'plane_detector'
@@ -45,8 +45,7 @@ def load_settings(params_file: Path | None, assignments: Sequence[str]
     unknown = {parameter.name for parameter in values} - known
     unknown = sorted(name for name in unknown if not name.startswith(_OF_ROS))
     if unknown:
-        raise ValueError(f'unknown parameter {with_nearest(unknown, known)}; all are listed in '
-                         'docs/parameters.md')
+        raise ValueError(no_such_parameter(unknown, known))
     return updated(Config(), values), updated(NodeConfig(), values)
 
 

@@ -192,7 +192,7 @@ def test_demo_runs_the_node_over_dds(tmp_path, images):
 
 
 def test_the_loops_are_compiled_before_the_time_of_the_node_runs(tmp_path, monkeypatch, capsys):
-    demo = pytest.importorskip('plane_detector.tools.demo.__main__')
+    demo = pytest.importorskip('plane_detector.tools.demo.program')
     done = []
 
     def start_node(*_):

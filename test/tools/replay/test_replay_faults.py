@@ -47,7 +47,7 @@ def kill_at(tmp_path):
             f'        os.kill(os.getpid(), {int(number)})\n'
             '    return process(self, frame, wanted)\n'
             'FrameProcessor.process = counted\n'
-            'from plane_detector.tools.replay.__main__ import main\n'
+            'from plane_detector.tools.replay.program import main\n'
             'sys.exit(main(sys.argv[1:]))\n')
         return subprocess.run(
             [sys.executable, '-c', script, str(source), str(tmp_path / 'planes'), *options],
@@ -117,7 +117,7 @@ def test_an_endless_frame_does_not_delay_the_end(bag, tmp_path):
         '        threading.Event().wait()\n'
         '    return process(self, frame, wanted)\n'
         'FrameProcessor.process = hangs\n'
-        'from plane_detector.tools.replay.__main__ import main\n'
+        'from plane_detector.tools.replay.program import main\n'
         'sys.exit(main(sys.argv[1:]))\n')
     with subprocess.Popen(
             [sys.executable, '-c', script, str(bag), str(tmp_path / 'planes')], cwd=ROOT,
@@ -159,7 +159,7 @@ def test_a_full_disk_leaves_the_frames_before(bag, tmp_path, storage):
     room = 3_000_000 if storage == 'mcap' else 2_000_000
     script = ('import sys\nfrom plane_detector.tools.replay import bag_writer\n'
               'bag_writer._COMMIT_BYTES = 1\n'
-              'from plane_detector.tools.replay.__main__ import main\n'
+              'from plane_detector.tools.replay.program import main\n'
               'sys.exit(main(sys.argv[1:]))\n')
     run = subprocess.run(
         [sys.executable, '-c', script, str(bag), str(tmp_path / 'planes'), '--storage', storage],

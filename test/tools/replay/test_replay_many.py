@@ -16,7 +16,6 @@ from replay_helpers import DEPTH, assert_true, camera_messages
 from tqdm import tqdm
 
 from plane_detector.tools.replay import many
-from plane_detector.tools.replay.__main__ import main
 from plane_detector.tools.replay.arguments import parse
 from plane_detector.tools.replay.bag_reader import BagError
 from plane_detector.tools.replay.find_bags import find_bags, is_collection
@@ -29,6 +28,7 @@ from plane_detector.tools.replay.one_bag import (
 )
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.part_folder import FINISHED, STATE, replay_fields
+from plane_detector.tools.replay.program import main
 
 ROOT = Path(__file__).resolve().parents[3]
 PLANES = '/plane_detector/planes'
