@@ -114,7 +114,7 @@ def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
     if z <= 0:
         raise ValueError('it is behind the camera')
     u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
-    # Before rounding, because what is not finite cannot be rounded.
+    # Checked before rounding: round() raises for NaN and infinity.
     if not (-0.5 <= u < camera.width - 0.5 and -0.5 <= v < camera.height - 0.5):
         raise ValueError('it is not in the image')
     column, row = round(u), round(v)

@@ -56,7 +56,7 @@ def test_a_click_without_a_plane_is_reported(labels, point_m, reason):
         plane_at(result_of(labels), np.array(point_m))
 
 
-def test_frames_of_the_click(labels):
+def test_a_click_is_in_the_frame_of_the_image_or_of_the_outputs(labels):
     in_map = result_of(labels, TO_MAP)
     np.testing.assert_allclose(point_in_camera(in_map, click_at('map', (7.0, 0.0, 1.0))),
                                [0, 0, 2], atol=1e-12)
