@@ -241,7 +241,9 @@ def _fit_cells(moments, size, width):
     mean, slope, rms = np.zeros((count, 3)), np.zeros((count, 2)), np.zeros(count)
     usable, sparsity = np.zeros(count, np.bool_), np.zeros((count, 2))
     of_full = 12 * width**2 / (area * (area - 1))
-    for i in np.flatnonzero(moments[:, 0]):
+    for i in range(count):
+        if moments[i, 0] == 0:
+            continue
         m, per = moments[i], 1 / moments[i, 0]  # no row is held where paths part: faster
         n, x, y, d = m[0], m[1] * per, m[2] * per, m[6] * per
         xx, xy, yy = m[3] * per - x * x, m[4] * per - x * y, m[5] * per - y * y

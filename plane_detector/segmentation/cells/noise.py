@@ -225,7 +225,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
         return noise_floor
     gaps = np.diff(values)
     step = median(gaps)
-    if (np.mean(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE
+    if (np.count_nonzero(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE * len(gaps)
             or step / 2 < 2 * noise_floor.variance_floor(median(values)) ** 0.5):
         return noise_floor
     # The quantisation error is uniform over one step.
