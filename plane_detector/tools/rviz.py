@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 import rclpy
-from rclpy.executors import Executor
+from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo
@@ -25,6 +25,7 @@ from sensor_msgs.msg import CameraInfo
 from plane_detector.ros.inputs.topic_names import input_topics
 
 _FILE = 'plane_detector.rviz'
+_INTERRUPTED = 130
 _NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
 
 
@@ -66,7 +67,7 @@ def find_config() -> Path:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Wait for the camera and start RViz in this process; return an exit code on failure."""
+    """Wait for the camera and start RViz in this process; return an exit code without RViz."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector rviz',
                                      description=__doc__.strip().splitlines()[0])
     parser.add_argument('--frame', default='', help='fixed frame (default: that of the camera)')
@@ -83,6 +84,8 @@ def main(args: list[str] | None = None) -> int:
     except TimeoutError as error:
         print(error, file=sys.stderr)
         return 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return _INTERRUPTED
     folder = Path(tempfile.mkdtemp(prefix='plane_detector_'))
     file = folder / _FILE
     file.write_text(with_frame(find_config().read_text('utf-8'), frame, options.node), 'utf-8')

@@ -6,6 +6,7 @@ import os
 
 import pytest
 import yaml
+from rclpy.executors import ExternalShutdownException
 from ros_helpers import camera_info_msg, random_domain
 
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -60,6 +61,15 @@ def test_without_a_camera_the_remedy_is_printed(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(random_domain()))
     assert rviz.main(['--timeout', '0.2']) == 1
     assert '--frame' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('interrupt', [KeyboardInterrupt, ExternalShutdownException])
+def test_an_interrupt_while_waiting_for_the_camera_is_exit_code_130(monkeypatch, interrupt):
+    def interrupted(of_ros, timeout_s):
+        raise interrupt
+    monkeypatch.setattr(rviz, '_frame_of_camera', interrupted)
+    monkeypatch.setattr(rviz.shutil, 'which', lambda name: f'/bin/{name}')
+    assert rviz.main([]) == 130
 
 
 def test_rviz_is_started_with_the_frame(monkeypatch, tmp_path):
