@@ -7,6 +7,7 @@ What needs ROS is imported where it is used: the core is tested without.
 """
 
 import os
+from contextlib import nullcontext
 from functools import lru_cache
 from pathlib import Path
 
@@ -56,13 +57,21 @@ def data_folder():
 
 
 @pytest.fixture
-def robot(capfd, monkeypatch):
+def robot(tmp_path, monkeypatch):
     """Return a camera and subscribers on a ROS domain of their own; diagnostics come often."""
     from ros_helpers import Robot
     monkeypatch.setattr('plane_detector.ros.diagnostics._PERIOD_S', 0.25)
-    robot = Robot(capfd=capfd)
+    robot = Robot(log_file=tmp_path / 'log')
     yield robot
     robot.shutdown()
+
+
+@pytest.hookimpl(wrapper=True, trylast=True)
+def pytest_runtest_call(item):
+    """Let the robot read the log; not in its fixture, as pytest takes it over before each call."""
+    robot = item.funcargs.get('robot')
+    with robot.log_in_file() if robot and robot.log_file else nullcontext():
+        return (yield)
 
 
 @pytest.fixture(scope='session')

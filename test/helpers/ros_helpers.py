@@ -7,9 +7,12 @@ from __future__ import annotations
 import array
 import os
 import random
+import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -104,12 +107,13 @@ class Robot:
     ----------
     outputs : names of outputs of the node to subscribe to.
     domain : DDS domain; a random one if not given.
-    capfd : pytest's fixture of that name, to read the log from.
+    log_file : file for the log; see log_in_file.
 
     """
 
-    def __init__(self, outputs=tuple(OUTPUT_TYPES), domain: int | None = None, capfd: Any = None):
-        self._capfd, self._log = capfd, ''
+    def __init__(self, outputs=tuple(OUTPUT_TYPES), domain: int | None = None,
+                 log_file: Path | None = None):
+        self.log_file = log_file
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=domain or random_domain())
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -167,11 +171,28 @@ class Robot:
         """Spin until the nodes' log holds the text."""
         return self.spin(lambda: text in self.log())
 
+    @contextmanager
+    def log_in_file(self) -> Iterator[None]:
+        """
+        Append what goes to standard error to the log file; at the end show it there too.
+
+        pytest's capfd truncates its file when read, and loses what a thread logs meanwhile.
+        """
+        before, before_fd = sys.stderr, os.dup(2)
+        with self.log_file.open('a', buffering=1) as file:
+            sys.stderr = file
+            os.dup2(file.fileno(), 2)
+            try:
+                yield
+            finally:
+                sys.stderr = before
+                os.dup2(before_fd, 2)
+                os.close(before_fd)
+        before.write(self.log())
+
     def log(self) -> str:
-        """Return what the nodes have logged so far; with capfd only."""
-        if self._capfd is not None:
-            self._log += self._capfd.readouterr().err
-        return self._log
+        """Return what the nodes have logged so far; with a log file only."""
+        return self.log_file.read_text() if self.log_file else ''
 
     def diagnosis(self) -> tuple[Any, dict[str, str]]:
         """Return the next status of the node, and its values."""

@@ -8,7 +8,6 @@ pytest.importorskip('rclpy')
 
 from node_helpers import small_room, start
 from onnx_models import write_depth_network
-from ros_helpers import Robot
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig
@@ -73,18 +72,14 @@ def test_beside_the_timing_runs_all_that_a_frame_needs():
     assert found.disparity_noise > 0.001
 
 
-def test_log_and_diagnostics_name_the_choice(capfd, tmp_path):
-    robot = Robot(capfd=capfd)
-    try:
-        path = write_depth_network(tmp_path / 'n.onnx')
-        start(robot, depth__model=str(path), depth__output='metric_depth', depth__short_side=140,
-              depth__target_rate=1000.0, depth__input_scale=1.0, depth__mean=[0.0] * 3,
-              depth__std=[1.0] * 3)
-        values = {}
-        while values.get('state') != 'active':  # a status may have been on its way before
-            values = robot.diagnosis()[1]
-        assert 'depth.target_rate 1000 Hz' in values['network_input_reason']
-        assert ' x ' in values['network_input']
-        assert values['network_input_reason'] in robot.log()
-    finally:
-        robot.shutdown()
+def test_log_and_diagnostics_name_the_choice(robot, tmp_path):
+    path = write_depth_network(tmp_path / 'n.onnx')
+    start(robot, depth__model=str(path), depth__output='metric_depth', depth__short_side=140,
+          depth__target_rate=1000.0, depth__input_scale=1.0, depth__mean=[0.0] * 3,
+          depth__std=[1.0] * 3)
+    values = {}
+    while values.get('state') != 'active':  # a status may have been on its way before
+        values = robot.diagnosis()[1]
+    assert 'depth.target_rate 1000 Hz' in values['network_input_reason']
+    assert ' x ' in values['network_input']
+    assert values['network_input_reason'] in robot.log()
