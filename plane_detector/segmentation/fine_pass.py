@@ -111,7 +111,7 @@ def _large_pieces(unlabelled: np.ndarray, size: int, min_pixels: float) -> np.nd
     wanted = 2 * unlabelled >= size**2
     _, pieces = cv2.connectedComponents(wanted.astype(np.uint8), connectivity=4)
     pixels = np.bincount(pieces.ravel(), unlabelled.ravel())
-    return wanted & (pixels >= min_pixels)[pieces]
+    return wanted & (pixels >= min_pixels).take(pieces)
 
 
 def _box_around(mask: np.ndarray) -> tuple[slice, slice]:

@@ -146,9 +146,19 @@ def _is_curved(sums, noise_density, min_deg):
             and np.degrees(np.arctan2(slope, mean)) > min_deg)
 
 
-def _in_bends(bends: np.ndarray) -> np.ndarray:
+@kernel('boolean[::1](int8[:, ::1])', is_short=True)
+def _in_bends(bends):
     """Return which regions bends link to a clear one (hysteresis, Canny 1986) or to a chain."""
-    linked = (bends > 0) + np.eye(len(bends))
-    for _ in range(len(bends).bit_length()):  # each time over chains of twice the length
-        linked = np.sign(linked @ linked)
-    return (linked @ (bends > 1).any(axis=1) > 0) | (linked.sum(axis=1) >= MIN_CHAIN)
+    count, linked, found = len(bends), bends > 0, np.zeros(len(bends), np.bool_)
+    for through in range(count):  # transitive closure (Warshall 1962)
+        for i in range(count):
+            if linked[i, through]:
+                linked[i] |= linked[through]
+    for i in range(count):
+        linked[i, i] = True
+        size = is_clear = 0
+        for k in range(count):
+            if linked[i, k]:
+                size, is_clear = size + 1, max(is_clear, bends[k].max())
+        found[i] = is_clear > 1 or size >= MIN_CHAIN
+    return found

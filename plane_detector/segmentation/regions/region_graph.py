@@ -27,13 +27,9 @@ BORDER_REACH_CELLS = 2
 MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
-# derived: the columns of RegionGraph.sums. First the products of two of 1, x, y, xx, xy, yy and d,
-# given by their numbers: the ten moments, then what a quadric needs in addition.
-FACTORS = np.array([[0, 0], [0, 1], [0, 2], [0, 3], [0, 4], [0, 5], [0, 6], [1, 6], [2, 6], [6, 6],
-                    [1, 3], [2, 3], [1, 5], [2, 5], [3, 3], [3, 4], [3, 5], [4, 5], [5, 5],
-                    [3, 6], [4, 6], [5, 6]])
+# derived: the columns of RegionGraph.sums. The first 22 are products of two of 1, x, y, xx, xy, yy
+# and d: the ten moments, and what a quadric needs in addition. PRODUCTS has the column of each.
 VARIANCE, NORMALS, SLOPE_X, SLOPE_Y, SLOPE_SQUARES, NORMALS_D = range(22, 28)
-# derived: the column of the product of each two of the seven.
 PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 11, 12, 13, 8],
                      [3, 10, 11, 14, 15, 16, 19], [4, 11, 12, 15, 16, 17, 20],
                      [5, 12, 13, 16, 17, 18, 21], [6, 7, 8, 19, 20, 21, 9]])
@@ -55,7 +51,7 @@ class RegionGraph:
     pixels : (K, 10) float64
         Moments of these pixels.
     sums : (K, 28) float64
-        Of the means of the cells: the products FACTORS, and the variances; of the cells with
+        Of the means of the cells: 22 products, and the variances; of the cells with
         normals: their number, two slopes, the squares of these, and disparity.
     borders : (K, K, 4) float64
         Entry i, j: pairs of cells along the border of i and j, sums of x, y, d of those in i.
@@ -168,9 +164,29 @@ def _sum_up(labels, table, moments, slope, is_planar, count):
 def _add_cell(table, slope, sums, i, k):
     """Add cell i to the sums of region k: numba takes longer to pass rows than to add them up."""
     x, y, d = table[i, 0], table[i, 1], table[i, 2]
-    terms = (1.0, x, y, x * x, x * y, y * y, d)
-    for m in range(len(FACTORS)):
-        sums[k, m] += terms[FACTORS[m, 0]] * terms[FACTORS[m, 1]]
+    xx, xy, yy = x * x, x * y, y * y
+    sums[k, 0] += 1
+    sums[k, 1] += x
+    sums[k, 2] += y
+    sums[k, 3] += xx
+    sums[k, 4] += xy
+    sums[k, 5] += yy
+    sums[k, 6] += d
+    sums[k, 7] += x * d
+    sums[k, 8] += y * d
+    sums[k, 9] += d * d
+    sums[k, 10] += xx * x
+    sums[k, 11] += xx * y
+    sums[k, 12] += yy * x
+    sums[k, 13] += yy * y
+    sums[k, 14] += xx * xx
+    sums[k, 15] += xx * xy
+    sums[k, 16] += xx * yy
+    sums[k, 17] += xy * yy
+    sums[k, 18] += yy * yy
+    sums[k, 19] += xx * d
+    sums[k, 20] += xy * d
+    sums[k, 21] += yy * d
     sums[k, VARIANCE] += 1 / table[i, 5]
     if np.isfinite(slope[i, 0]):
         sums[k, NORMALS] += 1
