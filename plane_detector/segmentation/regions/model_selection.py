@@ -11,7 +11,6 @@ the cells around the border.
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -58,32 +57,83 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     """
     if correlation is None:
         return False
-    cell, is_first = _cells_about(labels, cells.is_planar, (first, second))
+    pair = np.array([first, second])
+    cell, is_first = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
     if min(np.count_nonzero(is_first), np.count_nonzero(~is_first)) <= PLANE_TERMS:
         return False
     gain = _gain(cells.table, cell, is_first, correlation.table)
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
 
 
-def _cells_about(labels: np.ndarray, is_planar: np.ndarray,
-                 pair: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+@kernel('Tuple((int64[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])',
+        is_short=True)
+def _cells_about(labels, is_planar, pair):
     """Return the cells (n,) nearest to a border, and which of them are the first region's."""
-    masks = [(labels == label).view(np.uint8) for label in pair]
-    left, top, width, height = cv2.boundingRect(min(masks, key=cv2.countNonZero))
-    box = tuple(slice(max(start - REACH_CELLS, 0), start + size + REACH_CELLS)
-                for start, size in ((top, height), (left, width)))
-    first, second = (mask[box] for mask in masks)
-    cells = np.flatnonzero((first | second) & is_planar.reshape(labels.shape)[box])
-    # The distance to their own region is 0.
-    distance = np.maximum(_distance_to(first), _distance_to(second)).ravel()[cells]
-    cells = cells[np.argsort(distance, kind='stable')[:MAX_CELLS]]
-    numbers = np.arange(labels.size).reshape(labels.shape)
-    return numbers[box].ravel()[cells], first.ravel()[cells] > 0
+    columns, (top, bottom, left, right) = labels.shape[1], _box_of_smaller(labels, pair)
+    near = labels[top:bottom, left:right]
+    to_first, to_second = _distance(near, pair[0]), _distance(near, pair[1])
+    # Counting sort by distance.
+    distance = np.zeros(near.shape, np.int64)
+    start = np.zeros(near.shape[0] + near.shape[1] + 2, np.int64)
+    for row in range(near.shape[0]):
+        for column in range(near.shape[1]):
+            if not is_planar[(top + row) * columns + left + column]:
+                continue
+            if near[row, column] == pair[0]:
+                distance[row, column] = to_second[row, column]
+            elif near[row, column] == pair[1]:
+                distance[row, column] = to_first[row, column]
+            if distance[row, column] > 0:
+                start[distance[row, column] + 1] += 1
+    for k in range(1, len(start)):
+        start[k] += start[k - 1]
+    n = min(start[-1], MAX_CELLS)
+    cell, is_first = np.empty(n, np.int64), np.zeros(n, np.bool_)
+    for row in range(near.shape[0]):
+        for column in range(near.shape[1]):
+            apart = distance[row, column]
+            if apart > 0 and start[apart] < n:
+                cell[start[apart]] = (top + row) * columns + left + column
+                is_first[start[apart]] = near[row, column] == pair[0]
+            start[apart] += apart > 0
+    return cell, is_first
 
 
-def _distance_to(mask: np.ndarray) -> np.ndarray:
-    """Return the chessboard distance of each cell to the nearest 1 of a mask, float32."""
-    return cv2.distanceTransform(mask ^ 1, cv2.DIST_C, 3)
+@kernel('UniTuple(int64, 4)(int32[:, ::1], int64[::1])')
+def _box_of_smaller(labels, pair):
+    """Return the rows and columns of cells within reach of the smaller one of two regions."""
+    (rows, columns), sizes = labels.shape, np.zeros(2, np.int64)
+    boxes = np.array([[rows, 0, columns, 0], [rows, 0, columns, 0]])
+    for row in range(rows):
+        for column in range(columns):
+            for k in range(2):
+                if labels[row, column] == pair[k]:
+                    sizes[k] += 1
+                    boxes[k, 0] = min(boxes[k, 0], max(row - REACH_CELLS, 0))
+                    boxes[k, 1] = max(boxes[k, 1], min(row + REACH_CELLS + 1, rows))
+                    boxes[k, 2] = min(boxes[k, 2], max(column - REACH_CELLS, 0))
+                    boxes[k, 3] = max(boxes[k, 3], min(column + REACH_CELLS + 1, columns))
+    box = boxes[int(sizes[1] <= sizes[0])]
+    return box[0], box[1], box[2], box[3]
+
+
+@kernel('int64[:, ::1](int32[:, :], int64)')
+def _distance(labels, label):
+    """Return the chessboard distance (R, C) of each cell to the nearest cell with a label."""
+    rows, columns = labels.shape
+    distance = np.full((rows, columns), rows + columns)
+    for turn in range(2):
+        for i in range(labels.size):
+            at = i if turn == 0 else labels.size - 1 - i
+            row, column, towards = at // columns, at % columns, 2 * turn - 1
+            shortest = 0 if labels[row, column] == label else distance[row, column]
+            if 0 <= row + towards < rows:
+                for c in range(max(column - 1, 0), min(column + 2, columns)):
+                    shortest = min(shortest, distance[row + towards, c] + 1)
+            if 0 <= column + towards < columns:
+                shortest = min(shortest, distance[row, column + towards] + 1)
+            distance[row, column] = shortest
+    return distance
 
 
 # With MAX_CELLS it takes 0.23 ms and keeps the lock, as the node switches threads after 1 ms; with
