@@ -129,12 +129,15 @@ def test_other_threads_run_beside_a_kernel_unless_it_is_short(is_short, tmp_path
             turns.append(1)
     thread = threading.Thread(target=take_turns)
     thread.start()
-    before = len(turns)
-    one(50_000_000)
-    during = len(turns) - before
+    during = []
+    for _ in range(5):
+        before = len(turns)
+        one(10_000_000)
+        during.append(len(turns) - before)
     ended.set()
     thread.join()
-    assert (during <= 1) == is_short
+    # The median, as on a busy machine the thread may also take turns before the kernel starts.
+    assert (sorted(during)[2] <= 1) == is_short, during
 
 
 def last_of_sequence(steps):
