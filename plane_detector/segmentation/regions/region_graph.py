@@ -27,9 +27,10 @@ BORDER_REACH_CELLS = 2
 MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
-# derived: the columns of RegionGraph.sums. The first 22 are products of two of 1, x, y, xx, xy, yy
-# and d: the ten moments, and what a quadric needs in addition. PRODUCTS has the column of each.
+# derived: the columns of RegionGraph.sums behind those of PRODUCTS.
 VARIANCE, NORMALS, SLOPE_X, SLOPE_Y, SLOPE_SQUARES, NORMALS_D = range(22, 28)
+# derived: the column of the product of each two of 1, x, y, xx, xy, yy and d. Of the 22 products
+# the first ten are the moments, the others what a quadric needs in addition.
 PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 11, 12, 13, 8],
                      [3, 10, 11, 14, 15, 16, 19], [4, 11, 12, 15, 16, 17, 20],
                      [5, 12, 13, 16, 17, 18, 21], [6, 7, 8, 19, 20, 21, 9]])
