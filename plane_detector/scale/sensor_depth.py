@@ -26,6 +26,8 @@ ITERATIONS = 10
 INDEPENDENT_POINTS = 300
 # Without near and far points the scale is more uncertain than this.
 MAX_SCALE_SIGMA_SHARE = 0.1
+# Weighted squares of 1/z about their mean, at least: nothing is divided by 0.
+MIN_SPREAD = 1e-30
 
 
 @dataclass(frozen=True)
@@ -117,11 +119,14 @@ def _tukey(residual: np.ndarray) -> tuple[np.ndarray, float]:
     return np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0), sigma
 
 
-def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray, sigma: float):
-    design = np.stack([x, np.ones_like(x)], axis=1)
-    normal_matrix = design.T @ (weights[:, None] * design)
-    # Points at one depth make it singular: the variance becomes large, and the fit is refused.
-    normal_matrix += 1e-12 * (1.0 + np.trace(normal_matrix)) * np.eye(2)
-    inverse = np.linalg.inv(normal_matrix)
-    alpha, beta = inverse @ (design.T @ (weights * y))
-    return float(alpha), float(beta), sigma**2 * inverse
+def _weighted_line(x: np.ndarray, y: np.ndarray, weights: np.ndarray,
+                   sigma: float) -> tuple[float, float, np.ndarray]:
+    """Return slope, intercept and their covariance by weighted least squares about the mean."""
+    total = weights.sum()
+    mean_x, mean_y = weights @ x / total, weights @ y / total
+    # Points at one depth have no spread: the variance becomes large, and the fit is refused.
+    spread = max(weights @ (x - mean_x) ** 2, MIN_SPREAD)
+    alpha = weights @ ((x - mean_x) * (y - mean_y)) / spread
+    of_alpha = np.outer([1.0, -mean_x], [1.0, -mean_x]) / spread
+    covariance = sigma**2 * (of_alpha + np.diag([0.0, 1.0 / total]))
+    return float(alpha), float(mean_y - alpha * mean_x), covariance

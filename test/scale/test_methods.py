@@ -153,6 +153,13 @@ def test_measured_depth_that_does_not_determine_the_scale_is_refused():
     assert fit_measured_depth(-disparity, scene.depth_m).refusal
 
 
+def test_one_depth_everywhere_is_refused_however_it_is_rounded():
+    one = np.ones((60, 80), np.float32)
+    for depth_m, disparity in np.random.default_rng(0).uniform(0.2, 12.0, (200, 2)):
+        fit = fit_measured_depth(np.float32(disparity) * one, np.float32(depth_m) * one)
+        assert 'varies too little' in fit.refusal
+
+
 @pytest.mark.parametrize('seed', [3, 5, 16])
 def test_camera_height_is_exact_without_noise(seed):
     scene = room(seed)
