@@ -4,43 +4,15 @@
 
 import numpy as np
 import pytest
+from scale_helpers import SCALE, SHIFT, SMALL, estimate, evidence, relative_disparity, room, sparse
 
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms as scenes
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
-from plane_detector.scale.sensor_depth import fit_measured_depth
-from plane_detector.types import CameraIntrinsics
-
-SMALL = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
-SCALE, SHIFT = 0.4, -0.12  # 1/z = SCALE * D + SHIFT
-
-
-def relative_disparity(depth_m, noise=0.0, seed=0):
-    if noise:
-        depth_m = with_disparity_noise(depth_m, noise, np.random.default_rng(seed),
-                                       correlation_px=6.0)
-    return ((1.0 / depth_m - SHIFT) / SCALE).astype(np.float32)
-
-
-def room(seed=3):
-    """Return a furnished room with a visible floor."""
-    return scenes.random_room(np.random.default_rng(seed), SMALL)
-
-
-def evidence(scene, disparity, **known):
-    regions = labelled_regions(disparity, scene.labels)
-    return ScaleEvidence(disparity, lambda: ray_planes(regions, scene.intrinsics), **known)
-
-
-def estimate(scene, noise=0.0, known=None, **settings):
-    """Return the scale by the true labels and what else is known, as of ScaleEvidence."""
-    disparity = relative_disparity(scene.depth_m, noise)
-    return estimate_scale(evidence(scene, disparity, **(known or {})), ScaleConfig(**settings))
 
 
 def upright(scene, tolerance_deg=1.0):
@@ -114,50 +86,6 @@ def test_fixed_takes_the_given_numbers():
     scale = estimate(room(), method='fixed', disparity_scale=SCALE, disparity_shift=SHIFT)
     assert (scale.scale, scale.shift, scale.is_metric) == (SCALE, SHIFT, True)
     assert not estimate(room(), method='fixed').is_metric
-
-
-def sparse(depth_m, count, wrong_share=0.0, seed=1):
-    rng = np.random.default_rng(seed)
-    index = rng.choice(np.flatnonzero(np.isfinite(depth_m)), count, replace=False)
-    points_m = np.full(depth_m.shape, np.nan, np.float32)
-    points_m.flat[index] = depth_m.flat[index]
-    points_m.flat[index[:int(wrong_share * count)]] = 0.7
-    return points_m
-
-
-@pytest.mark.parametrize('count, wrong_share', [(8, 0.0), (200, 0.2), (76000, 0.1)])
-def test_measured_depth_gives_scale_and_shift(count, wrong_share):
-    scene = room()
-    scale = estimate(scene, known={'sensor_depth_m': sparse(scene.depth_m, count, wrong_share)})
-    assert scale.method == 'depth_topic' and scale.is_metric
-    assert scale.scale == pytest.approx(SCALE, rel=1e-3)
-    assert scale.shift == pytest.approx(SHIFT, abs=1e-3)
-
-
-def test_measured_depth_with_noise_is_as_good_as_its_uncertainty():
-    scene = room()
-    disparity = relative_disparity(scene.depth_m, noise=0.004)
-    fit = fit_measured_depth(disparity, sparse(scene.depth_m, 200))
-    error = np.array([fit.scale - SCALE, fit.shift - SHIFT])
-    assert error @ np.linalg.solve(fit.covariance, error) < 16.0
-    assert abs(error[0]) < 0.05 * SCALE
-
-
-def test_measured_depth_that_does_not_determine_the_scale_is_refused():
-    scene = room()
-    disparity = relative_disparity(scene.depth_m)
-    assert '4 points' in fit_measured_depth(disparity, sparse(scene.depth_m, 4)).refusal
-    wall_m = np.full(scene.depth_m.shape, 2.0, np.float32)
-    noisy = 2.0 + 0.01 * np.random.default_rng(0).standard_normal(wall_m.shape)
-    assert 'varies too little' in fit_measured_depth(noisy, wall_m).refusal
-    assert fit_measured_depth(-disparity, scene.depth_m).refusal
-
-
-def test_one_depth_everywhere_is_refused_however_it_is_rounded():
-    one = np.ones((60, 80), np.float32)
-    for depth_m, disparity in np.random.default_rng(0).uniform(0.2, 12.0, (200, 2)):
-        fit = fit_measured_depth(np.float32(disparity) * one, np.float32(depth_m) * one)
-        assert 'varies too little' in fit.refusal
 
 
 @pytest.mark.parametrize('seed', [3, 5, 16])
