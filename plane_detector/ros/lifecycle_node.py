@@ -141,9 +141,10 @@ class PlaneDetectorNode(ReloadableNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Subscribe."""
         try:
-            used = self._processor
-            self._inputs = Subscriptions(self, used.detector.config, used.settings, used.output,
-                                         self._flow.accept, self._statistics.add_unpaired)
+            # Not those of the processor: it takes changes with a frame, and none has come yet.
+            self._inputs = Subscriptions(self, *self._live.of(self._processor),
+                                         self._processor.output, self._flow.accept,
+                                         self._statistics.add_unpaired)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
         self._health.failure = ''
@@ -170,9 +171,9 @@ class PlaneDetectorNode(ReloadableNode):
     # Parameters and services
 
     def _on_change(self) -> None:
-        """Apply the settings of the inputs; the others are applied between two frames."""
+        """Apply the settings of the inputs; the others are applied before the next frame."""
         if self._inputs is not None:
-            self._inputs.set_stamp_slop(self._live.settings.stamp_slop)
+            self._inputs.apply(*self._live.of(self._processor))
 
     async def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
         if self._inputs is None:

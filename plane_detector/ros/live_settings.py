@@ -27,7 +27,7 @@ class LiveSettings:
     is_active : callable
         Whether the settings that are read at configure are fixed now.
     on_change : callable
-        Called after each change.
+        Called after each change of a setting, in the thread of the executor.
 
     Attributes
     ----------
@@ -55,11 +55,15 @@ class LiveSettings:
 
     def apply_to(self, processor: FrameProcessor) -> None:
         """Apply the settings to a processor, except those that are read at configure."""
-        processor.settings = parameters.with_live(processor.settings, self.settings)
-        config = self.late_kernels.usable(
-            parameters.with_live(processor.detector.config, self.config))
+        config, processor.settings = self.of(processor)
+        config = self.late_kernels.usable(config)
         if processor.detector.config != config:
             processor.detector.config = config
+
+    def of(self, processor: FrameProcessor) -> tuple[Config, NodeConfig]:
+        """Return the current settings, but those read at configure as the processor has them."""
+        return (parameters.with_live(processor.detector.config, self.config),
+                parameters.with_live(processor.settings, self.settings))
 
     def _with_floats(self, changed: list[Parameter]) -> list[Parameter]:
         return parameters.with_floats(self.settings,
@@ -78,6 +82,9 @@ class LiveSettings:
         return SetParametersResult(successful=True)
 
     def _take(self, changed: list[Parameter]) -> None:
+        before = self.config, self.settings
         self.config = parameters.updated(self.config, changed)
         self.settings = parameters.updated(self.settings, changed)
-        self._on_change()
+        # A new subscription declares its qos_overrides, which brings rclpy here again.
+        if (self.config, self.settings) != before:
+            self._on_change()

@@ -28,6 +28,12 @@ class GravityFilter:
         self._imu_to_camera = imu_to_camera
         self.reset()
 
+    def mount(self, imu_to_camera: Sequence[float]) -> None:
+        """Change the mounting of the IMU; readings by another one are discarded."""
+        if tuple(imu_to_camera) != tuple(self._imu_to_camera):
+            self._imu_to_camera = imu_to_camera
+            self.reset()
+
     def reset(self) -> None:
         """Discard all readings."""
         self._gravity_camera: np.ndarray | None = None

@@ -43,6 +43,7 @@ class Subscriptions:
         self._node = node
         self._on_frame, self._on_dropped = on_frame, on_dropped
         self._names = input_topics(node, settings.image_transport)
+        self._output, self._reliability = output, settings.input_reliability
         depth = depth_use(config, output)
         self._synchronizer = FrameSynchronizer(depth, settings.stamp_slop,
                                                config.scale.imu_to_camera)
@@ -54,22 +55,27 @@ class Subscriptions:
         if settings.use_imu:
             wanted['imu'] = Imu, self._synchronizer.add_imu
         self._watch = TopicWatch(node)
-        self._subscriptions: list[InputSubscription] = []
+        self._subscriptions: dict[str, InputSubscription] = {}
         try:
             for role, (msg_type, on_message) in wanted.items():
-                self._subscribe(role, msg_type, on_message, settings.input_reliability,
+                self._subscribe(role, msg_type, on_message,
                                 is_watched=role != 'depth' or depth == 'required')
         except Exception:
             self.destroy()
             raise
 
-    def set_stamp_slop(self, stamp_slop_s: float) -> None:
-        """Change how far in time a depth image may be from its image."""
-        self._synchronizer.stamp_slop_s = stamp_slop_s
+    def apply(self, config: Config, settings: NodeConfig) -> None:
+        """Apply changed settings, except those that are read at configure."""
+        depth = depth_use(config, self._output)
+        self._synchronizer.apply(depth, settings.stamp_slop, config.scale.imu_to_camera)
+        if depth == 'unused' and 'depth' in self._subscriptions:
+            self._subscriptions.pop('depth').destroy()
+        elif depth == 'optional' and 'depth' not in self._subscriptions:
+            self._subscribe('depth', Image, self._on_depth, is_watched=False)
 
     def destroy(self) -> None:
         """End the subscriptions."""
-        for subscription in self._subscriptions:
+        for subscription in self._subscriptions.values():
             subscription.destroy()
 
     def problem(self) -> str:
@@ -77,18 +83,18 @@ class Subscriptions:
         return self._watch.problem()
 
     def _subscribe(self, role: str, msg_type: Any, on_message: Callable[[Any], Any],
-                   reliability: str, is_watched: bool) -> None:
+                   is_watched: bool) -> None:
         def receive(msg: Any) -> None:
             if is_watched:
                 self._watch.heard(role)
             on_message(msg)
 
         subscription = InputSubscription(self._node, msg_type, self._names[role], receive,
-                                         reliability)
-        self._subscriptions.append(subscription)
+                                         self._reliability)
+        self._subscriptions[role] = subscription
         if is_watched:  # one CameraInfo is enough
             self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info',
-                            only_reliable=reliability == 'reliable')
+                            only_reliable=self._reliability == 'reliable')
 
     def _on_image(self, msg: Any) -> None:
         epoch = self._synchronizer.epoch

@@ -92,14 +92,18 @@ class FrameSynchronizer:
 
     def __init__(self, depth: str = 'unused', stamp_slop_s: float = 0.0,
                  imu_to_camera: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)):
-        self._depth_use = depth
-        self.stamp_slop_s = stamp_slop_s
+        self._depth_use, self._stamp_slop_s = depth, stamp_slop_s
         self._images = _MessageBuffer()
         self._infos = _MessageBuffer()
         self._depths = _MessageBuffer()
         self._gravity = GravityFilter(imu_to_camera)
         self._dropped = 0
         self.epoch = 0
+
+    def apply(self, depth: str, stamp_slop_s: float, imu_to_camera: tuple[float, ...]) -> None:
+        """Change the parameters of this object; messages that wait are matched by the new ones."""
+        self._depth_use, self._stamp_slop_s = depth, stamp_slop_s
+        self._gravity.mount(imu_to_camera)
 
     def take_dropped(self) -> int:
         """Return the number of images dropped without a partner since the last call."""
@@ -171,7 +175,7 @@ class FrameSynchronizer:
             self._depths.has_recent(stamp_ns) and not self._images.is_past(stamp_ns)))
         if can_wait and not self._depths.is_past(stamp_ns):
             return False, None
-        return True, self._depths.nearest(stamp_ns, round(self.stamp_slop_s * 1e9))
+        return True, self._depths.nearest(stamp_ns, round(self._stamp_slop_s * 1e9))
 
 
 class _MessageBuffer:
