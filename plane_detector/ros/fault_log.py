@@ -56,14 +56,14 @@ class FaultLog:
         self._logger, self._what = logger, what
         self._told_s: dict[tuple[type, str, int], float] = {}
 
-    def tell(self, error: Exception) -> str:
-        """Log the reason, at limited intervals, and return it in one line."""
+    def tell(self, error: Exception, where: str = '') -> str:
+        """Log the reason and where it arose, at limited intervals; return the reason alone."""
         reason = plain(str(error) if isinstance(error, ValueError)
                        else f'{type(error).__name__}: {error}')
         raised_at = traceback.extract_tb(error.__traceback__)
         last = raised_at[-1] if raised_at else traceback.FrameSummary('', 0, '')
         if self._is_due((type(error), last.filename, last.lineno)):
-            self._logger.warning(f'{self._what}: {reason}')
+            self._logger.warning(f'{self._what}: {reason}' + (where and f' ({where})'))
             if not isinstance(error, ValueError):  # a bug, or a part that is missing
                 self._logger.warning('raised at\n' + ''.join(traceback.format_list(raised_at)))
         return reason

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from plane_detector.ros.diagnostics import Statistics
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.frame_processor import DetectedFrame, FrameProcessor, ObservedFrame
-from plane_detector.ros.frame_requests import FrameRequests, describe_frame
+from plane_detector.ros.frame_requests import FrameRequests, describe_frame, stamp_text
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -113,6 +113,6 @@ class FrameFlow:
     def _skip(self, frame: Frame, error: Exception) -> None:
         """Count and log a frame that failed; if it was stopped, its error is ignored."""
         if not current_stop().is_set:
-            reason = self._records.faults.tell(error)
+            reason = self._records.faults.tell(error, f'image of {stamp_text(frame.image)}')
             self._records.statistics.add_skipped(reason)
             self._records.requests.finish(frame, False, f'frame skipped: {reason}')

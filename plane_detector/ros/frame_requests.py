@@ -100,5 +100,10 @@ async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.
 
 def describe_frame(result: ProcessedFrame) -> str:
     """Return the answer to a call: number of planes and stamp of the image."""
-    stamp, count = result.header.stamp, len(result.detection.planes)
-    return f'{count} planes in the image of {stamp.sec}.{stamp.nanosec:09d}'
+    return f'{len(result.detection.planes)} planes in the image of {stamp_text(result)}'
+
+
+def stamp_text(stamped: Any) -> str:
+    """Return the stamp of what has a header, as messages to users state it."""
+    stamp = stamped.header.stamp
+    return f'{stamp.sec}.{stamp.nanosec:09d}'

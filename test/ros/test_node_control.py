@@ -34,7 +34,7 @@ def test_an_estimator_that_fails_does_not_end_the_node(robot, room):
 
     start(robot, estimate)
     send(robot, room, 1.0)
-    assert robot.is_logged('out of memory')
+    assert robot.is_logged('out of memory (image of 1.000000000)')
     send(robot, room, 2.0)
     assert robot.wait_for('planes')[0].header == header(2.0)
 
