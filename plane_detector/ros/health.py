@@ -22,7 +22,9 @@ GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
 class Health:
     """
-    Collects problems; thread-safe for the executor and the worker.
+    Collects problems. The last worker thread calls `note`, the executor's thread all the rest.
+
+    There is no lock: each attribute is replaced as a whole, and a status may mix two frames.
 
     Parameters
     ----------
@@ -57,11 +59,11 @@ class Health:
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
         """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
-        self._facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
-                       'gravity': detection.gravity_source,
-                       **_advice(max(detection.labels.shape))}
+        facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
+                 'gravity': detection.gravity_source, **_advice(max(detection.labels.shape))}
         if detection.gravity_note:
-            self._facts['gravity_note'] = detection.gravity_note
+            facts['gravity_note'] = detection.gravity_note
+        self._facts = facts
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         self._gap = gap_of(detection, wanted)
