@@ -24,7 +24,8 @@ class Health:
     """
     Collects problems. The last worker thread calls `note`, the executor's thread all the rest.
 
-    There is no lock: each attribute is replaced as a whole, and a status may mix two frames.
+    There is no lock: attributes are replaced as a whole, `_told` only grows between two calls of
+    `clear`, and a status may mix two frames.
 
     Parameters
     ----------
