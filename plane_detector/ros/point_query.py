@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
 from rclpy.lifecycle import LifecycleNode
@@ -25,6 +27,8 @@ class PointQuery:
     """
     Answers clicks with the next frame.
 
+    The thread of the executor adds clicks, the last worker thread takes them.
+
     Parameters
     ----------
     node : LifecycleNode
@@ -34,7 +38,7 @@ class PointQuery:
 
     def __init__(self, node: LifecycleNode):
         self._node = node
-        self._clicks: list[PointStamped] = []
+        self._clicks: deque[PointStamped] = deque(maxlen=_MOST_CLICKS)
         self._faults = FaultLog(node.get_logger(), 'clicked point')
         self._publisher = node.create_lifecycle_publisher(
             PoseStamped, '~/clicked_plane', qos.output_profile(),
@@ -55,8 +59,8 @@ class PointQuery:
 
     def answer(self, result: ProcessedFrame) -> None:
         """Publish and log the plane at each click."""
-        clicks, self._clicks = self._clicks, []
-        for click in clicks:
+        while self._clicks:
+            click = self._clicks.popleft()
             try:
                 index = plane_at(result, point_in_camera(result, click))
             except ValueError as error:
@@ -67,7 +71,10 @@ class PointQuery:
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
 
     def _on_click(self, msg: PointStamped) -> None:
-        self._clicks = [*self._clicks, msg][-_MOST_CLICKS:]
+        if not self._publisher.is_activated:
+            self._faults.tell(ValueError('the node is not active'))
+            return
+        self._clicks.append(msg)
 
 
 def pose_of(plane: Plane) -> Pose:

@@ -80,7 +80,8 @@ def test_the_number_of_waiting_clicks_is_limited(monkeypatch):
                                                             overriding_options=lambda: None))
     subscribed = []
     node = SimpleNamespace(
-        create_lifecycle_publisher=lambda *_, **__: None, get_logger=Logger,
+        create_lifecycle_publisher=lambda *_, **__: SimpleNamespace(is_activated=True),
+        get_logger=Logger,
         create_subscription=lambda _type, _topic, callback, *_, **__: subscribed.append(callback))
     query = point_query.PointQuery(node)
     for _ in range(1000):

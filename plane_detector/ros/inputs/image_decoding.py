@@ -41,8 +41,9 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
     Parameters
     ----------
     msg : sensor_msgs.msg.Image
-        Encoding rgb8, bgr8, rgba8, bgra8, mono8, mono16, yuv422 (also called uyvy), yuv422_yuy2
-        (also called yuyv), nv12, nv21, 8UC3 (as bgr8) or bayer_{rggb,bggr,gbrg,grbg}8.
+        Encoding rgb8, bgr8, rgba8, bgra8, mono8, bayer_{rggb,bggr,gbrg,grbg}8 or one of these with
+        16 bits, of which the upper 8 are taken; yuv422 (also called uyvy), yuv422_yuy2 (also
+        called yuyv), nv12, nv21 or 8UC3 (as bgr8).
 
     Returns
     -------
@@ -56,24 +57,22 @@ def rgb_from_msg(msg: Image) -> np.ndarray:
 
     """
     encoding = msg.encoding.lower()
-    if encoding == 'mono16':
-        grey = (_pixels(msg, 'u2', 1)[..., 0] >> 8).astype(np.uint8)
-        return cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
     if encoding in _HALF_COLOUR:
         _check_sides(msg, encoding)
         rows = _pixels(msg, 'u1', 1, msg.height * 3 // 2)
         return cv2.cvtColor(rows, _HALF_COLOUR[encoding])
     if encoding in _DEPTH_ENCODINGS:
-        raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, set '
-                         'depth.source to topic, and give the colour image as image')
-    if encoding not in _CHANNELS:
+        raise ValueError(f'the image is depth ({msg.encoding}): remap its topic to depth, with '
+                         'depth.source topic, and give the colour image as image')
+    as_8_bit = encoding.removesuffix('16') + '8' if encoding.endswith('16') else encoding
+    if as_8_bit not in _CHANNELS:
         raise ValueError(f'image encoding {msg.encoding!r} is not known; known are '
-                         f'{", ".join((*_CHANNELS, *_HALF_COLOUR))}, mono16')
-    pixels = _pixels(msg, 'u1', _CHANNELS[encoding])
-    if encoding not in _TO_RGB:
+                         f'{", ".join((*_CHANNELS, *_HALF_COLOUR))}, and 16 instead of 8 bits')
+    pixels = _upper_bytes(msg, _CHANNELS[as_8_bit])
+    if as_8_bit not in _TO_RGB:
         return pixels
-    _check_sides(msg, encoding)
-    return cv2.cvtColor(np.ascontiguousarray(pixels), _TO_RGB[encoding])
+    _check_sides(msg, as_8_bit)
+    return cv2.cvtColor(np.ascontiguousarray(pixels), _TO_RGB[as_8_bit])
 
 
 def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
@@ -185,6 +184,13 @@ def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = Non
                          f'{rows} x {msg.step}')
     data = np.frombuffer(msg.data, np.uint8).reshape(rows, msg.step)[:, :row_bytes]
     return np.ascontiguousarray(data).view(dtype).reshape(rows, msg.width, channels)
+
+
+def _upper_bytes(msg: Image, channels: int) -> np.ndarray:
+    """Return the pixels (H, W, channels) uint8, of channels of 16 bits the upper 8."""
+    if msg.encoding.endswith('16'):
+        return (_pixels(msg, 'u2', channels) >> 8).astype(np.uint8)
+    return _pixels(msg, 'u1', channels)
 
 
 def _check_sides(msg: Image, encoding: str) -> None:

@@ -44,6 +44,16 @@ def test_mono16_keeps_the_high_byte(big_endian):
     np.testing.assert_array_equal(decoded[..., 1], [[0x12, 0xFF], [0x00, 0x80]])
 
 
+@pytest.mark.parametrize('encoding', ['rgb16', 'bgr16', 'rgba16', 'bgra16', 'bayer_gbrg16'])
+def test_colours_of_16_bits_are_those_of_their_high_byte(rgb, encoding):
+    channels = np.dstack([rgb, rgb[..., 0]])[..., :len(encoding) - 2]
+    if encoding.startswith('bayer'):
+        channels = rgb[..., 0]
+    wide = channels.astype(np.uint16) << 8 | 0x5A
+    as_8_bit = rgb_from_msg(image_msg(channels, encoding.replace('16', '8')))
+    np.testing.assert_array_equal(rgb_from_msg(image_msg(wide, encoding, padding=2)), as_8_bit)
+
+
 @pytest.mark.parametrize('encoding, luma', [('yuv422', 1), ('uyvy', 1), ('yuv422_yuy2', 0),
                                             ('yuyv', 0)])
 def test_yuv_422(encoding, luma):
