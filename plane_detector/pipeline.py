@@ -68,7 +68,7 @@ class PlaneDetector:
         self._scale: ScaleState | None = None
         self._tracker = PlaneTracker()
         self._shapes = ShapeDetector()
-        self._directions = DirectionFinder(self.config.ransac.seed)
+        self._directions = DirectionFinder()
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, gravity_camera: np.ndarray | None = None,

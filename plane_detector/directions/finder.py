@@ -128,18 +128,9 @@ class Surroundings:
 
 
 class DirectionFinder:
-    """
-    Finds the directions of each image and averages them over time.
+    """Finds the directions of each image and averages them over time."""
 
-    Parameters
-    ----------
-    seed : int
-        Of the random triples; equal in every image, so that a static image does not flicker.
-
-    """
-
-    def __init__(self, seed: int = 0) -> None:
-        self._seed = seed
+    def __init__(self) -> None:
         self._tracked: TrackedDirections | None = None
 
     def look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
@@ -153,7 +144,7 @@ class DirectionFinder:
         measured_down : (3,) floating or None
             Direction of gravity from a sensor.
         config : Config
-            Its ``scale`` and ``directions`` are used.
+            Its ``scale``, ``directions`` and ``ransac.seed`` are used.
         need : Need
             What the lines are needed for.
         may_hold : bool
@@ -166,7 +157,9 @@ class DirectionFinder:
         if need != Need.PLANES and (known.is_sure or not config.directions.gravity):
             return Surroundings(known, None)
         if self._tracked is None or not may_hold:
-            alone = find_in_image(image, np.random.default_rng(self._seed), known.gravity_camera)
+            # The same seed for every image, so that a static one does not flicker.
+            rng = np.random.default_rng(config.ransac.seed)
+            alone = find_in_image(image, rng, known.gravity_camera)
             self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
         lines = ImageDirections(self._tracked.segments, self._tracked.directions)
         return Surroundings(choose(lines.directions) if config.directions.gravity else known,
