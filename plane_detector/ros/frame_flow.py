@@ -70,8 +70,9 @@ class FrameFlow:
             self._records.statistics.add_dropped(1)
 
     def drop(self) -> None:
-        """Drop the frames being processed, and their history, which may be incomplete."""
+        """Drop the frames being processed, their history, and the clicks that wait for one."""
         self.worker.drop()
+        self._query.refuse_all()
         self._processor.reset()
 
     def stop(self) -> None:

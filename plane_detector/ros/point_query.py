@@ -70,11 +70,20 @@ class PointQuery:
             self._publisher.publish(PoseStamped(header=result.target_header, pose=pose))
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
 
+    def refuse_all(self) -> None:
+        """Refuse the waiting clicks; called in the thread of the executor."""
+        if self._clicks:
+            self._clicks.clear()
+            self._refuse()
+
     def _on_click(self, msg: PointStamped) -> None:
         if not self._publisher.is_activated:
-            self._faults.tell(ValueError('the node is not active'))
+            self._refuse()
             return
         self._clicks.append(msg)
+
+    def _refuse(self) -> None:
+        self._faults.tell(ValueError('the node is not active'))
 
 
 def pose_of(plane: Plane) -> Pose:

@@ -95,3 +95,17 @@ def test_a_click_while_the_node_is_inactive_is_refused(robot):
     robot.publish('clicked_point', click_at(FRAME_ID, (0.0, 0.0, 2.0)))
     assert robot.is_logged('clicked point: the node is not active')
     assert not node._query.is_waiting
+
+
+def test_a_click_that_waits_is_refused_when_the_node_is_deactivated(robot):
+    room = small_room()
+    node = start(robot, lambda rgb: room.depth_m)
+    robot.listen(PoseStamped, '/plane_detector/clicked_plane', 'clicked')
+    robot.publish('clicked_point', click_at(FRAME_ID, (0.0, 0.0, 2.0)))
+    assert robot.spin(lambda: node._query.is_waiting)
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    assert robot.is_logged('clicked point: the node is not active')
+    assert change_state(robot, Transition.TRANSITION_ACTIVATE)
+    send(robot, room, 1.0)
+    robot.wait_for('planes')
+    assert not robot.received['clicked']
