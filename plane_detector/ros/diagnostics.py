@@ -38,6 +38,8 @@ class Report:
         Whether frames were skipped, or images had no partner, since the last report.
     last_error : str
         Empty if there was none.
+    error_age_s : float
+        Time since the last error.
 
     """
 
@@ -50,6 +52,7 @@ class Report:
     unpaired_lately: bool = False
     last_error: str = ''
     arrival_hz: float = 0.0
+    error_age_s: float = 0.0
 
 
 class Statistics:
@@ -58,7 +61,7 @@ class Statistics:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._processed = self._dropped = self._skipped = 0
-        self._last_error = ''
+        self._last_error, self._error_s = '', 0.0
         self._start_window()
 
     def add_processed(self, stage_seconds: Mapping[str, float]) -> None:
@@ -86,25 +89,30 @@ class Statistics:
         with self._lock:
             self._skipped += 1
             self._window_skipped += 1
-            self._last_error = error
+            self._note_error(error)
 
     def set_error(self, error: str) -> None:
         """Store an error that does not belong to a frame."""
         with self._lock:
-            self._last_error = error
+            self._note_error(error)
 
     def report(self) -> Report:
         """Return the report, and reset the counts since the last one."""
         with self._lock:
-            elapsed_s = max(time.monotonic() - self._window_start_s, 1e-9)
+            now_s = time.monotonic()
+            elapsed_s = max(now_s - self._window_start_s, 1e-9)
             count = self._window_processed
             result = Report(
                 self._processed, self._dropped, self._skipped, count / elapsed_s,
                 {stage: seconds / count for stage, seconds in self._window_seconds.items()},
                 self._window_skipped > 0, self._window_unpaired > 0, self._last_error,
-                (count + self._window_dropped + self._window_skipped) / elapsed_s)
+                (count + self._window_dropped + self._window_skipped) / elapsed_s,
+                now_s - self._error_s)
             self._start_window()
             return result
+
+    def _note_error(self, error: str) -> None:
+        self._last_error, self._error_s = error, time.monotonic()
 
     def _start_window(self) -> None:
         self._window_start_s = time.monotonic()
@@ -198,5 +206,7 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
     values['frames_dropped'] = str(report.dropped)
     values['frames_skipped'] = str(report.skipped)
     values['last_error'] = report.last_error
+    if report.last_error:  # it stays after the node has recovered
+        values['last_error_age_s'] = f'{report.error_age_s:.1f}'
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id=HARDWARE_ID,
                             values=[KeyValue(key=k, value=v) for k, v in values.items()])
