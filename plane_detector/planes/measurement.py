@@ -12,13 +12,16 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.planes.pixel_sums import sum_over_pixels
-from plane_detector.segmentation.cells.grid import XX, XY, YY, N, X, Y
+from plane_detector.planes.pixel_sums import SQUARE, XZ, YZ, ZZZ, Z, sum_over_pixels
+from plane_detector.segmentation.cells.columns import XX, XY, YY, D, N, X, Y
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE
 from plane_detector.types import CameraIntrinsics, Plane
 
+# derived: the columns of measurements: normal (3), centroid (3), offset, rms, area, confidence and
+# the covariance (4 x 4) of normal and offset.
+CENTROID, OFFSET, RMS, AREA, CONFIDENCE, COVARIANCE = 3, 6, 7, 8, 9, 10
 # Number of neighbouring cells with the same smooth noise.
 CORRELATED_CELLS = 9.0
 # Structure throughout the image resembles noise. Above this share of the typical disparity it is
@@ -74,7 +77,8 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray
     return tuple(
         Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure)
         for normal, centroid_m, covariance, (offset_m, rms_m, area_m2, sure), pixels in zip(
-            table[:, :3], table[:, 3:6], table[:, 10:].reshape(-1, 4, 4), table[:, 6:10].tolist(),
+            table[:, :CENTROID], table[:, CENTROID:OFFSET],
+            table[:, COVARIANCE:].reshape(-1, 4, 4), table[:, OFFSET:COVARIANCE].tolist(),
             sums[:, N].tolist(), strict=True))
 
 
@@ -82,57 +86,59 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray
         'UniTuple(float64, 2), UniTuple(float64, 6))', is_short=True)
 def _measured(sums, planes, jacobian, variance, camera):
     """
-    Return the measurements (K, 26) of planes.
+    Return the measurements (K, 26) of planes, in the columns of this module.
 
-    They are normal, centroid, offset, rms, area, confidence and the covariance (4 x 4). The
-    variance of a pixel is the sum of a constant and a multiple of the fourth power of 1/z.
+    The variance of a pixel is the sum of a constant and a multiple of the fourth power of 1/z.
     """
     fx, fy, cx, cy, width, height = camera
     table, chain, fit = np.zeros((len(sums), 26)), np.empty((4, 3)), np.empty((3, 3))
     for k in range(len(sums)):
-        row, pixels, length2 = table[k], sums[k, 0], 0.0
+        row, pixels, length2 = table[k], sums[k, N], 0.0
         for i in range(3):
             for j in range(3):
                 row[i] -= jacobian[i, j] * planes[k, j]
             length2 += row[i] ** 2
-        row[6] = offset_m = 1 / np.sqrt(length2)
+        row[OFFSET] = offset_m = 1 / np.sqrt(length2)
         # x is (u - middle) / width, the ray's X is (u - cx) / fx.
-        row[3] = (width * sums[k, 10] + ((width - 1) / 2 - cx) * sums[k, 12]) / (fx * pixels)
-        row[4] = (width * sums[k, 11] + ((height - 1) / 2 - cy) * sums[k, 12]) / (fy * pixels)
-        row[5], off_plane = sums[k, 12] / pixels, offset_m
+        x_z = width * sums[k, XZ] + ((width - 1) / 2 - cx) * sums[k, Z]
+        y_z = width * sums[k, YZ] + ((height - 1) / 2 - cy) * sums[k, Z]
+        row[CENTROID], row[CENTROID + 1] = x_z / (fx * pixels), y_z / (fy * pixels)
+        row[CENTROID + 2], off_plane = sums[k, Z] / pixels, offset_m
         for i in range(3):
             row[i] *= offset_m
-            off_plane += row[i] * row[3 + i]
+            off_plane += row[i] * row[CENTROID + i]
         for i in range(3):
-            row[3 + i] -= off_plane * row[i]
-        row[7] = offset_m * np.sqrt(sums[k, 14] / pixels)
-        row[8] = sums[k, 13] / (fx * fy * offset_m)
-        _invert(sums[k], variance[0] + variance[1] * (sums[k, 6] / pixels) ** 4, fit)
+            row[CENTROID + i] -= off_plane * row[i]
+        row[RMS] = offset_m * np.sqrt(sums[k, SQUARE] / pixels)
+        row[AREA] = sums[k, ZZZ] / (fx * fy * offset_m)
+        _invert(sums[k], variance[0] + variance[1] * (sums[k, D] / pixels) ** 4, fit)
         _differentiate(row, jacobian, chain)
         for i in range(16):
             for j in range(9):
-                row[10 + i] += chain[i // 4, j // 3] * fit[j // 3, j % 3] * chain[i % 4, j % 3]
-        row[9] = confidence(pixels / (width * height), np.sqrt(row[10] + row[15] + row[20]))
+                row[COVARIANCE + i] += (chain[i // 4, j // 3] * fit[j // 3, j % 3]
+                                        * chain[i % 4, j % 3])
+        of_normal = row[COVARIANCE] + row[COVARIANCE + 5] + row[COVARIANCE + 10]
+        row[CONFIDENCE] = confidence(pixels / (width * height), np.sqrt(of_normal))
     return table
 
 
 @kernel('void(float64[::1], float64, float64[:, ::1])')
 def _invert(m, variance, fit):
     """Write the covariance (3, 3) of the plane fitted to pixels of moments m and a variance."""
-    x, y = m[1] / m[0], m[2] / m[0]
-    xx, xy, yy = m[3] - m[0] * x * x, m[4] - m[0] * x * y, m[5] - m[0] * y * y
+    x, y = m[X] / m[N], m[Y] / m[N]
+    xx, xy, yy = m[XX] - m[N] * x * x, m[XY] - m[N] * x * y, m[YY] - m[N] * y * y
     scale = variance / max(xx * yy - xy * xy, MIN_EIGENVALUE * (xx + yy) ** 2)
     fit[0, 0], fit[1, 1] = scale * yy, scale * xx
     fit[0, 1] = fit[1, 0] = -scale * xy
     for i in range(2):
         fit[i, 2] = fit[2, i] = -(fit[i, 0] * x + fit[i, 1] * y)
-    fit[2, 2] = variance / m[0] - fit[0, 2] * x - fit[1, 2] * y
+    fit[2, 2] = variance / m[N] - fit[0, 2] * x - fit[1, 2] * y
 
 
 @kernel('void(float64[::1], float64[:, ::1], float64[:, ::1])')
 def _differentiate(plane, jacobian, chain):
     """Write the derivatives (4, 3) of (normal, offset) by (a, b, c)."""
-    offset_m = plane[6]
+    offset_m = plane[OFFSET]
     for i in range(4):
         for j in range(3):
             chain[i, j] = 0

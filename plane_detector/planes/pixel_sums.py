@@ -12,9 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import N
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import squared_error
 
+# derived: the columns of the sums behind those of the moments: z x, z y, z and z**3 of the plane
+# at the middle of the cells, and the square of (1/z - plane) / (1/z).
+XZ, YZ, Z, ZZZ, SQUARE = range(10, 15)
 # Lower bound of the disparity, to avoid division by 0.
 # derived: far below what any sensor measures.
 TINY_DISPARITY = 1e-9
@@ -32,8 +36,7 @@ def sum_over_pixels(regions: PixelRegions) -> np.ndarray:
     Returns
     -------
     (K, 15) float64
-        The ten moments, each cell's shared by its pixels; z x, z y, z and z**3 of the plane at
-        the middle of the cells; and the square of (1/z - plane) / (1/z).
+        The ten moments, each cell's shared by its pixels, and the columns of this module.
 
     """
     grid = regions.grid
@@ -58,11 +61,11 @@ def _sum_over_pixels(labels, disparity, planes, cells, frame):
             cell, label, total = cell + 1, np.int32(-1), np.int32(0)
             for u in range(left, min(left + size, width)):
                 label, total = max(label, columns[0, u]), total + columns[1, u]
-            if label >= 0 and total == (label + 1) * moments[cell, 0]:
+            if label >= 0 and total == (label + 1) * moments[cell, N]:
                 plane, middle = planes[label], mean[cell]
                 error = squared_error(plane[0], plane[1], plane[2], moments[cell])
-                _add_cell(moments[cell], middle, plane, moments[cell, 0], sums[label])
-                sums[label, 14] += max(error, 0.0) / max(middle[2], TINY_DISPARITY) ** 2
+                _add_cell(moments[cell], middle, plane, moments[cell, N], sums[label])
+                sums[label, SQUARE] += max(error, 0.0) / max(middle[2], TINY_DISPARITY) ** 2
             elif label >= 0:
                 _load(labels, disparity, (top, left, size), own, pixels)
                 _sum_parts(own, pixels, (planes, moments[cell], mean[cell]), (label, top, left),
@@ -112,18 +115,18 @@ def _sum_parts(own, pixels, cell, place, frame, sums):
             square += relative * relative if own[p] == this else np.float32(0)
             below = max(below, own[p] if own[p] < this else np.int32(-1))
         _add_cell(moments, mean, plane, count, sums[label])
-        sums[label, 14] += square
+        sums[label, SQUARE] += square
         label = np.int64(below)
 
 
 @kernel('void(float64[::1], float64[::1], float64[::1], float64, float64[::1])')
 def _add_cell(moments, mean, plane, pixels, sums):
     """Add the share of a cell that some of its pixels have to the sums (15,) of a plane."""
-    share = pixels / max(moments[0], 1.0)
+    share = pixels / max(moments[N], 1.0)
     for j in range(10):
         sums[j] += share * moments[j]
     depth = 1 / max(plane[0] * mean[0] + plane[1] * mean[1] + plane[2], TINY_DISPARITY)
-    sums[10] += pixels * depth * mean[0]
-    sums[11] += pixels * depth * mean[1]
-    sums[12] += pixels * depth
-    sums[13] += pixels * depth * depth * depth
+    sums[XZ] += pixels * depth * mean[0]
+    sums[YZ] += pixels * depth * mean[1]
+    sums[Z] += pixels * depth
+    sums[ZZZ] += pixels * depth * depth * depth

@@ -14,7 +14,7 @@ import numpy as np
 
 from plane_detector.planes.measurement import normal_matrices, ray_plane_jacobian
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.segmentation.cells.grid import D, N, X, Y
+from plane_detector.segmentation.cells.columns import D, N, X, Y
 from plane_detector.segmentation.cells.labels import count_labels
 from plane_detector.segmentation.cells.model import add_up
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions

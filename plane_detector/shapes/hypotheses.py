@@ -16,6 +16,7 @@ from plane_detector.shapes.surface import (
     distance_normal,
     turn_of,
 )
+from plane_detector.shapes.surfels import COUNT, CURVED, MIN_COSINE, NORMAL, POINT, RAY, SIGMA
 
 # Determinant of three unit normals below which they are coplanar.
 _MIN_DETERMINANT = 1e-6
@@ -142,12 +143,14 @@ def shape_through(kind, points, normals):
 @kernel('boolean(float64[::1], UniTuple(float64, 2), float64[::1])')
 def agrees(shape, turn, cell):
     """Return whether a cell, a row of :attr:`Surfels.table`, agrees in distance and normal."""
-    distance, x, y, z = distance_normal(shape, turn, cell[0], cell[1], cell[2])
-    if not x * cell[3] + y * cell[4] + z * cell[5] > cell[11]:
+    distance, x, y, z = distance_normal(shape, turn, cell[POINT], cell[POINT + 1],
+                                        cell[POINT + 2])
+    cosine = x * cell[NORMAL] + y * cell[NORMAL + 1] + z * cell[NORMAL + 2]
+    if not cosine > cell[MIN_COSINE]:
         return False
-    facing = x * cell[6] + y * cell[7] + z * cell[8]
-    noise = DEVIATIONS * facing * cell[9]
-    return distance * distance < noise * noise + cell[10] * cell[10]
+    facing = x * cell[RAY] + y * cell[RAY + 1] + z * cell[RAY + 2]
+    noise = DEVIATIONS * facing * cell[SIGMA]
+    return distance * distance < noise * noise + cell[CURVED] * cell[CURVED]
 
 
 @kernel('boolean[::1](float64[::1], float64[:, ::1], int64[::1])')
@@ -197,9 +200,9 @@ def score_of(shape, table, among, most, total):
     """Return the number of agreeing pixels of some cells; 0 if it cannot exceed ``most``."""
     turn, score, left = turn_of(shape), 0.0, total
     for i in among:
-        left -= table[i, 12]
+        left -= table[i, COUNT]
         if agrees(shape, turn, table[i]):
-            score += table[i, 12]
+            score += table[i, COUNT]
         elif score + left <= most:
             return 0.0
     return score
@@ -214,7 +217,8 @@ def shapes_of_kind(kind, samples, patches, table):
     for h in range(len(samples)):
         if samples[h, needed - 1] >= 0:
             for i in range(needed):
-                points[i], normals[i] = table[samples[h, i], 0:3], table[samples[h, i], 3:6]
+                cell = table[samples[h, i]]
+                points[i], normals[i] = cell[POINT:NORMAL], cell[NORMAL:RAY]
             shapes[h, :8], shapes[h, 8] = shape_through(kind, points, normals), samples[h, 0]
     for k in range(each * len(patches)):
         patch = patches[k // each]
@@ -242,7 +246,7 @@ def best_hypothesis(shapes, bounds, table, among):
     """
     best, most, total = np.full(9, np.nan), 0.0, 0.0
     for i in among:
-        total += table[i, 12]
+        total += table[i, COUNT]
     for h in range(len(shapes)):
         if np.isfinite(shapes[h, 8]) and is_sane(shapes[h, :8], table[int(shapes[h, 8])], bounds):
             score = score_of(shapes[h, :8], table, among, most, total)

@@ -15,6 +15,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.shapes.fitting import solved
 from plane_detector.shapes.surface import CONE, SPHERE, frame_of
+from plane_detector.shapes.surfels import NORMAL, POINT, RAY
 
 # derived: twice the unknowns of a paraboloid.
 _MIN_CELLS = 12
@@ -49,7 +50,7 @@ def curved_patches(table, inside, seeds, reach):
                     window[count] = v * columns + u
                     count += 1
         if count >= _MIN_CELLS:
-            result[h, :11] = paraboloid(table, window[:count], table[seeds[h], 0:3])
+            result[h, :11] = paraboloid(table, window[:count], table[seeds[h], POINT:NORMAL])
             result[h, 11] = seeds[h]
     return result
 
@@ -59,7 +60,7 @@ def paraboloid(table, cells, middle):
     """Return the paraboloid (11,) fitted to some cells (n,) about a point (3,)."""
     upright, result = np.zeros(8), np.empty(11)
     for i in cells:
-        upright[3:6] += table[i, 3:6]
+        upright[3:6] += table[i, NORMAL:RAY]
     upright[3:6] /= np.sqrt((upright[3:6] ** 2).sum())
     frame = frame_of(upright)
     matrix, vector, row = np.zeros((6, 6)), np.zeros(6), np.ones(6)
@@ -67,7 +68,7 @@ def paraboloid(table, cells, middle):
         height = 0.0
         row[1] = row[2] = 0.0
         for k in range(3):
-            apart = table[i, k] - middle[k]
+            apart = table[i, POINT + k] - middle[k]
             row[1] += apart * frame[0, k]
             row[2] += apart * frame[1, k]
             height += apart * frame[2, k]

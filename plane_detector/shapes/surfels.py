@@ -10,7 +10,8 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import CellGrid, N
+from plane_detector.segmentation.cells.columns import N
+from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.types import CameraIntrinsics
@@ -25,7 +26,7 @@ _NORMAL_TOLERANCE_RAD = np.radians(15.0)
 _CELL_TOLERANCE = 0.125
 # Columns of Surfels.table: point (3), normal (3), ray (3), deviation of the depth, tolerance for
 # the curvature of a cell, smallest cosine between normals, pixels.
-POINT, NORMAL, SIGMA, CURVED, MIN_COSINE, COUNT = np.s_[:, 0:3], np.s_[:, 3:6], 9, 10, 11, 12
+POINT, NORMAL, RAY, SIGMA, CURVED, MIN_COSINE, COUNT = 0, 3, 6, 9, 10, 11, 12
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Surfels:
     @property
     def points_m(self) -> np.ndarray:
         """The points, (R * C, 3) float64."""
-        return self.table[POINT]
+        return self.table[:, POINT:NORMAL]
 
     @property
     def count(self) -> np.ndarray:
@@ -61,7 +62,7 @@ class Surfels:
     @cached_property
     def median_disparity(self) -> float:
         """1/depth of the median cell; 0 if there is none."""
-        z_m = self.table[self.usable, 2]
+        z_m = self.table[self.usable, POINT + 2]
         return 1 / float(np.median(z_m)) if z_m.size else 0.0
 
 
@@ -114,23 +115,23 @@ def surfel_table(cells, usable, camera, sigmas):
     slope_sigma = sigmas[1] * (camera[0] + camera[1]) / 2 / camera[4]
     for i in range(len(cells)):
         disparity, row = cells[i, 2], table[i]
-        row[12] = cells[i, 6]
+        row[COUNT] = cells[i, 6]
         if not (usable[i] and disparity > 0):
             continue
         z = 1 / disparity
         # 1/z = a r_x + b r_y + c is the plane (a, b, c) . p = 1.
-        row[6] = (cells[i, 0] * camera[4] - camera[2]) / camera[0]
-        row[7] = (cells[i, 1] * camera[4] - camera[3]) / camera[1]
-        row[8] = 1.0
+        row[RAY] = (cells[i, 0] * camera[4] - camera[2]) / camera[0]
+        row[RAY + 1] = (cells[i, 1] * camera[4] - camera[3]) / camera[1]
+        row[RAY + 2] = 1.0
         a, b = cells[i, 3] * camera[0] / camera[4], cells[i, 4] * camera[1] / camera[4]
-        c = disparity - a * row[6] - b * row[7]
+        c = disparity - a * row[RAY] - b * row[RAY + 1]
         length = np.sqrt(a * a + b * b + c * c)
-        row[3], row[4], row[5] = -a / length, -b / length, -c / length
-        row[0], row[1], row[2] = row[6] * z, row[7] * z, z
+        row[NORMAL], row[NORMAL + 1], row[NORMAL + 2] = -a / length, -b / length, -c / length
+        row[POINT], row[POINT + 1], row[POINT + 2] = row[RAY] * z, row[RAY + 1] * z, z
         width = camera[5] / camera[0] * z
-        row[9] = np.hypot(sigmas[0] * z * z, sigmas[3])
-        row[10] = _CELL_TOLERANCE * width
-        row[11] = np.cos(min(_NORMAL_TOLERANCE_RAD + DEVIATIONS * slope_sigma / length, 1.0))
+        row[SIGMA], row[CURVED] = np.hypot(sigmas[0] * z * z, sigmas[3]), _CELL_TOLERANCE * width
+        tolerance_rad = _NORMAL_TOLERANCE_RAD + DEVIATIONS * slope_sigma / length
+        row[MIN_COSINE] = np.cos(min(tolerance_rad, 1.0))
         # A step within a cell bends it more than any curved surface that cells can resolve.
         grain = np.hypot(sigmas[2] * z * z, sigmas[3])
         good[i] = cells[i, 5] * z * z < np.hypot(DEVIATIONS * grain, _MAX_GAP_SHARE * width)
@@ -146,11 +147,11 @@ def goes_on(one, other):
     """
     square = first = second = 0.0
     for k in range(3):
-        apart = other[k] - one[k]
+        apart = other[POINT + k] - one[POINT + k]
         square += apart * apart
-        first += apart * one[3 + k]
-        second += apart * other[3 + k]
-    allowed = (DEVIATIONS * one[9]) ** 2 + _MAX_GAP_SHARE**2 * square
+        first += apart * one[NORMAL + k]
+        second += apart * other[NORMAL + k]
+    allowed = (DEVIATIONS * one[SIGMA]) ** 2 + _MAX_GAP_SHARE**2 * square
     return max(first * first, second * second) < allowed
 
 

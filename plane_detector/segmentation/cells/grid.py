@@ -17,6 +17,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
+from plane_detector.segmentation.cells.columns import DD, XD, XX, XY, YD, YY, D, N, X, Y
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
 
 # The number of cells hardly depends on the image size: the cells grow with the image.
@@ -25,8 +26,6 @@ CELLS_PER_IMAGE = 4800
 # tuned: rooms and lived-in rooms of seeds below 9000: flat from 0.05 to 0.5; of lidar frames 0.05
 # of the pixels lose their label at 0.3, 0.27 at 0.5, and none gains one at 0.05.
 MIN_VALID_SHARE = 0.15
-# Columns of CellGrid.moments: sums over the pixels of 1, x, y, xx, xy, yy, d, xd, yd, dd.
-N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class CellGrid:
     shape : (int, int)
         Rows and columns of cells, R x C.
     moments : (R * C, 10) float64
-        See the column names of this module.
+        See :mod:`plane_detector.segmentation.cells.columns`.
     mean : (R * C, 3) float64
         Mean x, y and d of the valid pixels.
     slope : (R * C, 2) float64
@@ -224,13 +223,13 @@ def _sum_up_cell(sums, extent, centre, pixel, out):
     x, y, d = centre
     of_x, of_y, of_d = m_x * pixel, m_y * pixel, np.float64(m_d)
     sum_x, sum_y = of_x + n * x, of_y + n * y
-    out[0], out[1], out[2], out[6] = n, sum_x, sum_y, of_d + n * d
-    out[3] = xx * pixel**2 + x * (of_x + sum_x)
-    out[4] = xy * pixel**2 + x * of_y + y * sum_x
-    out[5] = yy * pixel**2 + y * (of_y + sum_y)
-    out[7] = xd * pixel + x * of_d + d * sum_x
-    out[8] = yd * pixel + y * of_d + d * sum_y
-    out[9] = dd + d * (2 * of_d + n * d)
+    out[N], out[X], out[Y], out[D] = n, sum_x, sum_y, of_d + n * d
+    out[XX] = xx * pixel**2 + x * (of_x + sum_x)
+    out[XY] = xy * pixel**2 + x * of_y + y * sum_x
+    out[YY] = yy * pixel**2 + y * (of_y + sum_y)
+    out[XD] = xd * pixel + x * of_d + d * sum_x
+    out[YD] = yd * pixel + y * of_d + d * sum_y
+    out[DD] = dd + d * (2 * of_d + n * d)
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1], float64[::1], boolean[::1], float64[:, ::1]))'
@@ -242,11 +241,11 @@ def _fit_cells(moments, size, width):
     usable, sparsity = np.zeros(count, np.bool_), np.zeros((count, 2))
     of_full = 12 * width**2 / (area * (area - 1))
     for i in range(count):
-        if moments[i, 0] == 0:
+        if moments[i, N] == 0:
             continue
-        m, per = moments[i], 1 / moments[i, 0]  # no row is held where paths part: faster
-        n, x, y, d = m[0], m[1] * per, m[2] * per, m[6] * per
-        xx, xy, yy = m[3] * per - x * x, m[4] * per - x * y, m[5] * per - y * y
+        m, per = moments[i], 1 / moments[i, N]  # no row is held where paths part: faster
+        n, x, y, d = m[N], m[X] * per, m[Y] * per, m[D] * per
+        xx, xy, yy = m[XX] * per - x * x, m[XY] * per - x * y, m[YY] * per - y * y
         mean[i, 0], mean[i, 1], mean[i, 2] = x, y, d
         a, b, c = fit_plane(m)
         square = max(squared_error(a, b, c, m), 0.0)

@@ -9,6 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import (
+    MEAN_D,
+    MEAN_WEIGHT,
+    MEAN_X,
+    MEAN_Y,
+    SLOPE_WEIGHT,
+    SLOPE_X,
+    SLOPE_Y,
+    SQUARED_ERROR,
+    N,
+)
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
@@ -36,9 +47,9 @@ class WeightedCells:
     is_planar : (R * C,) bool
         The cell lies on one plane.
     table : (R * C, 8) float64
-        Mean x, y and d, slope along x and y, inverse variances of mean and slope: what
-        :func:`chi_squared` needs. Last the expected squared error of the cell's pixels about the
-        plane of a larger region.
+        Mean x, y and d, slope along x and y, the weights of mean and slope, and the expected
+        squared error of the cell's pixels about the plane of a larger region. See
+        :mod:`plane_detector.segmentation.cells.columns`.
 
     """
 
@@ -95,19 +106,26 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
         of_plane += mean[i, 2] ** 4
     of_plane *= squares[3] / len(usable) ** 2
     for i in range(len(usable)):
-        if moments[i, 0] == 0:
+        if moments[i, N] == 0:
             continue
         for k in range(3):
             table[i, k] = mean[i, k]
-        table[i, 3], table[i, 4] = slope[i, 0], slope[i, 1]
+        table[i, SLOPE_X], table[i, SLOPE_Y] = slope[i, 0], slope[i, 1]
         floor = squares[3] * mean[i, 2] ** 4 + squares[4] + of_plane
         of_mean = squares[0] + floor + squares[2] * sparsity[i, 0]
         of_slope = squares[1] + floor * per_slope + squares[5] + squares[2] * sparsity[i, 1]
         of_pixel = squares[2] + floor
-        table[i, 5], table[i, 6] = 1 / max(of_mean, MIN_VARIANCE), 1 / max(of_slope, MIN_VARIANCE)
-        table[i, 7] = (of_mean + of_pixel) * moments[i, 0]
+        table[i, MEAN_WEIGHT] = 1 / max(of_mean, MIN_VARIANCE)
+        table[i, SLOPE_WEIGHT] = 1 / max(of_slope, MIN_VARIANCE)
+        table[i, SQUARED_ERROR] = (of_mean + of_pixel) * moments[i, N]
         is_planar[i] = usable[i] and residual_rms[i] ** 2 < MAX_PIXEL_VARIANCES * of_pixel
     return table, is_planar
+
+
+@kernel('float64(float64[:, ::1], int64, float64, float64, float64)')
+def residual(table, i, a, b, c):
+    """Return the mean disparity of cell i minus that of the plane d = a x + b y + c there."""
+    return table[i, MEAN_D] - (a * table[i, MEAN_X] + b * table[i, MEAN_Y] + c)
 
 
 @kernel('float64(float64[:, ::1], int64, float64, float64, float64)')
@@ -118,10 +136,10 @@ def chi_squared(table, i, a, b, c):
     The squared residual of the cell's mean disparity over its variance, plus the same of its
     slope: a cell that crosses the plane at an angle does not fit it, however near it is.
     """
-    residual = table[i, 2] - (a * table[i, 0] + b * table[i, 1] + c)
-    tilt_x, tilt_y = table[i, 3] - a, table[i, 4] - b
-    return (residual * residual * table[i, 5]
-            + (tilt_x * tilt_x + tilt_y * tilt_y) * table[i, 6])
+    offset = residual(table, i, a, b, c)
+    tilt_x, tilt_y = table[i, SLOPE_X] - a, table[i, SLOPE_Y] - b
+    return (offset * offset * table[i, MEAN_WEIGHT]
+            + (tilt_x * tilt_x + tilt_y * tilt_y) * table[i, SLOPE_WEIGHT])
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int32[::1], boolean[::1], int64)', is_short=True)
@@ -139,5 +157,5 @@ def fit_regions(cells: WeightedCells, labels: np.ndarray, count: int,
     """Fit planes to labels (R, C) int32; drop labels with too few planar pixels or on a line."""
     moments = add_up(cells.grid.moments, labels.reshape(-1), cells.is_planar, count)
     planes = fit_planes(moments)
-    kept = np.flatnonzero((moments[:, 0] >= max(min_pixels, 1.0)) & ~np.isnan(planes[:, 0]))
+    kept = np.flatnonzero((moments[:, N] >= max(min_pixels, 1.0)) & ~np.isnan(planes[:, 0]))
     return PlaneRegions(relabel_sequential(labels, kept, count), planes[kept])

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells
+from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, residual
 from plane_detector.segmentation.cells.noise import Noise
 
 # The planes of smaller regions fit the noise itself, and their residuals are too small.
@@ -105,18 +105,17 @@ def _bounded(share: float) -> float:
 def _covariances(labels, planes, table, is_used):
     """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
     rows, columns = labels.shape
-    residual, total, count = np.full((rows, columns), np.nan), np.zeros(3), np.zeros(3)
+    residuals, total, count = np.full((rows, columns), np.nan), np.zeros(3), np.zeros(3)
     for i in np.flatnonzero(is_used):
         row, column = i // columns, i % columns
-        plane = planes[labels[row, column]]
-        residual[row, column] = table[i, 2] - (plane[0] * table[i, 0] + plane[1] * table[i, 1]
-                                               + plane[2])
+        a, b, c = planes[labels[row, column]]
+        residuals[row, column] = residual(table, i, a, b, c)
     for row in range(rows):
         for column in range(columns):
             for lag in range(3):
                 for r, c in ((row + lag, column), (row, column + lag)):
                     if r < rows and c < columns and labels[r, c] == labels[row, column]:
-                        product = residual[r, c] * residual[row, column]
+                        product = residuals[r, c] * residuals[row, column]
                         if not np.isnan(product):
                             total[lag] += product
                             count[lag] += 1

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.segmentation.cells.grid import DD, XD, YD, CellGrid, D, N, X, Y
+from plane_detector.segmentation.cells.columns import DD, XD, YD, D, N, X, Y
+from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import DD, XD, XX, XY, YD, YY, D, N, X, Y
 
 # derived: far above the rounding of float64. A smaller eigenvalue, relative to the largest one,
 # counts as zero: the pixels lie on a line, or there are too few cells for the fit.
@@ -28,7 +29,7 @@ def fit_plane(moments):
     Parameters
     ----------
     moments : (10,) float64
-        Sums of the columns of :mod:`plane_detector.segmentation.cells.grid`.
+        Sums over pixels, see :mod:`plane_detector.segmentation.cells.columns`.
 
     Returns
     -------
@@ -36,10 +37,10 @@ def fit_plane(moments):
         NaN where the pixels lie on a line or are fewer than three.
 
     """
-    per = 1 / max(moments[0], 1.0)
-    x, y, d = moments[1] * per, moments[2] * per, moments[6] * per
-    xx, xy, yy = moments[3] * per - x * x, moments[4] * per - x * y, moments[5] * per - y * y
-    xd, yd = moments[7] * per - x * d, moments[8] * per - y * d
+    per = 1 / max(moments[N], 1.0)
+    x, y, d = moments[X] * per, moments[Y] * per, moments[D] * per
+    xx, xy, yy = moments[XX] * per - x * x, moments[XY] * per - x * y, moments[YY] * per - y * y
+    xd, yd = moments[XD] * per - x * d, moments[YD] * per - y * d
     determinant = xx * yy - xy * xy
     if not determinant > MIN_EIGENVALUE * (xx + yy) ** 2:
         return np.nan, np.nan, np.nan
@@ -51,9 +52,9 @@ def fit_plane(moments):
 @kernel('float64(float64, float64, float64, float64[::1])')
 def squared_error(a, b, c, moments):
     """Return the squared error of a plane over the pixels of moments (10,)."""
-    return (moments[9] + c * (c * moments[0] + 2 * (a * moments[1] + b * moments[2] - moments[6]))
-            + a * (a * moments[3] + 2 * (b * moments[4] - moments[7]))
-            + b * (b * moments[5] - 2 * moments[8]))
+    return (moments[DD] + c * (c * moments[N] + 2 * (a * moments[X] + b * moments[Y] - moments[D]))
+            + a * (a * moments[XX] + 2 * (b * moments[XY] - moments[XD]))
+            + b * (b * moments[YY] - 2 * moments[YD]))
 
 
 @kernel('float64[:, ::1](float64[:, ::1])', is_short=True)

@@ -19,7 +19,12 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import at_borders
-from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
+from plane_detector.segmentation.cells.model import (
+    PlaneRegions,
+    chi_squared,
+    fit_regions,
+    residual,
+)
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
 from plane_detector.segmentation.regions.icm import POTTS_WEIGHT
 from plane_detector.segmentation.search.frame import Frame
@@ -150,7 +155,7 @@ def _energy(labels, unit, members, label, model, weights):
         row, column = i // columns, i % columns
         energy += share * chi_squared(table, i, planes[label, 0], planes[label, 1],
                                       planes[label, 2])
-        residual = _residual(table, i, planes, label)
+        here = residual(table, i, planes[label, 0], planes[label, 1], planes[label, 2])
         for r in range(max(row - 1, 0), min(row + 2, rows)):
             for c in range(max(column - 1, 0), min(column + 2, columns)):
                 j, other, pairs = r * columns + c, labels[r, c], 1.0
@@ -158,12 +163,7 @@ def _energy(labels, unit, members, label, model, weights):
                     continue
                 if unit[r, c] == unit[row, column]:  # both cells of the pair count it
                     other, pairs = label, 0.5
-                jump = residual - _residual(table, j, planes, other)
+                jump = here - residual(table, j, planes[other, 0], planes[other, 1],
+                                       planes[other, 2])
                 energy += pairs * (jump * jump * per_jump + border_cost * (other != label))
     return energy
-
-
-@kernel('float64(float64[:, ::1], int64, float64[:, ::1], int32)')
-def _residual(table, i, planes, k):
-    """Return how far the mean of cell i is from plane k."""
-    return table[i, 2] - (planes[k, 0] * table[i, 0] + planes[k, 1] * table[i, 1] + planes[k, 2])

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import XX, XY, YY, D, N, X, Y
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
@@ -130,17 +131,17 @@ def _bends(planes, sums, borders, limits):
 @kernel('boolean(float64[::1], float64, float64)')
 def _is_curved(sums, noise_density, min_deg):
     """Return whether a quadric fits far better than a plane and turns by more than the angle."""
-    count, mean, quadric, products = sums[0], sums[6] / sums[0], np.zeros(7), _products(sums)
+    count, mean, quadric, products = sums[N], sums[D] / sums[N], np.zeros(7), _products(sums)
     of_plane = solve_least_squares(products, PLANE_TERMS, quadric)
     of_quadric = solve_least_squares(products, QUADRIC_TERMS, quadric)
     variance = max(of_quadric / (count - QUADRIC_TERMS), noise_density, sums[VARIANCE] / count)
     # The bend over the width of the region along each direction, whose variance is a twelfth of
     # the width squared: its squares have this trace.
     xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
-    x, y = sums[1] / count, sums[2] / count
-    change = ((xx * xx + xy * xy) * (sums[3] / count - x * x)
-              + (xy * xy + yy * yy) * (sums[5] / count - y * y)
-              + 2 * xy * (xx + yy) * (sums[4] / count - x * y))
+    x, y = sums[X] / count, sums[Y] / count
+    change = ((xx * xx + xy * xy) * (sums[XX] / count - x * x)
+              + (xy * xy + yy * yy) * (sums[YY] / count - y * y)
+              + 2 * xy * (xx + yy) * (sums[XY] / count - x * y))
     slope = np.sqrt(max(12 * change, 0.0)) * TYPICAL_FOCAL_SHARE
     return (of_plane - of_quadric > MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance
             and np.degrees(np.arctan2(slope, mean)) > min_deg)

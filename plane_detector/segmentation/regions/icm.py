@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import MEAN_WEIGHT
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
 from plane_detector.segmentation.search.dbscan import label_clusters
@@ -87,7 +88,7 @@ def _best_label(labels, row, column, work, model, threshold2):
                 near[count], votes[label] = label, 0
                 count += 1
             votes[label] += 1
-    best, lowest = np.int32(-1), OUTLIER_COST * threshold2 if table[i, 5] > 0 else 0.0
+    best, lowest = np.int32(-1), OUTLIER_COST * threshold2 if table[i, MEAN_WEIGHT] > 0 else 0.0
     lowest -= POTTS_WEIGHT * max(votes[-1], 0)
     if count == 1:
         best, lowest = near[0], -np.inf

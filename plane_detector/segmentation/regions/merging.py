@@ -29,7 +29,8 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
-from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES, WeightedCells
+from plane_detector.segmentation.cells.columns import MEAN_WEIGHT, D, N
+from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES, WeightedCells, residual
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_NORMAL_ERROR_DEG
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
@@ -37,12 +38,12 @@ from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quad
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
+    NORMAL_SQUARES,
+    NORMAL_X,
+    NORMAL_Y,
     NORMALS,
     NORMALS_D,
     PLANE_TERMS,
-    SLOPE_SQUARES,
-    SLOPE_X,
-    SLOPE_Y,
     VARIANCE,
     RegionGraph,
     fold,
@@ -183,7 +184,7 @@ def _misfits(planes, sums, borders, test):
     misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
-            if (borders[i, j, 0] < min_pairs or sums[i, 0] == 0 or sums[j, 0] == 0
+            if (borders[i, j, 0] < min_pairs or sums[i, N] == 0 or sums[j, N] == 0
                     or normals_differ(sums, i, j)):
                 continue
             fold_deg, gap = 0.0, 0.0
@@ -192,7 +193,7 @@ def _misfits(planes, sums, borders, test):
             if gap < max_gap and fold_deg <= max_fold_deg:
                 misfit[i, j] = _joint_misfit(sums, i, j, joint, surface) / tolerance
             if surface == PLANE:
-                large, small = (i, j) if sums[i, 0] >= sums[j, 0] else (j, i)
+                large, small = (i, j) if sums[i, N] >= sums[j, N] else (j, i)
                 bulge = squared_error(planes[large, 0], planes[large, 1], planes[large, 2],
                                       sums[small]) / sums[small, VARIANCE]
                 misfit[i, j] = min(misfit[i, j], bulge / MAX_BULGE_VARIANCES)
@@ -215,7 +216,7 @@ def _joint_misfit(sums, i, j, joint, surface):
         if surface == PLANE:
             worst = max(worst, square / sums[k, VARIANCE])
         else:  # a point at 1/z is off the plane by offset_m times its relative residual
-            worst = max(worst, offset_m * np.sqrt(max(square, 0.0) * sums[k, 0]) / sums[k, 6])
+            worst = max(worst, offset_m * np.sqrt(max(square, 0.0) * sums[k, N]) / sums[k, D])
     return worst
 
 
@@ -230,13 +231,13 @@ def normals_differ(sums, i, j):
     if min(sums[i, NORMALS], sums[j, NORMALS]) <= PLANE_TERMS:
         return False
     apart, variance = 0.0, 0.0
-    for slope in (SLOPE_X, SLOPE_Y):
+    for slope in (NORMAL_X, NORMAL_Y):
         apart += (sums[i, slope] / sums[i, NORMALS] - sums[j, slope] / sums[j, NORMALS]) ** 2
     for k in (i, j):
         n = sums[k, NORMALS]
         min_slope = np.radians(MIN_NORMAL_ERROR_DEG) * sums[k, NORMALS_D] / n / TYPICAL_FOCAL_SHARE
-        spread = (sums[k, SLOPE_SQUARES] / n - (sums[k, SLOPE_X] / n) ** 2
-                  - (sums[k, SLOPE_Y] / n) ** 2)
+        spread = (sums[k, NORMAL_SQUARES] / n - (sums[k, NORMAL_X] / n) ** 2
+                  - (sums[k, NORMAL_Y] / n) ** 2)
         variance += max(spread, 0.0) / 2 + min_slope**2
     return apart > MAX_DEVIATIONS**2 * variance
 
@@ -270,6 +271,6 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
             i, label = row * columns + column, labels[row, column]
             # A cell that straddles an edge is neither nearer nor farther.
             if label != first and label != second and is_planar[i]:
-                expected = a * table[i, 0] + b * table[i, 1] + c
-                farther += expected - table[i, 2] > MAX_DEVIATIONS / np.sqrt(table[i, 5])
+                sigma = 1 / np.sqrt(table[i, MEAN_WEIGHT])
+                farther += residual(table, i, a, b, c) < -MAX_DEVIATIONS * sigma
     return farther == 0

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import MEAN_D, MEAN_WEIGHT, MEAN_X, MEAN_Y, N
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
@@ -28,7 +29,7 @@ MAX_DEVIATIONS = 3.0
 # derived: the number of coefficients of a plane; a fit needs more cells than this.
 PLANE_TERMS = 3
 # derived: the columns of RegionGraph.sums behind those of PRODUCTS.
-VARIANCE, NORMALS, SLOPE_X, SLOPE_Y, SLOPE_SQUARES, NORMALS_D = range(22, 28)
+VARIANCE, NORMALS, NORMAL_X, NORMAL_Y, NORMAL_SQUARES, NORMALS_D = range(22, 28)
 # derived: the column of the product of each two of 1, x, y, xx, xy, yy and d. Of the 22 products
 # the first ten are the moments, the others what a quadric needs in addition.
 PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 11, 12, 13, 8],
@@ -164,7 +165,7 @@ def _sum_up(labels, table, moments, slope, is_planar, count):
 @kernel('void(float64[:, ::1], float64[:, ::1], float64[:, ::1], int64, int64)')
 def _add_cell(table, slope, sums, i, k):
     """Add cell i to the sums of region k: numba takes longer to pass rows than to add them up."""
-    x, y, d = table[i, 0], table[i, 1], table[i, 2]
+    x, y, d = table[i, MEAN_X], table[i, MEAN_Y], table[i, MEAN_D]
     xx, xy, yy = x * x, x * y, y * y
     sums[k, 0] += 1
     sums[k, 1] += x
@@ -188,12 +189,12 @@ def _add_cell(table, slope, sums, i, k):
     sums[k, 19] += xx * d
     sums[k, 20] += xy * d
     sums[k, 21] += yy * d
-    sums[k, VARIANCE] += 1 / table[i, 5]
+    sums[k, VARIANCE] += 1 / table[i, MEAN_WEIGHT]
     if np.isfinite(slope[i, 0]):
         sums[k, NORMALS] += 1
-        sums[k, SLOPE_X] += slope[i, 0]
-        sums[k, SLOPE_Y] += slope[i, 1]
-        sums[k, SLOPE_SQUARES] += slope[i, 0] ** 2 + slope[i, 1] ** 2
+        sums[k, NORMAL_X] += slope[i, 0]
+        sums[k, NORMAL_Y] += slope[i, 1]
+        sums[k, NORMAL_SQUARES] += slope[i, 0] ** 2 + slope[i, 1] ** 2
         sums[k, NORMALS_D] += d
 
 
@@ -236,7 +237,7 @@ def fold(planes, sums, borders, i, j):
     """Return the dihedral angle of two planes, degrees, and the gap at their border, in sigma."""
     here, there = _gaps(planes, borders, i, j)
     gap = abs(here + there) / (2 * borders[i, j, 0])
-    variance = max(sums[i, VARIANCE] / max(sums[i, 0], 1.0), MIN_VARIANCE)
+    variance = max(sums[i, VARIANCE] / max(sums[i, N], 1.0), MIN_VARIANCE)
     scale = TYPICAL_FOCAL_SHARE**2
     dot = scale * (planes[i, 0] * planes[j, 0] + planes[i, 1] * planes[j, 1])
     norm = 1.0

@@ -7,6 +7,17 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import (
+    MEAN_D,
+    MEAN_WEIGHT,
+    MEAN_X,
+    MEAN_Y,
+    SLOPE_WEIGHT,
+    SLOPE_X,
+    SLOPE_Y,
+    SQUARED_ERROR,
+    N,
+)
 from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane, squared_error
 
@@ -52,7 +63,7 @@ def draw_planes(left, free, stride, cells, wanted, share):
                 for p in range(left_end, left_end + width):
                     if free[p] >= 0:
                         add_moments(total, moments[free[p]])
-                        expected += table[free[p], 7]
+                        expected += table[free[p], SQUARED_ERROR]
             a, b, c = fit_plane(total)
             if squared_error(a, b, c, total) < MAX_JOINT_VARIANCES * expected:
                 planes[n, 0], planes[n, 1], planes[n, 2] = a, b, c
@@ -91,10 +102,11 @@ def add_support(gain, planes, cells, free, places, limits):
         if p & 1:
             continue
         i = free[p]
-        x, y, d = np.float32(table[i, 0]), np.float32(table[i, 1]), np.float32(table[i, 2])
-        slope_x, slope_y = np.float32(table[i, 3]), np.float32(table[i, 4])
-        w, s = np.float32(table[i, 5] * per), np.float32(table[i, 6] * per)
-        pixels = np.float32(2 * sign * moments[i, 0])
+        x, y = np.float32(table[i, MEAN_X]), np.float32(table[i, MEAN_Y])
+        d = np.float32(table[i, MEAN_D])
+        slope_x, slope_y = np.float32(table[i, SLOPE_X]), np.float32(table[i, SLOPE_Y])
+        w, s = np.float32(table[i, MEAN_WEIGHT] * per), np.float32(table[i, SLOPE_WEIGHT] * per)
+        pixels = np.float32(2 * sign * moments[i, N])
         for h in range(len(total)):
             residual = d - c[h] - a[h] * x - b[h] * y
             tilt_x, tilt_y = slope_x - a[h], slope_y - b[h]

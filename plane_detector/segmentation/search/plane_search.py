@@ -19,6 +19,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
+from plane_detector.segmentation.cells.columns import MEAN_D, MEAN_X, MEAN_Y, SLOPE_X, SLOPE_Y
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
@@ -80,8 +81,8 @@ def _deviations(labels, planes, table, cells):
     residual, tilt, label = np.empty(len(cells)), np.empty(2 * len(cells)), labels.reshape(-1)
     for m, i in enumerate(cells):
         a, b, c = planes[label[i], 0], planes[label[i], 1], planes[label[i], 2]
-        residual[m] = abs(table[i, 2] - a * table[i, 0] - b * table[i, 1] - c)
-        tilt[2 * m], tilt[2 * m + 1] = abs(table[i, 3] - a), abs(table[i, 4] - b)
+        residual[m] = abs(table[i, MEAN_D] - a * table[i, MEAN_X] - b * table[i, MEAN_Y] - c)
+        tilt[2 * m], tilt[2 * m + 1] = abs(table[i, SLOPE_X] - a), abs(table[i, SLOPE_Y] - b)
     return residual, tilt
 
 

@@ -17,6 +17,7 @@ import math
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.segmentation.cells.columns import N
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
@@ -109,7 +110,7 @@ def _pixels(places, free, cells):
     """Return the number of pixels of some free cells."""
     pixels = 0.0
     for k in range(len(places)):
-        pixels += cells[1][free[places[k]], 0]
+        pixels += cells[1][free[places[k]], N]
     return pixels
 
 
