@@ -132,12 +132,12 @@ def test_other_threads_run_beside_a_kernel_unless_it_is_short(is_short, tmp_path
     during = []
     for _ in range(5):
         before = len(turns)
-        one(10_000_000)
+        one(30_000_000)
         during.append(len(turns) - before)
     ended.set()
     thread.join()
-    # The median, as on a busy machine the thread may also take turns before the kernel starts.
-    assert (sorted(during)[2] <= 1) == is_short, during
+    # On a busy machine the thread may also take turns before and after the kernel.
+    assert (min(during) <= 1) == is_short, during
 
 
 def last_of_sequence(steps):
