@@ -37,6 +37,7 @@ COMMANDS = {
     'nyu': ('benchmark.nyu', 'NYU Depth V2, ours and the methods of the paper'),
     'labels': ('benchmark.labels', 'label images of any method, scored like ours'),
     'structure': ('structure', 'modules, import floors, constants and lines of a checkout'),
+    'ablation': ('benchmark.ablation', 'each stage of the segmentation switched off'),
     'sensitivity': ('benchmark.sensitivity', 'each constant at 0.7 and 1.4 times its value'),
     'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
     'export': ('export_depth_anything', 'write a depth network with random weights'),

@@ -1,0 +1,154 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Contribution of each stage of the segmentation: the results with one stage switched off.
+
+The differences are paired, scene by scene. Only depth that is exact or measured is segmented; the
+stages for the depth of networks are not among these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pkgutil import resolve_name
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.accuracy import CURVED, EXACT_TRUTH, column, grouped
+from plane_detector.evaluation.benchmark.real_images import collect_frames
+from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
+from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.metrics import known_mean
+from plane_detector.evaluation.peers import Ours
+from plane_detector.types import PlaneSegmentation
+
+TUNING_SEED = 8000
+"""First seed; constants and stages are chosen on seeds from here on, below 9000."""
+ALL = 'all of these'
+# Stage: where its function is called, and what is called instead.
+_SEGMENT = 'plane_detector.segmentation.segment'
+_REGIONS = 'plane_detector.segmentation.regions'
+STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
+    'competition for cells': (f'{_SEGMENT}.compete_for_cells', lambda frame, regions: regions),
+    'depth steps': (f'{_SEGMENT}.split_at_depth_steps',
+                    lambda frame, regions, correlation: regions),
+    'correlated errors': (f'{_SEGMENT}.reassign_cells',
+                          lambda frame, regions, correlation: regions),
+    'model selection': (f'{_REGIONS}.merging.prefer_two_planes',
+                        lambda cells, labels, correlation, first, second: False),
+    'merging behind objects': (f'{_REGIONS}.merging._is_hidden_between',
+                               lambda labels, table, is_planar, sums, pair: False),
+    'coplanar regions': (f'{_SEGMENT}.merge_coplanar', lambda cells, graph, correlation: graph),
+    'sides of intersections': (
+        f'{_REGIONS}.region_graph.RegionGraph.intersections',
+        lambda graph: np.zeros((len(graph.planes), len(graph.planes)), np.int8)),
+    'small planes': (f'{_SEGMENT}.add_small_planes',
+                     lambda frame, labels, planes, min_turn_deg: (labels, planes)),
+    'curved regions': (f'{_SEGMENT}.find_curved',
+                       lambda graph, noise_density, min_turn_deg: np.zeros(0, np.int64)),
+    'nearly flat regions': (
+        f'{_SEGMENT}.join_nearly_flat',
+        lambda cells, graph, removed, correlation, config: (graph.owner, graph.planes)),
+}
+
+
+class Without(Ours):
+    """Ours without some stages."""
+
+    def __init__(self, name: str, stages: Sequence[str]) -> None:
+        super().__init__()
+        self.name, self._stages = name, tuple(stages)
+
+    def run(self, prepared: Any) -> PlaneSegmentation:
+        """Segment."""
+        with switched_off(self._stages):
+            return super().run(prepared)
+
+
+@contextmanager
+def switched_off(stages: Sequence[str]) -> Iterator[None]:
+    """Replace stages of :data:`STAGES` by functions that change nothing."""
+    with ExitStack() as patches:
+        for stage in stages:
+            place, instead = STAGES[stage]
+            owner, _, function = place.rpartition('.')
+            patches.enter_context(mock.patch.object(resolve_name(owner), function, instead))
+        yield
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--only', default='', help='stages whose name contains this')
+    parser.add_argument('--rooms', type=shared.at_least_one, default=40, help='rooms of boxes')
+    parser.add_argument('--living', type=shared.at_least_one, default=32, help='lived-in rooms')
+    parser.add_argument('--curved', type=shared.at_least_one, default=36, help='curved scenes')
+    parser.add_argument('--first-seed', type=int, default=TUNING_SEED)
+    parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
+    shared.add_data(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """
+    Print the tables.
+
+    Raises
+    ------
+    ValueError
+        No stage has the wanted name.
+
+    """
+    wanted = [name for name in STAGES if options.only in name]
+    if not wanted:
+        raise ValueError(f'no stage is called {options.only}: there are {", ".join(STAGES)}')
+    methods = [Ours(), *(Without(name, [name]) for name in wanted)]
+    if len(wanted) > 1:
+        methods.append(Without(ALL, wanted))
+    counts = {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
+    jobs = plan(methods, counts, options.first_seed, 0, collect_frames(options.data))
+    report(run_jobs(jobs, options.processes))
+
+
+def report(samples: Sequence[Sample]) -> None:
+    """Print tables of the metrics with all stages, and of the changes without each."""
+    for kind in EXACT_TRUTH:
+        emit(f'### {kind[0].upper()}{kind[1:]}: SC / recall / precision by noise (1/m)',
+             changes([one for one in samples if one.kind == kind],
+                     ('SC', 'recall', 'precision')))
+    emit('### Columns, pipes and balls: taken for planes / least IoU of a plane, by noise (1/m)',
+         changes([one for one in samples if one.kind == CURVED], ('curved', 'IoU')))
+    real = [one for one in samples if one.kind not in (*EXACT_TRUTH, CURVED)]
+    if real:
+        emit('### Real frames, depth of the sensor: labelled / purity / planes',
+             changes(real, ('labelled', 'purity', 'planes')))
+    emit('First row: all stages. The others: the change without a stage; in brackets the standard '
+         'error of the change of the first metric.')
+
+
+def changes(samples: Sequence[Sample], metrics: Sequence[str]) -> str:
+    """Return a Markdown table with a row for each method and a column for each set of scenes."""
+    groups = grouped(samples)
+    first, *others = dict.fromkeys(one.method for one in samples)
+    sets = dict.fromkeys((kind, sigma) for kind, sigma, _ in groups)
+    full = [groups[(*one, first)] for one in sets]
+    rows = [['all stages', *(' / '.join(f'{known_mean(column(group, name)):.3f}'
+                                        for name in metrics) for group in full)]]
+    for method in others:
+        rows.append([f'without {method}', *(
+            _change(before, groups[(*one, method)], metrics)
+            for one, before in zip(sets, full, strict=True))])
+    is_by_noise = len({kind for kind, _ in sets}) == 1
+    return table(('', *(f'{sigma:g}' if is_by_noise else kind for kind, sigma in sets)), rows)
+
+
+def _change(before: Sequence[Sample], after: Sequence[Sample], metrics: Sequence[str]) -> str:
+    """Return the mean changes of the metrics, and the standard error of the first."""
+    by_scene = [column(after, name) - column(before, name) for name in metrics]
+    error = np.nanstd(by_scene[0]) / np.sqrt(len(before))
+    first, *rest = (f'{known_mean(change):+.3f}' for change in by_scene)
+    return ' / '.join([f'{first} ({error:.3f})', *rest])
