@@ -109,7 +109,7 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
         if moments[i, N] == 0:
             continue
         for k in range(3):
-            table[i, k] = mean[i, k]
+            table[i, MEAN_X + k] = mean[i, k]
         table[i, SLOPE_X], table[i, SLOPE_Y] = slope[i, 0], slope[i, 1]
         floor = squares[3] * mean[i, 2] ** 4 + squares[4] + of_plane
         of_mean = squares[0] + floor + squares[2] * sparsity[i, 0]

@@ -19,9 +19,9 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.columns import MEAN_D, MEAN_X, MEAN_Y, SLOPE_X, SLOPE_Y
+from plane_detector.segmentation.cells.columns import SLOPE_X, SLOPE_Y
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.cells.model import PlaneRegions, residual
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
 from plane_detector.segmentation.cells.noise_correlation import in_large_regions
 from plane_detector.segmentation.search.frame import Frame
@@ -68,8 +68,8 @@ def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
     cells = sample_cells(in_large_regions(regions.labels, len(planes)))
     if not len(cells):
         return frame.noise
-    residual, tilt = _deviations(regions.labels, planes, frame.cells.table, cells)
-    sigmas = (SIGMA_PER_MEDIAN * median(residual), SIGMA_PER_MEDIAN * median(tilt),
+    moduli, tilt = _deviations(regions.labels, planes, frame.cells.table, cells)
+    sigmas = (SIGMA_PER_MEDIAN * median(moduli), SIGMA_PER_MEDIAN * median(tilt),
               median(grid.residual_rms[cells]))
     return frame.noise.from_cells(sigmas, grid.sparsity.take(cells, 0))
 
@@ -78,12 +78,12 @@ def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
         is_short=True)
 def _deviations(labels, planes, table, cells):
     """Return moduli of residuals (n,) of cells to their planes, and of slopes' (2 * n,)."""
-    residual, tilt, label = np.empty(len(cells)), np.empty(2 * len(cells)), labels.reshape(-1)
+    moduli, tilt, label = np.empty(len(cells)), np.empty(2 * len(cells)), labels.reshape(-1)
     for m, i in enumerate(cells):
         a, b, c = planes[label[i], 0], planes[label[i], 1], planes[label[i], 2]
-        residual[m] = abs(table[i, MEAN_D] - a * table[i, MEAN_X] - b * table[i, MEAN_Y] - c)
+        moduli[m] = abs(residual(table, i, a, b, c))
         tilt[2 * m], tilt[2 * m + 1] = abs(table[i, SLOPE_X] - a), abs(table[i, SLOPE_Y] - b)
-    return residual, tilt
+    return moduli, tilt
 
 
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
