@@ -12,13 +12,14 @@ from typing import Any, NamedTuple
 from plane_detector.ros.diagnostics import Statistics
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.frame_processor import DetectedFrame, FrameProcessor, ObservedFrame
-from plane_detector.ros.frame_requests import FrameRequests, describe_frame, stamp_text
+from plane_detector.ros.frame_requests import FrameRequests, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
+from plane_detector.ros.stamps import stamp_text
 from plane_detector.stopping import current_stop
 
 

@@ -14,6 +14,7 @@ from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from plane_detector.ros.outputs.topics import ProcessedFrame
+from plane_detector.ros.stamps import stamp_text
 
 ANSWERED_WITHIN_S = 30.0
 """A call without a frame is answered after this time."""
@@ -101,9 +102,3 @@ async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.
 def describe_frame(result: ProcessedFrame) -> str:
     """Return the answer to a call: number of planes and stamp of the image."""
     return f'{len(result.detection.planes)} planes in the image of {stamp_text(result)}'
-
-
-def stamp_text(stamped: Any) -> str:
-    """Return the stamp of what has a header, as messages to users state it."""
-    stamp = stamped.header.stamp
-    return f'{stamp.sec}.{stamp.nanosec:09d}'

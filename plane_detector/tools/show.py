@@ -23,6 +23,7 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.cloud_reading import read_cloud
 from plane_detector.ros.inputs.topic_watch import GRACE_S
 from plane_detector.ros.node import not_of_ros
+from plane_detector.ros.stamps import stamp_text
 from plane_detector.scale.estimate import RELATIVE
 
 _CLEAR = '\x1b[2J\x1b[H'
@@ -42,11 +43,10 @@ def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
         Whether lengths are in metres.
 
     """
-    stamp = msg.header.stamp
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg)[0] if msg.height else []
-    lines = [f'{len(rows)} planes at {stamp.sec}.{stamp.nanosec:09d} in {msg.header.frame_id}, '
-             f'{unit}', _HEAD]
+    lines = [f'{len(rows)} planes at {stamp_text(msg)} in '
+             f'{msg.header.frame_id}, {unit}', _HEAD]
     for row in rows:
         name = PlaneClass(row['class']).name.lower().replace('_', ' ')
         normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')

@@ -20,6 +20,7 @@ from plane_detector.ros.frame_processor import FrameOutputs
 from plane_detector.ros.outputs.plane_table import PLANE_DTYPE
 from plane_detector.ros.outputs.shapes import SHAPE_DTYPE
 from plane_detector.ros.outputs.topics import ProcessedFrame
+from plane_detector.ros.stamps import stamp_text
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.ply import write_ply
 
@@ -121,9 +122,8 @@ def _figure(result: ProcessedFrame) -> np.ndarray:
     detection = result.detection
     near, far = drawing.depth_range(detection.depth_m)
     unit = 'units' if detection.scale_method == RELATIVE else 'm'
-    stamp = result.header.stamp
     return drawing.figure([
-        (f'image of {stamp.sec}.{stamp.nanosec:09d}', result.rgb),
+        (f'image of {stamp_text(result)}', result.rgb),
         (f'depth, red {near:.1f} {unit} to blue {far:.1f} {unit}',
          drawing.colour_depth(detection.depth_m)),
         (f'{len(detection.planes)} planes', drawing.overlay(result.rgb, result.labels)),
@@ -133,7 +133,7 @@ def _figure(result: ProcessedFrame) -> np.ndarray:
 def _rows(index: int, processed: FrameOutputs, name: str,
           dtype: np.dtype) -> Iterator[list[object]]:
     """Yield the content of the message of planes or shapes, one row per point."""
-    stamp = processed.result.header.stamp
+    stamp = stamp_text(processed.result)
     for point in np.frombuffer(processed.messages[name].data, dtype):
-        yield [index, f'{stamp.sec}.{stamp.nanosec:09d}',
-               *(f'{value:.6g}' if isinstance(value, np.floating) else value for value in point)]
+        yield [index, stamp, *(
+            f'{value:.6g}' if isinstance(value, np.floating) else value for value in point)]
