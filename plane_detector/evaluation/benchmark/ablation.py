@@ -20,7 +20,13 @@ from unittest import mock
 import numpy as np
 
 from plane_detector.evaluation.benchmark import options as shared
-from plane_detector.evaluation.benchmark.accuracy import CURVED, EXACT_TRUTH, column, grouped
+from plane_detector.evaluation.benchmark.accuracy import (
+    CURVED,
+    EXACT_TRUTH,
+    column,
+    grouped,
+    means,
+)
 from plane_detector.evaluation.benchmark.real_images import collect_frames
 from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
 from plane_detector.evaluation.benchmark.tables import emit, table
@@ -85,10 +91,7 @@ def switched_off(stages: Sequence[str]) -> Iterator[None]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument('--only', default='', help='stages whose name contains this')
-    parser.add_argument('--rooms', type=shared.at_least_one, default=40, help='rooms of boxes')
-    parser.add_argument('--living', type=shared.at_least_one, default=32, help='lived-in rooms')
-    parser.add_argument('--curved', type=shared.at_least_one, default=36, help='curved scenes')
-    parser.add_argument('--first-seed', type=int, default=TUNING_SEED)
+    shared.add_scenes(parser, rooms=40, living=32, first_seed=TUNING_SEED)
     parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
     shared.add_data(parser)
 
@@ -109,8 +112,8 @@ def run(options: argparse.Namespace) -> None:
     methods = [Ours(), *(Without(name, [name]) for name in wanted)]
     if len(wanted) > 1:
         methods.append(Without(ALL, wanted))
-    counts = {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
-    jobs = plan(methods, counts, options.first_seed, 0, collect_frames(options.data))
+    jobs = plan(methods, shared.scene_counts(options), options.first_seed, 0,
+                collect_frames(options.data))
     report(run_jobs(jobs, options.processes))
 
 
@@ -136,8 +139,7 @@ def changes(samples: Sequence[Sample], metrics: Sequence[str]) -> str:
     first, *others = dict.fromkeys(one.method for one in samples)
     sets = dict.fromkeys((kind, sigma) for kind, sigma, _ in groups)
     full = [groups[(*one, first)] for one in sets]
-    rows = [['all stages', *(' / '.join(f'{known_mean(column(group, name)):.3f}'
-                                        for name in metrics) for group in full)]]
+    rows = [['all stages', *(means(group, metrics) for group in full)]]
     for method in others:
         rows.append([f'without {method}', *(
             _change(before, groups[(*one, method)], metrics)

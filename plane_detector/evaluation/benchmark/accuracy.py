@@ -30,12 +30,9 @@ EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--rooms', type=shared.at_least_one, default=20, help='rooms of boxes')
-    parser.add_argument('--living', type=shared.at_least_one, default=16, help='lived-in rooms')
-    parser.add_argument('--curved', type=shared.at_least_one, default=36, help='curved scenes')
+    shared.add_scenes(parser, rooms=20, living=16, first_seed=HELD_OUT)
     parser.add_argument('--slow', type=int, default=5,
                         help='rooms of each kind for methods that take seconds')
-    parser.add_argument('--first-seed', type=int, default=HELD_OUT)
     parser.add_argument('--only-ours', action='store_true', help='no other methods')
     parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
     parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write figures there')
@@ -45,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print the tables, and write the figures if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
-    counts = {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
-    jobs = plan(methods, counts, options.first_seed, options.slow, collect_frames(options.data))
+    jobs = plan(methods, shared.scene_counts(options), options.first_seed, options.slow,
+                collect_frames(options.data))
     samples = run_jobs(jobs, options.processes)
     report(samples)
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
@@ -93,8 +90,7 @@ def comparison(samples: Sequence[Sample]) -> str:
     for method in dict.fromkeys(one.method for one in samples):
         own = [group for (_, _, name), group in groups.items() if name == method]
         lines.append([method, str(len(own[0])), *(
-            ' / '.join(f'{known_mean(column(group, name)):.3f}'
-                       for name in ('SC', 'recall', 'precision')) for group in own),
+            means(group, ('SC', 'recall', 'precision')) for group in own),
             f'{np.median([one.cpu_ms for group in own for one in group]):.0f}'])
     return table(('method', 'n', *(f'{sigma:g}' for sigma in sigmas), 'CPU ms'), lines)
 
@@ -114,6 +110,11 @@ def grouped(samples: Sequence[Sample]) -> dict[tuple[str, float, str], list[Samp
 def column(group: Sequence[Sample], name: str) -> np.ndarray:
     """Return one number of every sample, (n,)."""
     return np.array([one.numbers[name] for one in group])
+
+
+def means(group: Sequence[Sample], names: Sequence[str]) -> str:
+    """Return the means of some numbers of all samples as text."""
+    return ' / '.join(f'{known_mean(column(group, name)):.3f}' for name in names)
 
 
 def _exact_cells(group: Sequence[Sample]) -> list[str]:

@@ -25,6 +25,19 @@ def add_data(parser: argparse.ArgumentParser) -> None:
                              'PLANE_DETECTOR_DATA or %(default)s')
 
 
+def add_scenes(parser: argparse.ArgumentParser, rooms: int, living: int, first_seed: int) -> None:
+    """Add the numbers of rendered scenes, see :func:`scene_counts`, and their seed."""
+    parser.add_argument('--rooms', type=at_least_one, default=rooms, help='rooms of boxes')
+    parser.add_argument('--living', type=at_least_one, default=living, help='lived-in rooms')
+    parser.add_argument('--curved', type=at_least_one, default=36, help='curved scenes')
+    parser.add_argument('--first-seed', type=int, default=first_seed)
+
+
+def scene_counts(options: argparse.Namespace) -> dict[str, int]:
+    """Return the number of scenes of each kind, as :func:`samples.plan` takes it."""
+    return {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
+
+
 def add_model(parser: argparse.ArgumentParser) -> None:
     """Add the depth network."""
     parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
