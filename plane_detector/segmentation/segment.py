@@ -114,16 +114,22 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size
     noise_floor = with_quantisation(noise_floor, image)
     frame, regions = search_planes(Frame(image, grid, noise_floor, min_pixels, config, rng))
-    labels, planes = _label(frame, compete_for_cells(frame, regions))
+    regions = compete_for_cells(frame, regions)
+    correlation = (Correlation.of(frame.cells, regions, frame.noise)
+                   if frame.kind is DepthKind.MEASURED else None)
+    labels, planes = _label(frame, regions, correlation)
     if guide is not None:
         labels = np.where(image.valid, snap_to_image_edges(labels, guide), -1)
-    return PixelRegions(image.values, labels, planes, grid, frame.noise)
+    correlated_px = correlation.correlated_cells * grid.size_px**2 if correlation else 0.0
+    return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px)
 
 
-def _label(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+def _label(frame: Frame, regions: PlaneRegions,
+           correlation: Correlation | None) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes by the stages for the kind of depth."""
-    stages = {DepthKind.EXACT: _exact, DepthKind.MEASURED: _measured, DepthKind.NETWORK: _network}
-    return stages[frame.kind](frame, regions)
+    if frame.kind is DepthKind.MEASURED:
+        return _measured(frame, regions, correlation)
+    return (_exact if frame.kind is DepthKind.EXACT else _network)(frame, regions)
 
 
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
@@ -132,10 +138,10 @@ def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]
     return _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
 
 
-def _measured(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
+def _measured(frame: Frame, regions: PlaneRegions,
+              correlation: Correlation | None) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of sensor depth, with pixel noise and smooth noise."""
     cells = frame.cells
-    correlation = Correlation.of(cells, regions, frame.noise)
     # Only if creases do not stand far above the noise it can hide steps.
     if not sees_creases(frame.grid, frame.noise, MAX_DEVIATIONS * frame.threshold):
         regions = split_at_depth_steps(frame, regions, correlation)

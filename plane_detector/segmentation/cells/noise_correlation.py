@@ -85,6 +85,11 @@ class Correlation:
         table = self.table
         return float(4 * table.sum() - 2 * (table[0].sum() + table[:, 0].sum()) + table[0, 0])
 
+    @property
+    def correlated_cells(self) -> float:
+        """The number of cells with the same smooth error: the integral of its correlation."""
+        return (self.density - self.own) / self.smooth
+
 
 @kernel('boolean[::1](int32[:, ::1], int64)', is_short=True)
 def in_large_regions(labels, count):

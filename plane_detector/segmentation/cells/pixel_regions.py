@@ -30,6 +30,8 @@ class PixelRegions:
         Of this disparity.
     noise : Noise
         Of this disparity.
+    correlated_px : float
+        Area over which the smooth part of the noise is the same, in pixels; 0: not known.
 
     """
 
@@ -38,6 +40,7 @@ class PixelRegions:
     coefficients: np.ndarray
     grid: CellGrid
     noise: Noise
+    correlated_px: float = 0.0
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:
         """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""
