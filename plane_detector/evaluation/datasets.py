@@ -5,7 +5,8 @@ Real images with the measured depth of a sensor.
 
 A data folder contains one folder per set, with ``<id>_rgb.png`` or ``.jpg``, ``<id>_depth.png``
 (uint16, registered to the image, 0 invalid) and ``intrinsics.json`` with fx, fy, cx, cy, width,
-height and depth_unit_m.
+height and depth_unit_m. The sets below ``labelled`` and the set ``abw`` also have planes
+labelled by hand, ``<id>_labels.png``.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from plane_detector.drawing import colour_depth
 from plane_detector.tools.demo.photographs import library_images
 from plane_detector.types import CameraIntrinsics
 
@@ -109,3 +111,81 @@ def library_frames() -> list[Frame]:
     return [Frame('libraries', photograph.name, photograph.rgb, photograph.true_depth_m,
                   photograph.intrinsics)
             for photograph in library_images() if photograph.true_depth_m is not None]
+
+
+NO_PLANE, UNKNOWN = -1, -2
+TABLETOPS = 'osd_tabletop'
+ABW = 'abw'
+# Of the scanner of the set ABW (Hoover et al. 1996), as its range images are stored: depth in
+# millimetres is _ABW_NEAREST_MM + range / _ABW_STEPS_PER_MM.
+_ABW_CAMERA = CameraIntrinsics(1610.981722, 2337.212, 255.0, 255.0, 512, 512)
+_ABW_NEAREST_MM, _ABW_STEPS_PER_MM = 785.410786, 0.773545
+_ABW_FIRST_REGION = 10
+
+
+@dataclass(frozen=True)
+class LabelledFrame(Frame):
+    """
+    A frame with planes labelled by hand.
+
+    Attributes
+    ----------
+    labels : (H, W) int32
+        Plane of each pixel from 0, NO_PLANE where the labels say that there is none, UNKNOWN
+        where they say nothing.
+
+    """
+
+    labels: np.ndarray
+
+
+def labelled_frames(data: Path) -> Iterator[LabelledFrame]:
+    """
+    Yield the frames of a data folder that were labelled by hand.
+
+    Labels that ``intrinsics.json`` lists as not one plane are UNKNOWN. On table tops, labels 1 to
+    9 are one plane, the table, and the objects on it are NO_PLANE.
+
+    Raises
+    ------
+    FileNotFoundError
+        There are none.
+    ValueError
+        An image cannot be read.
+
+    """
+    paths = sorted(data.glob('labelled/*/*_labels.png'))
+    if not paths:
+        raise FileNotFoundError(f'{data} has no frames labelled by hand in the folder labelled')
+    for path in paths:
+        name, raw = path.name.removesuffix('_labels.png'), _read_image(path).astype(np.int32)
+        frame = read_frame(path.with_name(f'{name}_depth.png'))
+        if frame.set_name == TABLETOPS:
+            labels = np.select([raw == 0, raw < 10], [UNKNOWN, 0], NO_PLANE)
+        else:
+            about = json.loads((path.parent / 'intrinsics.json').read_text())
+            left_out = about.get('frames', {}).get(name, {}).get('labels_not_one_plane', [])
+            labels = _numbered(raw, (raw > 0) & ~np.isin(raw, left_out))
+        yield LabelledFrame(frame.set_name, name, frame.rgb, frame.depth_m, frame.intrinsics,
+                            labels.astype(np.int32))
+    for path in sorted((data / ABW).glob('*_labels.png')):
+        name, raw = path.name.removesuffix('_labels.png'), _read_image(path)
+        range_image = _read_image(path.with_name(f'{name}_range.png'))
+        depth_m = ((_ABW_NEAREST_MM + range_image / _ABW_STEPS_PER_MM) / 1000).astype(np.float32)
+        depth_m[range_image == 0] = np.nan
+        yield LabelledFrame(ABW, name, colour_depth(depth_m), depth_m, _ABW_CAMERA,
+                            _numbered(raw, raw >= _ABW_FIRST_REGION))
+
+
+def _read_image(path: Path) -> np.ndarray:
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ValueError(f'{path} cannot be read')
+    return image
+
+
+def _numbered(raw: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the known labels numbered from 0 without gaps, UNKNOWN elsewhere."""
+    labels = np.full(raw.shape, UNKNOWN, np.int32)
+    labels[known] = np.unique(raw[known], return_inverse=True)[1]
+    return labels

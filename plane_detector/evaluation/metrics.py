@@ -223,6 +223,128 @@ def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
     return Coverage(int(large.sum()), float(covered / pixels[large].sum()), float(pieces.mean()))
 
 
+@dataclass(frozen=True)
+class LabelledScore:
+    """
+    A segmentation against planes labelled by hand; unlabelled pixels do not count.
+
+    Attributes
+    ----------
+    segmentation_covering : float
+    recall : float
+        Share of true planes that a predicted one matches with IoU > 0.5.
+    pieces : float
+        Mean number of predicted planes with more than PIECE_SHARE of a true plane's pixels.
+    merged : float
+        Of the predicted planes with more than half of a true plane, the share with more than half
+        of two or more.
+    unlabelled : float
+        Share of the true planes' pixels without a predicted plane.
+
+    True planes up to MIN_PIXELS do not count in recall and pieces.
+
+    """
+
+    segmentation_covering: float
+    recall: float
+    pieces: float
+    merged: float
+    unlabelled: float
+
+
+def labelled_score(true_labels: np.ndarray, labels: np.ndarray,
+                   mask: np.ndarray) -> LabelledScore:
+    """
+    Compare a segmentation with planes labelled by hand.
+
+    A predicted plane with most of its pixels where there is no true plane, on an object for
+    example, counts as no plane.
+
+    Parameters
+    ----------
+    true_labels, labels : (H, W) int
+    mask : (H, W) bool
+        Pixels where the truth is known.
+
+    """
+    counts = overlap(true_labels, labels, mask).counts
+    elsewhere = np.append(2 * counts[-1, :-1] > counts[:, :-1].sum(axis=0), False)
+    kept = counts[:, ~elsewhere]
+    kept[:, -1] += counts[:, elsewhere].sum(axis=1)
+    pixels, both = kept[:-1].sum(axis=1), kept[:-1, :-1]
+    union = pixels[:, None] + kept[:, :-1].sum(axis=0) - both
+    halves = (2 * both > pixels[:, None]).sum(axis=0)
+    large = pixels > MIN_PIXELS
+    return LabelledScore(
+        segmentation_covering(kept), _share((2 * both > union).any(axis=1)[large]),
+        float((both > PIECE_SHARE * pixels[:, None]).sum(axis=1)[large].mean()),
+        _share(halves[halves > 0] > 1), float(kept[:-1, -1].sum() / pixels.sum()))
+
+
+@dataclass(frozen=True)
+class HooverScore:
+    """
+    Numbers of regions by kind, after Hoover et al. 1996.
+
+    Attributes
+    ----------
+    true, correct, over_segmented, under_segmented, missed : int
+        Of the true regions.
+    noise : int
+        Predicted regions that are none of them.
+
+    """
+
+    true: int
+    correct: int
+    over_segmented: int
+    under_segmented: int
+    missed: int
+    noise: int
+
+
+def hoover_score(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray,
+                 tolerance: float = 0.8) -> HooverScore:
+    """
+    Classify the regions of a segmentation.
+
+    A pair is correct if its common pixels are at least ``tolerance`` of both regions. A true
+    region is over-segmented if two or more predicted ones lie in it, each with that share of
+    itself, and together have that share of it; under-segmented is the reverse. A region that fits
+    several kinds is counted as the first of these.
+
+    Parameters
+    ----------
+    true_labels, labels : (H, W) int
+    mask : (H, W) bool
+        Pixels that count, also those outside of all true regions.
+    tolerance : float
+        Above 0.5.
+
+    References
+    ----------
+    A. Hoover et al.: An Experimental Comparison of Range Image Segmentation Algorithms, PAMI 1996.
+
+    """
+    counts = overlap(true_labels, labels, mask).counts
+    true_pixels, pixels = counts.sum(axis=1)[:-1], counts.sum(axis=0)[:-1]
+    both = counts[:-1, :-1][true_pixels > 0][:, pixels > 0]
+    of_true = both / true_pixels[true_pixels > 0, None]
+    of_predicted = both / pixels[pixels > 0]
+    same = (of_true >= tolerance) & (of_predicted >= tolerance)
+    true_left, predicted_left = ~same.any(axis=1), ~same.any(axis=0)
+    parts = (of_predicted >= tolerance) & true_left[:, None] & predicted_left
+    over = (parts.sum(axis=1) > 1) & ((of_true * parts).sum(axis=1) >= tolerance)
+    predicted_left &= ~parts[over].any(axis=0)
+    true_left &= ~over
+    parts = (of_true >= tolerance) & true_left[:, None] & predicted_left
+    wide = (parts.sum(axis=0) > 1) & ((of_predicted * parts).sum(axis=0) >= tolerance)
+    under = parts[:, wide].any(axis=1)
+    missed = true_left & ~under
+    return HooverScore(*(int(np.count_nonzero(found)) for found in (
+        np.ones(len(both)), same, over, under, missed, predicted_left & ~wide)))
+
+
 def known_mean(values: np.ndarray) -> float:
     """Return the mean of the finite values; NaN if there are none."""
     known = values[np.isfinite(values)]

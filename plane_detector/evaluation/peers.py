@@ -117,8 +117,8 @@ class PlainRansac(Paper):
 class OpenCv(Method):
     """OpenCV 5's RgbdNormals and findPlanes."""
 
-    def __init__(self, threshold_m: float) -> None:
-        self.threshold_m = threshold_m
+    def __init__(self, threshold_m: float, min_share: float = MIN_PIXELS / (640 * 480)) -> None:
+        self.threshold_m, self.min_share = threshold_m, min_share
         self.name = f'OpenCV findPlanes, {100 * threshold_m:g} cm'
         if not (hasattr(cv2, 'findPlanes') and hasattr(cv2, 'RgbdNormals')):
             self.absent = f'OpenCV {cv2.__version__} has no findPlanes, OpenCV 5 has'
@@ -133,7 +133,7 @@ class OpenCv(Method):
     def run(self, prepared: Any) -> Any:
         """Estimate the normals and segment."""
         points, estimator = prepared
-        least = round(MIN_PIXELS * points.shape[0] * points.shape[1] / (640 * 480))
+        least = round(self.min_share * points.shape[0] * points.shape[1])
         return cv2.findPlanes(points, estimator.apply(points), block_size=20, min_size=least,
                               threshold=self.threshold_m)
 

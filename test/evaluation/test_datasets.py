@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from frame_files import write_frame
 
-from plane_detector.evaluation.datasets import frames, library_frames
+from plane_detector.evaluation.datasets import (
+    NO_PLANE,
+    UNKNOWN,
+    frames,
+    labelled_frames,
+    library_frames,
+)
+from plane_detector.evaluation.plane_geometry import fit_planes, plane_depth
 
 
 def test_frames_are_read_in_metres_and_rgb(tmp_path):
@@ -35,3 +42,21 @@ def test_library_frames_have_known_depth():
     (frame,) = library_frames()
     assert frame.rgb.shape[:2] == frame.depth_m.shape == (500, 741)
     assert 2 < np.nanmedian(frame.depth_m) < 4
+
+
+def test_labels_made_by_hand_fit_their_depth(data_folder):
+    found = {f'{one.set_name}/{one.name}': one for one in labelled_frames(data_folder)}
+    if not found:
+        pytest.skip('no labelled frames')
+    table = found['osd_tabletop/test63']
+    assert set(np.unique(table.labels)) == {UNKNOWN, NO_PLANE, 0}
+    # Label 1 of this frame is two surfaces: left out, and the others are numbered without gaps.
+    assert set(np.unique(found['nyu_planes_dpd/nyu0412'].labels)) == {UNKNOWN, *range(8)}
+    for name, limit_m in (('abw/02', 0.003), ('icl_office_evops/office_0000', 0.001),
+                          ('nyu_planes_dpd/nyu0619', 0.03)):
+        one = found[name]
+        fitted_m = plane_depth(one.labels, fit_planes(one.labels, one.depth_m, one.intrinsics),
+                               one.intrinsics)
+        off_m = np.abs(fitted_m - one.depth_m)[one.labels == np.argmax(
+            np.bincount(one.labels[one.labels >= 0]))]
+        assert np.nanmedian(off_m) < limit_m

@@ -8,7 +8,9 @@ import pytest
 from plane_detector.evaluation.metrics import (
     coverage,
     depth_recall,
+    hoover_score,
     known_mean,
+    labelled_score,
     normal_recall,
     overlap,
     rand_index,
@@ -156,3 +158,37 @@ def test_without_large_planes_coverage_is_unknown():
 def test_the_mean_is_over_what_is_known():
     assert known_mean(np.array([1.0, np.nan, 2.0])) == 1.5
     assert np.isnan(known_mean(np.array([np.nan])))
+
+
+def test_labelled_planes_in_pieces_merged_and_not_found():
+    # Three planes of 40 x 100 pixels and an object; unlabelled columns are not in the mask.
+    truth = np.repeat([[0, 1, 2, -1]], 100, axis=0).repeat(40, axis=1)
+    found = truth.copy()
+    found[:30, :40] = 4             # plane 0 in two pieces
+    found[:90, 40:120] = 1          # planes 1 and 2 merged, a tenth without a label
+    found[90:, 40:120] = -1
+    found[50:, 120:] = 5            # a plane on the object counts as none
+    one = labelled_score(truth, found, np.ones(truth.shape, bool))
+    assert one.recall == pytest.approx(1 / 3)  # plane 0 by its piece of 70 %
+    assert one.pieces == pytest.approx(4 / 3)
+    assert one.merged == pytest.approx(1 / 2)
+    assert one.unlabelled == pytest.approx(800 / 12000)
+    assert one.segmentation_covering == segmentation_covering(
+        overlap(truth, np.where(truth < 0, -1, found), np.ones(truth.shape, bool)).counts)
+
+
+def test_regions_by_kind_after_hoover():
+    # Five true regions of 10 pixels: one in two parts, one of which only half is found.
+    truth = np.repeat([[0, 1, 2, 3, 4, -1]], 10, axis=1)
+    found = np.repeat([[0, 0, 1, 2, 3, 3, 4, 4, -1, 5, -1, 6]], 5, axis=1)
+    found[0, 9] = -1                # 90 % of region 0 are enough
+    everything = np.ones(truth.shape, bool)
+    one = hoover_score(truth, found, everything)
+    assert (one.true, one.correct, one.over_segmented, one.missed) == (5, 3, 1, 1)
+    assert (one.under_segmented, one.noise) == (0, 2)
+    found[0, 20:40] = 3             # one plane on both regions 2 and 3
+    one = hoover_score(truth, found, everything)
+    assert (one.correct, one.over_segmented, one.under_segmented) == (1, 1, 2)
+    assert (one.missed, one.noise) == (1, 2)
+    found[0, 2:10] = -1             # 20 % of region 0 are not
+    assert hoover_score(truth, found, everything).correct == 0

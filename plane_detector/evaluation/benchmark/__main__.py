@@ -26,6 +26,7 @@ from plane_detector.evaluation.benchmark.tables import emit
 # is imported only if its subcommand runs, because some need ROS and others optional packages.
 COMMANDS = {
     'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
+    'labelled': ('benchmark.labelled', 'real frames with planes labelled by hand'),
     'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
     'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),

@@ -1,0 +1,164 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Accuracy on real frames whose planes were labelled by hand, ours and other methods."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+
+from plane_detector.config import Config
+from plane_detector.drawing import overlay
+from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.tables import emit, table, write_sheet
+from plane_detector.evaluation.datasets import (
+    ABW,
+    TABLETOPS,
+    UNKNOWN,
+    Frame,
+    LabelledFrame,
+    frames,
+    labelled_frames,
+)
+from plane_detector.evaluation.metrics import MIN_PIXELS, hoover_score, known_mean, labelled_score
+from plane_detector.evaluation.peers import Method, OpenCv, Ours, Paper
+from plane_detector.pipeline import segment_planes
+
+UNSEEN_SETS = ('kitchen',)
+"""Real frames without labels of which --pictures also writes pictures."""
+ABW_MIN_SHARE = 0.001
+"""Smallest plane on ABW: its regions are small, and each published method was set for them."""
+SCORES = {'SC': 'segmentation_covering', 'recall': 'recall', 'pieces': 'pieces',
+          'merged': 'merged', 'unlabelled': 'unlabelled'}
+HOOVER = {'true': 'true', 'correct': 'correct', 'over-segmented': 'over_segmented',
+          'under-segmented': 'under_segmented', 'missed': 'missed', 'noise': 'noise'}
+_PANEL_WIDTH_PX = 640
+
+Numbers = dict[str, float]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--frames', action='store_true', help='also a table of all frames')
+    parser.add_argument('--only-ours', action='store_true', help='no other methods')
+    parser.add_argument('--slow', action='store_true', help='also the method of the paper')
+    parser.add_argument('--processes', type=shared.at_least_one, default=1)
+    parser.add_argument('--pictures', type=Path, metavar='FOLDER',
+                        help='write image, true labels and ours there, also of the sets '
+                             f'{", ".join(UNSEEN_SETS)}, which have no labels')
+    shared.add_data(parser)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the tables, and write the pictures if requested."""
+    found = list(labelled_frames(options.data))
+    by_hand, scanned = ([one for one in found if (one.set_name == ABW) is scan]
+                        for scan in (False, True))
+    report('Planes labelled by hand', by_hand, _methods(options, False), labelled_numbers, options)
+    emit('Only labelled pixels count. Recall: true planes that a predicted one matches with '
+         'IoU > 0.5. Pieces: predicted planes with over a tenth of a true plane\'s pixels, per '
+         f'true plane. Both are of true planes over {MIN_PIXELS} pixels. Merged: of the '
+         'predicted planes with over half of a true plane, those with over half of two or more. '
+         'Unlabelled: share of the true planes\' pixels without a plane. '
+         f'On {TABLETOPS} the truth is one table; planes on its objects count as none.')
+    if scanned:
+        report('ABW structured light scanner, regions per image at 80 % mutual overlap', scanned,
+               _methods(options, True), hoover_numbers, options)
+    if options.pictures:
+        for path in write_pictures(options.data, found, options.pictures):
+            emit(f'Picture: `{path}`')
+
+
+def _methods(options: argparse.Namespace, scanned: bool) -> list[Method]:
+    """Return the methods for photographs or for ABW, absent ones excluded."""
+    if scanned:
+        fine = Ours(_with_min_share(ABW_MIN_SHARE))
+        fine.name = f'plane_detector, min_plane_share {ABW_MIN_SHARE:g}'
+        peer = OpenCv(0.003, ABW_MIN_SHARE)
+        peer.name += f', min_size {ABW_MIN_SHARE:g} of the image'
+        methods: list[Method] = [Ours(), fine, peer]
+    else:
+        methods = [Ours(), OpenCv(0.03), OpenCv(0.05)]
+    if options.slow:
+        methods.append(Paper())
+    for method in methods:
+        if method.absent:
+            emit(f'{method.name}: absent, {method.absent}.')
+    return [method for method in methods
+            if not method.absent and (isinstance(method, Ours) or not options.only_ours)]
+
+
+def _with_min_share(share: float) -> Config:
+    config = Config()
+    return replace(config, segmentation=replace(config.segmentation, min_plane_share=share))
+
+
+def labelled_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
+    """Return the numbers of SCORES for predicted labels (H, W)."""
+    mask = (frame.labels != UNKNOWN) & np.isfinite(frame.depth_m)
+    score = asdict(labelled_score(np.maximum(frame.labels, -1), labels, mask))
+    return {name: float(score[field]) for name, field in SCORES.items()}
+
+
+def hoover_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
+    """Return the numbers of HOOVER for predicted labels (H, W)."""
+    score = asdict(hoover_score(np.maximum(frame.labels, -1), labels,
+                                np.isfinite(frame.depth_m)))
+    return {name: float(score[field]) for name, field in HOOVER.items()}
+
+
+def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method], numbers_of,
+           options: argparse.Namespace) -> None:
+    """Print the means over each set and, if requested, the numbers of each frame."""
+    rows, lines = [], []
+    for method in methods:
+        with mapping(options.processes) as apply:
+            labels = list(apply(_labels, [method] * len(found), found))
+        numbers = [numbers_of(frame, one) for frame, one in zip(found, labels, strict=True)]
+        pairs = list(zip(found, numbers, strict=True))
+        lines += [[f'{frame.set_name}/{frame.name}', method.name, *_cells(one)]
+                  for frame, one in pairs]
+        for name, group in groupby(pairs, lambda pair: pair[0].set_name):
+            members = [one for _, one in group]
+            rows.append([name, method.name, len(members), *_cells({
+                key: known_mean(np.array([one[key] for one in members])) for key in members[0]})])
+    names = list(numbers[0])
+    emit(f'### {title}', _sorted_table(('set', 'method', 'n', *names), rows))
+    if options.frames:
+        emit(_sorted_table(('frame', 'method', *names), lines))
+
+
+def _sorted_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a table whose rows are together by their first cell."""
+    return table(header, sorted(rows, key=lambda row: row[0]))
+
+
+def _labels(method: Method, frame: Frame) -> np.ndarray:
+    return method(frame.depth_m, frame.intrinsics)[0]
+
+
+def _cells(numbers: Mapping[str, float]) -> list[str]:
+    return [f'{value:.3f}' if name in SCORES else f'{value:.1f}'
+            for name, value in numbers.items()]
+
+
+def write_pictures(data: Path, found: Sequence[LabelledFrame], folder: Path) -> list[Path]:
+    """Write image, true labels and ours of each frame into a folder; return the paths."""
+    paths = []
+    for frame in (*found, *frames(data, UNSEEN_SETS)):
+        config = _with_min_share(ABW_MIN_SHARE) if frame.set_name == ABW else Config()
+        ours = segment_planes(frame.depth_m, frame.intrinsics, config)
+        panels = [(f'{frame.set_name}/{frame.name}', frame.rgb)]
+        if isinstance(frame, LabelledFrame):
+            panels.append((f'by hand: {frame.labels.max() + 1} planes',
+                           overlay(frame.rgb, np.maximum(frame.labels, -1) + 1)))
+        panels.append((f'ours: {len(ours.planes)} planes', overlay(frame.rgb, ours.labels + 1)))
+        paths.append(write_sheet(folder / f'{frame.set_name}_{frame.name}.png', panels,
+                                 len(panels), _PANEL_WIDTH_PX))
+    return paths
