@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Protocol, runtime_checkable
@@ -127,8 +127,8 @@ class DepthModel(Protocol):
     def edge_blur_px(self, width: int, height: int) -> float:
         """Return the largest error of depth edges, in pixels of an image of this size."""
 
-    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
-        """Choose the largest input that keeps the rate beside the plane stage; 0: no change."""
+    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
+        """Choose the largest input that keeps the rate beside the other work on a frame."""
 
     def advise(self, share: float) -> str:
         """Return how to reduce its time to this share; empty if there is no way."""

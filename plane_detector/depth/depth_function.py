@@ -52,7 +52,7 @@ class DepthFunction:
         """Return the largest error of depth edges."""
         return self.blur_px
 
-    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
         """Do nothing: a function has only one speed."""
 
     def advise(self, share: float) -> str:

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +12,7 @@ import numpy as np
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
 from plane_detector.depth.focal_correction import OWN_FOCAL, lens_factor
-from plane_detector.depth.input_rate import (
-    ALL_OF_STAGES,
-    LOAD,
-    beside,
-    core_count,
-    core_seconds,
-    largest_within,
-    median_seconds,
-    side_for,
-)
+from plane_detector.depth.input_rate import LOAD, largest_within, median_seconds, side_for
 from plane_detector.depth.network_settings import interface_of, reader_of, resolve, view_count
 from plane_detector.depth.onnx_file import check_external_data
 from plane_detector.depth.onnx_session import (
@@ -137,43 +128,40 @@ class DepthEstimator:
             return self._predict_view(rgb, intrinsics)
         return average_views(views, [self._predict_view(view.of(rgb), None) for view in views])
 
-    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
         """
-        Choose the largest input, or number of views, that keeps a rate beside the plane stage.
+        Choose the largest input, or number of views, that keeps a rate beside the other work.
 
         Parameters
         ----------
         rate_hz : float
-            0: nothing changes.
-        plane_stage : callable
-            The rest of the work on a frame; runs once per period while the network is timed.
+        other_s : float
+            Time of all other work on a frame.
 
         """
         rgb, lens = plausibility.corridor()[0], plausibility.CORRIDOR_LENS
-        choices = self._session.short_sides or tuple(range(1, self._views + 1))
+        sides = self._session.short_sides
+        choices = sides or tuple(range(1, self._views + 1))
         self._target_rate_hz = rate_hz
-        if rate_hz == 0:
-            return
         if len(choices) == 1:
             self._input_reason = f'depth.target_rate {rate_hz:g} Hz: its input has a fixed size'
             return
-        other_s = ALL_OF_STAGES * core_seconds(plane_stage)
 
         def seconds_of(choice: int) -> float:
-            """Return the time of the network or, if longer, that of the cores for the frame."""
             self._take(choice)
-            busy_s = core_seconds(lambda: self.predict(rgb, lens)) + other_s
-            with beside(plane_stage, 1 / rate_hz):
-                return max(median_seconds(lambda: self.predict(rgb, lens)), busy_s / core_count())
-        chosen, seconds = largest_within(choices, seconds_of, LOAD / rate_hz)
+            return median_seconds(lambda: self.predict(rgb, lens))
+        limit_s = LOAD / rate_hz - other_s
+        chosen, seconds = largest_within(choices, seconds_of, limit_s, power=2 if sides else 1)
         measured = []
         for one in sorted(seconds):
             self._take(one)
             measured.append(f'{self.facts["network_input"]} {1e3 * seconds[one]:.0f} ms')
         self._take(chosen)
-        kept = 'kept' if seconds[chosen] <= LOAD / rate_hz else 'not kept by the smallest input'
-        self._input_reason = (f'depth.target_rate {rate_hz:g} Hz is {kept}; beside the plane '
-                              f'stage: {", ".join(measured)}')
+        kept = ('kept' if seconds.get(chosen, 0.0) <= limit_s
+                else 'not kept by the smallest input')
+        self._input_reason = (f'depth.target_rate {rate_hz:g} Hz is {kept}; '
+                              f'{", ".join(measured)}, beside {1e3 * other_s:.0f} ms for planes '
+                              'and outputs')
 
     def _take(self, choice: int) -> None:
         """Use another short side or, if the input has a fixed size, another number of views."""

@@ -113,7 +113,7 @@ class SensorDepth:
             self.output, _without_the_far(depth_m, self.output, config.depth.max_depth))
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
-    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
         """Do nothing: a sensor has its own rate."""
 
     def advise(self, share: float) -> str:
@@ -176,9 +176,9 @@ class ModelDepth:
         values, known = seen.prediction.values, knowable(seen.disparity, seen.disparity_noise, rgb)
         return seen if known.all() else seen.with_values(np.where(known, values, np.nan))
 
-    def fit_to_rate(self, rate_hz: float, plane_stage: Callable[[], object]) -> None:
+    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
         """Choose the largest input that keeps the rate, see :class:`DepthModel`."""
-        self.model.fit_to_rate(rate_hz, plane_stage)
+        self.model.fit_to_rate(rate_hz, other_s)
 
     def advise(self, share: float) -> str:
         """Return how to make the model faster, see :class:`DepthModel`."""

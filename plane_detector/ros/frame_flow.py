@@ -1,17 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a configured node: accepted, processed in stages, published, counted."""
+"""Frames of a configured node: accepted, processed, published, counted."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from plane_detector.ros.diagnostics import Statistics
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.ros.frame_processor import DetectedFrame, FrameProcessor, ObservedFrame
+from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.frame_requests import FrameRequests, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import Health
@@ -34,7 +32,7 @@ class FrameRecords(NamedTuple):
 
 class FrameFlow:
     """
-    Passes frames through the stages of a processor, each in its own thread.
+    Passes frames to a processor in a worker thread, and its results to those who wait for them.
 
     Parameters
     ----------
@@ -48,7 +46,7 @@ class FrameFlow:
     Attributes
     ----------
     worker : FrameWorker
-        After `stop` its threads may still run, without the network.
+        After `stop` its thread may still run.
 
     """
 
@@ -57,10 +55,7 @@ class FrameFlow:
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
         self._records = records
-        self.worker = FrameWorker(*(partial(self._or_skip, stage) for stage in (
-            # Not bound methods: a worker that was stopped must not keep the network.
-            self._observe, lambda frame: self._processor.look(frame),
-            lambda frame: self._processor.find_planes(frame), self._publish)))
+        self.worker = FrameWorker(self._process)
 
     def accept(self, frame: Frame) -> None:
         """Pass a frame to the worker if it is wanted; called in the executor's thread."""
@@ -87,34 +82,23 @@ class FrameFlow:
             return True
         return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
-    def _observe(self, frame: Frame) -> ObservedFrame:
-        """Convert and estimate depth; called in the first worker thread."""
-        self._live.apply_to(self._processor)
-        return self._processor.observe(frame)
-
-    def _publish(self, detected: DetectedFrame) -> None:
-        """Make and publish the outputs; called in the last worker thread."""
-        processed = self._processor.make(detected, wanted := self._outputs.wanted())
-        found, start_s = processed.result.detection, time.perf_counter()
-        with current_stop().uncut():
-            self._outputs.publish(processed.messages)
-            self._query.answer(processed.result)
-        statistics, requests, _, health = self._records
-        health.note(found, wanted)
-        publish_s = time.perf_counter() - start_s
-        statistics.add_processed({**processed.stage_seconds, 'publish': publish_s})
-        requests.finish(detected.frame, True, describe_frame(processed.result))
-
-    def _or_skip(self, stage: Callable[[Any], Any], given: Any) -> Any:
-        """Run a stage of the worker, or log why not: one frame must not end the node."""
+    def _process(self, frame: Frame) -> None:
+        """Process and publish a frame, or log why not: one frame must not end the node."""
+        statistics, requests, faults, health = self._records
         try:
-            return stage(given)
+            self._live.apply_to(self._processor)
+            wanted = self._outputs.wanted()
+            processed = self._processor.process(frame, wanted)
+            with current_stop().uncut():  # all of this or, after a stop, nothing of it
+                start_s = time.perf_counter()
+                self._outputs.publish(processed.messages)
+                self._query.answer(processed.result)
+                publish_s = time.perf_counter() - start_s
+                health.note(processed.result.detection, wanted)
+                statistics.add_processed({**processed.stage_seconds, 'publish': publish_s})
+                requests.finish(frame, True, describe_frame(processed.result))
         except Exception as error:
-            return self._skip(given if isinstance(given, Frame) else given.frame, error)
-
-    def _skip(self, frame: Frame, error: Exception) -> None:
-        """Count and log a frame that failed; if it was stopped, its error is ignored."""
-        if not current_stop().is_set:
-            reason = self._records.faults.tell(error, f'image of {stamp_text(frame.image)}')
-            self._records.statistics.add_skipped(reason)
-            self._records.requests.finish(frame, False, f'frame skipped: {reason}')
+            with current_stop().uncut():
+                reason = faults.tell(error, f'image of {stamp_text(frame.image)}')
+                statistics.add_skipped(reason)
+                requests.finish(frame, False, f'frame skipped: {reason}')

@@ -22,7 +22,7 @@ GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
 class Health:
     """
-    Collects problems. The last worker thread calls `note`, the executor's thread all the rest.
+    Collects problems. The worker thread calls `note`, the executor's thread all the rest.
 
     There is no lock: attributes are replaced as a whole, `_told` only grows between two calls of
     `clear`, and a status may mix two frames.

@@ -3,8 +3,8 @@
 """
 The lifecycle node: its states, parameters, services and diagnostics.
 
-The thread of the executor receives messages and answers services; worker threads, one per stage,
-process frames, see frame_flow.py.
+The thread of the executor receives messages and answers services; another thread processes
+frames, see frame_flow.py.
 """
 
 from __future__ import annotations
@@ -76,7 +76,8 @@ class PlaneDetectorNode(ReloadableNode):
     def __init__(self, depth_model: ModelOrFunction | None = None,
                  transforms: FrameTransforms | None = None, **node_options: Any):
         super().__init__('plane_detector', **node_options)
-        self._transforms = transforms
+        self._given_transforms = transforms
+        self._listening: FrameTransforms | None = None
         self._depth_model = depth_model
         self._live = LiveSettings(self, lambda: self.state == 'active', self._on_change)
         self._statistics = Statistics()
@@ -120,16 +121,16 @@ class PlaneDetectorNode(ReloadableNode):
         try:
             detector = self._transitions.prepared()
             self._outputs, self._query = OutputPublishers(self), PointQuery(self)
-            if self._transforms is None and (self._live.settings.base_frame
-                                             or self._live.settings.target_frame):
-                self._transforms = listen_to_tf(self)
+            if self._given_transforms is None and (self._live.settings.base_frame
+                                                   or self._live.settings.target_frame):
+                self._listening = listen_to_tf(self)
         except Exception as error:  # whatever a model file may cause, the node keeps running
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))
         self._health.failure = ''
         topics = input_topics(self, self._live.settings.image_transport)
         self._processor = FrameProcessor(detector, self._live.settings, topics['image'],
-                                         self._transforms)
+                                         self._given_transforms or self._listening)
         self._flow = FrameFlow(
             self._processor, self._outputs, self._query, self._live,
             FrameRecords(self._statistics, self._requests, self._faults, self._health))
@@ -245,10 +246,10 @@ class PlaneDetectorNode(ReloadableNode):
         if self._flow is not None:
             self._flow.stop()
             self._retired, self._flow = self._flow.worker, None
-        for ends in (self._outputs, self._query):
+        for ends in (self._outputs, self._query, self._listening):
             if ends is not None:
                 ends.destroy()
-        self._outputs = self._query = None
+        self._outputs = self._query = self._listening = None
         self._processor = None
         self._health.clear()
         return TransitionCallbackReturn.SUCCESS

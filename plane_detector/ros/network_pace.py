@@ -4,23 +4,23 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 import cv2
 import numpy as np
-from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 
-from plane_detector.config import NodeConfig
-from plane_detector.depth.observation import Observation
+from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.input_rate import median_seconds
 from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
 from plane_detector.geometry.disparity import to_depth, to_disparity
+from plane_detector.node_config import NodeConfig
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.diagnostics import Report
-from plane_detector.ros.frame_processor import FrameProcessor, ObservedFrame
-from plane_detector.ros.inputs.frame_conversion import ConvertedFrame
+from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
-from plane_detector.types import Prediction
+from plane_detector.ros.outputs.messages import rgb_to_msg
 
 # Noise and blur of a network's depth, for timing the stages after it.
 _NOISE_PER_M, _BLUR_PX = 0.005, 12.0
@@ -29,28 +29,26 @@ _TOLERANCE = 1.1
 
 
 def fit_to_rate(detector: PlaneDetector) -> None:
-    """Choose the largest network input that keeps ``depth.target_rate`` beside all other work."""
-    processor = FrameProcessor(detector, NodeConfig(), 'image')
-    observed = _observed_corridor(detector)
-    detector.source.fit_to_rate(
-        detector.config.depth.target_rate,
-        lambda: processor.make(processor.find_planes(processor.look(observed))))
-    detector.reset_directions()
-    detector.reset_planes()
+    """Choose the largest network input that keeps ``depth.target_rate``, if that is given."""
+    rate_hz = detector.config.depth.target_rate
+    if rate_hz > 0:
+        detector.source.fit_to_rate(rate_hz, _seconds_beside_the_network(detector))
 
 
-def _observed_corridor(detector: PlaneDetector) -> ObservedFrame:
-    """Return a frame with depth like that of a network: what the other stages work on."""
+def _seconds_beside_the_network(detector: PlaneDetector) -> float:
+    """Return the time of all other work on a frame with depth like that of a network."""
     rgb, depth_m = corridor()
     rng = np.random.default_rng(0)
     smooth = cv2.GaussianBlur(rng.standard_normal(depth_m.shape), (0, 0), _BLUR_PX)
     noise = _NOISE_PER_M * (smooth / smooth.std() + rng.standard_normal(depth_m.shape))
     noisy_m = to_depth(to_disparity(depth_m) + noise)
-    seen = Observation(rgb, CORRIDOR_LENS, detector.config, Prediction('metric_depth', noisy_m),
-                       edge_blur_px=_BLUR_PX)
-    return ObservedFrame(Frame(Image(), CameraInfo(), None, None, 0),
-                         ConvertedFrame(rgb, CORRIDOR_LENS, None), None, seen, NodeConfig(),
-                         (0, 0), {}, time.perf_counter())
+    processor = FrameProcessor(
+        PlaneDetector(detector.config, DepthFunction(lambda _: noisy_m, blur_px=_BLUR_PX)),
+        NodeConfig(), 'image')
+    header = Header()
+    frame = Frame(rgb_to_msg(header, rgb),
+                  camera_info_to_msg(header, CORRIDOR_LENS), None, None, 0)
+    return median_seconds(lambda: processor.process(frame))
 
 
 def slow_network(report: Report, advise: Callable[[float], str]) -> str:

@@ -27,7 +27,7 @@ class PointQuery:
     """
     Answers clicks with the next frame.
 
-    The thread of the executor adds clicks, the last worker thread takes them.
+    The thread of the executor adds clicks, the worker thread takes them.
 
     Parameters
     ----------

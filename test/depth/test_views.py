@@ -128,7 +128,7 @@ def test_fewer_views_keep_the_rate(fixed, monkeypatch):
         run()
         return 0.01 * estimate._views
     monkeypatch.setattr(estimators, 'median_seconds', pretend)
-    estimate.fit_to_rate(LOAD / 0.02, lambda: None)
+    estimate.fit_to_rate(LOAD / 0.02, 0.0)
     facts = estimate.facts
     assert facts['network_input'] == '64 x 48, up to 2 views'
     assert 'is kept' in facts['network_input_reason']

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The stages of the processing of a frame: their state and its reset."""
+"""The processing of a frame: its state and its reset, and what it waits for."""
 
 from dataclasses import replace
 
@@ -15,8 +15,10 @@ from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, DirectionsConfig, NodeConfig
 from plane_detector.directions import finder
 from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.inputs.transforms import FrameTransforms
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
@@ -31,33 +33,13 @@ def frame(stamp_s, epoch=0):
                  None, epoch)
 
 
-def finish(processor, observed, wanted):
-    return processor.make(processor.find_planes(processor.look(observed)), wanted)
-
-
 @pytest.fixture
 def processor():
     return FrameProcessor(PlaneDetector(Config(), lambda rgb: ROOM.depth_m), NodeConfig(), 'image')
 
 
-def test_two_frames_in_flight_give_what_one_by_one_gives(processor):
-    one_by_one = [processor.process(frame(stamp), ('planes',)) for stamp in (1.0, 2.0, 3.0)]
-    processor.reset()
-    first = processor.observe(frame(1.0))
-    in_flight = []
-    for stamp in (2.0, 3.0):
-        second = processor.observe(frame(stamp))
-        in_flight.append(finish(processor, first, ('planes',)))
-        first = second
-    in_flight.append(finish(processor, first, ('planes',)))
-    for alone, together in zip(one_by_one, in_flight, strict=True):
-        assert alone.result.header.stamp == together.result.header.stamp
-        assert bytes(alone.messages['planes'].data) == bytes(together.messages['planes'].data)
-
-
-def test_times_of_all_stages_add_up_to_the_latency(processor):
-    observed = processor.observe(frame(1.0))
-    seconds = finish(processor, observed, ('planes',)).stage_seconds
+def test_times_of_all_stages_are_told(processor):
+    seconds = processor.process(frame(1.0), ('planes',)).stage_seconds
     assert {'convert', 'depth', 'wait', 'segmentation', 'messages'} <= set(seconds)
     assert all(value >= 0 for value in seconds.values())
 
@@ -79,34 +61,51 @@ def test_lines_are_kept_for_a_short_time_unless_planes_need_them_and_something_m
         image = image_msg(np.roll(ROOM.rgb, turn * moves_px, axis=1), 'rgb8', stamp)
         one = replace(frame(stamp), image=image, depth=depth_msg if source == 'topic' else None)
         before = len(looked)
-        sources.append(processor.look(processor.observe(one)).around.gravity.source)
+        sources.append(processor.process(one, ()).result.detection.gravity_source)
         assert len(looked) > before or sources[-1] == sources[-2]  # kept is the last answer
     assert looked == expected
 
 
 @pytest.mark.parametrize('how', ['reset', 'epoch'])
-def test_each_stage_forgets_before_its_own_first_new_frame(processor, how, monkeypatch):
+def test_the_past_is_forgotten_once(processor, how, monkeypatch):
     calls = []
-    for name in ('reset_depth', 'reset_directions', 'reset_planes'):
-        monkeypatch.setattr(processor.detector, name, lambda name=name: calls.append(name))
-    old = processor.observe(frame(1.0))
+    monkeypatch.setattr(processor.detector, 'reset', lambda: calls.append(how))
+    processor.process(frame(1.0), ())
+    assert calls == []
     if how == 'reset':
         processor.reset()
-    new = processor.observe(frame(2.0, epoch=int(how == 'epoch')))
-    assert calls == ['reset_depth']
-    finish(processor, old, ())
-    assert calls == ['reset_depth'], 'an old frame in flight still belongs to the past'
-    finish(processor, new, ())
-    assert calls == ['reset_depth', 'reset_directions', 'reset_planes']
-    finish(processor, processor.observe(frame(3.0, new.past[0])), ())
-    assert len(calls) == 3
+    for stamp_s in (2.0, 3.0):
+        processor.process(frame(stamp_s, epoch=int(how == 'epoch')), ())
+    assert calls == [how]
 
 
-def test_a_frame_keeps_the_settings_that_it_began_with(processor):
-    before = processor.observe(frame(1.0))
-    processor.detector.config = replace(Config(), depth=DepthConfig(max_depth=0.1))
-    processor.settings = replace(processor.settings, stamp_slop=0.5)
-    assert finish(processor, before, ('planes',)).result.detection.planes
-    assert before.settings.stamp_slop != 0.5
-    after = finish(processor, processor.observe(frame(2.0)), ('planes',))
-    assert after.result.detection.planes == ()
+class LateTransforms(FrameTransforms):
+    """TF that knows the frames after a while; `events` tells what happened in which order."""
+
+    def __init__(self, events, known):
+        super().__init__(None)
+        self.events, self.known = events, known
+
+    def to_target(self, header, settings, timeout_s=0.0):
+        self.events.append('transform')
+        if not self.known:
+            raise ValueError('no transform')
+        return RigidTransform.identity()
+
+
+def test_transforms_are_awaited_while_the_network_runs_unless_they_were_missing_before():
+    events = []
+    transforms = LateTransforms(events, known=False)
+    processor = FrameProcessor(
+        PlaneDetector(Config(), lambda rgb: events.append('network') or ROOM.depth_m),
+        NodeConfig(target_frame='odom'), 'image', transforms)
+    for expected in (['network', 'transform'], ['transform'], ['transform']):
+        events.clear()
+        with pytest.raises(ValueError, match='no transform'):
+            processor.process(frame(1.0), ())
+        assert events == expected, 'no work in vain but for the first frame'
+    transforms.known = True
+    for expected in (['transform', 'network'], ['network', 'transform']):
+        events.clear()
+        processor.process(frame(2.0), ())
+        assert events == expected

@@ -87,10 +87,8 @@ class _Parts:
                       gravity_camera=None, epoch=0)
         settings = self._processor.settings
         _timed(ms, 'conversion', lambda: self._converter.convert(frame, settings))
-        observed = _timed(ms, 'depth', lambda: self._processor.observe(frame))
-        ms['depth'] -= ms['conversion']
-        looked = _timed(ms, 'directions', lambda: self._processor.look(observed))
-        result = _timed(ms, 'planes', lambda: self._processor.find_planes(looked)).result
+        result = _timed(ms, 'depth and planes', lambda: self._processor.process(frame, ())).result
+        ms['depth and planes'] -= ms['conversion']
         for name, output in OUTPUTS.items():
             msg = _timed(ms, f'making {name}', lambda make=output.make: make(result))
             if msg is not None:
@@ -115,7 +113,7 @@ def _timed(ms: dict[str, float], part: str, work: Callable[[], Any]) -> Any:
 def _emit_parts(name: str, parts: _Parts) -> None:
     ms = {part: float(np.median(values)) for part, values in parts.ms.items()}
     rows = [[part, f'{ms[part]:.2f}', '', '']
-            for part in ('taking the images', 'conversion', 'depth', 'directions', 'planes')]
+            for part in ('taking the images', 'conversion', 'depth and planes')]
     rows += [[f'~/{output}', f'{ms[f"making {output}"]:.2f}', f'{ms[f"publishing {output}"]:.2f}',
               f'{size_mb:.3f}'] for output, size_mb in parts.size_mb.items()]
     made, published = (sum(value for part, value in ms.items() if part.startswith(kind))

@@ -11,14 +11,20 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage
 
-from plane_detector.config import NodeConfig
 from plane_detector.geometry.depth_resizing import resize_depth
 from plane_detector.geometry.rectification import Rectification, make_rectification
 from plane_detector.geometry.reduction import Reduction
+from plane_detector.node_config import NodeConfig
+from plane_detector.ros.calibration import (
+    NO_DISTORTION,
+    Distortion,
+    crop_and_bin,
+    image_size,
+    intrinsics_from_msg,
+    projection_from_msg,
+)
 from plane_detector.ros.inputs import image_decoding as encodings
 from plane_detector.ros.inputs.synchronizer import Frame
-from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.messages import NO_LENS, Lens
 from plane_detector.types import CameraIntrinsics
 
 _TRANSPORTS = ('compressed',)
@@ -34,15 +40,14 @@ class ConvertedFrame:
     Attributes
     ----------
     rgb : (H, W, 3) uint8
-        Rectified.
+        Rectified, with these intrinsics.
     intrinsics : CameraIntrinsics
-        Of the rectified image.
     depth_m : (H, W) float32 or None
         Measured depth, metres, NaN invalid.
     covered : (H, W) bool or None
         True where the original image had pixels; None: everywhere.
-    lens : Lens
-        Remaining distortion of the image.
+    distortion : Distortion
+        That the image still has.
 
     """
 
@@ -50,7 +55,7 @@ class ConvertedFrame:
     intrinsics: CameraIntrinsics
     depth_m: np.ndarray | None
     covered: np.ndarray | None = None
-    lens: Lens = NO_LENS
+    distortion: Distortion = NO_DISTORTION
 
 
 class FrameConverter:
@@ -82,7 +87,7 @@ class FrameConverter:
         rgb = _decode(frame, settings.max_image_pixels)
         info = _with_size(frame.camera_info, rgb)
         rectify = self._is_to_rectify(info, settings.rectify)
-        intrinsics = messages.intrinsics_from_msg(info, rectify or self._named_rectified)
+        intrinsics = intrinsics_from_msg(info, rectify or self._named_rectified)
         _check_size(rgb, intrinsics)
         reduction = Reduction.to_side((intrinsics.width, intrinsics.height), settings.max_side)
         rgb, intrinsics = reduction.image(rgb), _reduced(intrinsics, reduction)
@@ -90,7 +95,7 @@ class FrameConverter:
         if frame.depth is not None:
             depth_m = _fit_depth(encodings.depth_from_msg(frame.depth), intrinsics)
         if not rectify:
-            return ConvertedFrame(rgb, intrinsics, depth_m, lens=self._lens_left(info))
+            return ConvertedFrame(rgb, intrinsics, depth_m, distortion=self._distortion_left(info))
         rectification = self._rectification_of(info, reduction)
         depth_m = None if depth_m is None else rectification.depth(depth_m)
         return ConvertedFrame(rectification.image(rgb), intrinsics, depth_m,
@@ -101,11 +106,11 @@ class FrameConverter:
             return bool(np.any(info.d)) and not self._named_rectified
         return rectify == 'true'
 
-    def _lens_left(self, info: CameraInfo) -> Lens:
+    def _distortion_left(self, info: CameraInfo) -> Distortion:
         """Return the distortion of an image that is not rectified here."""
         if self._named_rectified or not np.any(info.d):
-            return NO_LENS
-        return Lens(info.distortion_model, tuple(info.d))
+            return NO_DISTORTION
+        return Distortion(info.distortion_model, tuple(info.d))
 
     def _rectification_of(self, info: CameraInfo, reduction: Reduction) -> Rectification:
         calibration = (reduction, info.distortion_model, *info.d, *info.k, *info.r, *info.p,
@@ -136,8 +141,8 @@ def _reduced(intrinsics: CameraIntrinsics, reduction: Reduction) -> CameraIntrin
 def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectification:
     model = info.distortion_model or 'plumb_bob'
     no_distortion = np.zeros(4 if model == 'equidistant' else 5)
-    camera_matrix = messages.crop_and_bin(np.reshape(info.k, (3, 3)), info)
-    rectified_matrix = messages.crop_and_bin(messages.projection_from_msg(info), info)
+    camera_matrix = crop_and_bin(np.reshape(info.k, (3, 3)), info)
+    rectified_matrix = crop_and_bin(projection_from_msg(info), info)
     return make_rectification(
         model, np.asarray(info.d) if np.any(info.d) else no_distortion,
         reduction.matrix(camera_matrix), np.reshape(info.r, (3, 3)),
@@ -147,7 +152,7 @@ def _rectification_from_msg(info: CameraInfo, reduction: Reduction) -> Rectifica
 def _decode(frame: Frame, most_pixels: int) -> np.ndarray:
     if isinstance(frame.image, CompressedImage):
         return encodings.rgb_from_compressed_msg(
-            frame.image, messages.image_size(frame.camera_info), most_pixels)
+            frame.image, image_size(frame.camera_info), most_pixels)
     return encodings.rgb_from_msg(frame.image)
 
 

@@ -18,8 +18,8 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config
+from plane_detector.ros.calibration import image_size
 from plane_detector.ros.inputs.gravity_filter import GravityFilter
-from plane_detector.ros.outputs.messages import image_size
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Conversion of messages to inputs of the core, and of its results to messages, without state.
+Conversion of the results of the core to messages, without state.
 
 Every output has the header of its image, so that stamp and optical frame (REP-103) are those of
 the image. Labels in messages are above 0; 0 is no plane.
@@ -11,17 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from plane_detector.ros.outputs.cdr import serialised_poses
 from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.types import CameraIntrinsics, Detection, Plane
+from plane_detector.types import Detection, Plane
 
 FIRST_SHAPE_LABEL = 32768
 """Labels of shapes are above this, those of planes below."""
@@ -30,87 +30,6 @@ POINT_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('rgb', '<f4')
 XYZ_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4')])
 Message = TypeVar('Message', CompressedImage, Image, PointCloud2)
 _FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
-
-
-class Lens(NamedTuple):
-    """Distortion of an image: model and coefficients as in sensor_msgs/CameraInfo."""
-
-    model: str
-    coefficients: tuple[float, ...]
-
-
-NO_LENS = Lens('plumb_bob', (0.0,) * 5)
-
-
-def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics, lens: Lens) -> CameraInfo:
-    """
-    Return the calibration of the images that the node publishes.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    intrinsics : CameraIntrinsics
-        Of these images, rectified or not, reduced or not.
-    lens : Lens
-        Their remaining distortion.
-
-    """
-    fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
-    return CameraInfo(
-        header=header, width=intrinsics.width, height=intrinsics.height,
-        distortion_model=lens.model, d=list(lens.coefficients),
-        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], r=np.eye(3).ravel().tolist(),
-        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
-
-
-def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
-    """
-    Return the pinhole model of the image that a CameraInfo belongs to.
-
-    Binning and region of interest are applied as image_geometry's PinholeCameraModel does.
-
-    Parameters
-    ----------
-    msg : sensor_msgs.msg.CameraInfo
-        K is for the original image, P for the rectified one.
-    rectified : bool
-        The image is rectified: P is used, or K if P is not set.
-
-    Raises
-    ------
-    ValueError
-        K is all zeros (the camera is not calibrated) or not finite, or the image has no size.
-
-    """
-    if not np.any(msg.k):
-        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
-    matrix = projection_from_msg(msg) if rectified else np.reshape(msg.k, (3, 3))
-    fx, _, cx, _, fy, cy = crop_and_bin(matrix, msg)[:2].ravel().tolist()
-    return CameraIntrinsics(fx, fy, cx, cy, *image_size(msg))
-
-
-def projection_from_msg(msg: CameraInfo) -> np.ndarray:
-    """Return the camera matrix (3, 3) of the full rectified image, from P or else K."""
-    projection = np.reshape(msg.p, (3, 4))[:, :3]
-    return projection if projection[0, 0] else np.reshape(msg.k, (3, 3))
-
-
-def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
-    """Convert a camera matrix (3, 3) of the full image to that of the image that is sent."""
-    binning = max(msg.binning_x, 1), max(msg.binning_y, 1)
-    sent = matrix.copy()
-    sent[0, 2] -= msg.roi.x_offset
-    sent[1, 2] -= msg.roi.y_offset
-    sent[0] /= binning[0]
-    sent[1] /= binning[1]
-    return sent
-
-
-def image_size(msg: CameraInfo) -> tuple[int, int]:
-    """Return width and height of the image that is sent: cropped, then binned."""
-    width, height = msg.roi.width or msg.width, msg.roi.height or msg.height
-    return width // max(msg.binning_x, 1), height // max(msg.binning_y, 1)
 
 
 def plane_labels(detection: Detection) -> np.ndarray:

@@ -30,6 +30,7 @@ from plane_detector.planes.outline import (
     all_polygons,
     enclosing_rectangle,
 )
+from plane_detector.ros.calibration import NO_DISTORTION, Distortion, camera_info_to_msg
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.captions import plane_captions
 from plane_detector.ros.outputs.cdr import serialised_markers
@@ -62,8 +63,8 @@ class ProcessedFrame:
         Labels of the markers published last.
     to_target : RigidTransform or None
         From the frame of the image into the target frame; None: they are equal.
-    lens : Lens
-        Remaining distortion of the image.
+    distortion : Distortion
+        That the image still has.
     merged : tuple of int
         Label that was merged into each plane, 0 for none; empty: none for all.
 
@@ -76,7 +77,7 @@ class ProcessedFrame:
     settings: NodeConfig
     shown: frozenset[int] = frozenset()
     to_target: RigidTransform | None = None
-    lens: messages.Lens = messages.NO_LENS
+    distortion: Distortion = NO_DISTORTION
     merged: tuple[int, ...] = ()
 
     @cached_property
@@ -217,7 +218,7 @@ def _shapes(result: ProcessedFrame) -> PointCloud2:
 
 
 def _camera_info(result: ProcessedFrame) -> CameraInfo:
-    return messages.camera_info_to_msg(result.header, result.intrinsics, result.lens)
+    return camera_info_to_msg(result.header, result.intrinsics, result.distortion)
 
 
 OUTPUTS: dict[str, Output] = {

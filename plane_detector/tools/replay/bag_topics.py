@@ -10,7 +10,7 @@ from typing import Any
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
-from plane_detector.ros.outputs.messages import image_size
+from plane_detector.ros.calibration import image_size
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Topic
 
 _CLASSES = {'sensor_msgs/msg/Image': Image, 'sensor_msgs/msg/CompressedImage': CompressedImage,

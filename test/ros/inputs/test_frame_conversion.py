@@ -9,10 +9,10 @@ from ros_helpers import camera_info_msg, header, image_msg
 from sensor_msgs.msg import CompressedImage
 
 from plane_detector.config import NodeConfig
+from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.inputs import frame_conversion as conversion
 from plane_detector.ros.inputs.frame_conversion import FrameConverter, is_rectified_name
 from plane_detector.ros.inputs.synchronizer import Frame
-from plane_detector.ros.outputs.messages import NO_LENS, Lens
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(60.0, 62.0, 39.5, 29.5, 80, 60)
@@ -176,7 +176,7 @@ def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
 
 def test_the_remaining_distortion_is_reported():
     distortion = DISTORTION['plumb_bob']
-    assert convert(frame(distortion)).lens == NO_LENS
-    assert convert(frame(distortion), 'camera/image_rect').lens == NO_LENS
-    left = convert(frame(distortion), rectify='false').lens
-    assert left == Lens('plumb_bob', tuple(distortion))
+    assert convert(frame(distortion)).distortion == NO_DISTORTION
+    assert convert(frame(distortion), 'camera/image_rect').distortion == NO_DISTORTION
+    left = convert(frame(distortion), rectify='false').distortion
+    assert left == Distortion('plumb_bob', tuple(distortion))

@@ -1,0 +1,95 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""CameraInfo: the camera that it describes, and the one of a camera."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Header
+
+from plane_detector.types import CameraIntrinsics
+
+
+class Distortion(NamedTuple):
+    """Distortion of an image: model and coefficients as in sensor_msgs/CameraInfo."""
+
+    model: str
+    coefficients: tuple[float, ...]
+
+
+NO_DISTORTION = Distortion('plumb_bob', (0.0,) * 5)
+
+
+def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics,
+                       distortion: Distortion = NO_DISTORTION) -> CameraInfo:
+    """
+    Return the calibration of images.
+
+    Parameters
+    ----------
+    header : std_msgs.msg.Header
+        Of the image.
+    intrinsics : CameraIntrinsics
+        Of these images, rectified or not, reduced or not.
+    distortion : Distortion
+        Of these images.
+
+    """
+    fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+    return CameraInfo(
+        header=header, width=intrinsics.width, height=intrinsics.height,
+        distortion_model=distortion.model, d=list(distortion.coefficients),
+        k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0], r=np.eye(3).ravel().tolist(),
+        p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
+
+
+def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
+    """
+    Return the pinhole model of the image that a CameraInfo belongs to.
+
+    Binning and region of interest are applied as image_geometry's PinholeCameraModel does.
+
+    Parameters
+    ----------
+    msg : sensor_msgs.msg.CameraInfo
+        K is for the original image, P for the rectified one.
+    rectified : bool
+        The image is rectified: P is used, or K if P is not set.
+
+    Raises
+    ------
+    ValueError
+        K is all zeros (the camera is not calibrated) or not finite, or the image has no size.
+
+    """
+    if not np.any(msg.k):
+        raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')
+    matrix = projection_from_msg(msg) if rectified else np.reshape(msg.k, (3, 3))
+    fx, _, cx, _, fy, cy = crop_and_bin(matrix, msg)[:2].ravel().tolist()
+    return CameraIntrinsics(fx, fy, cx, cy, *image_size(msg))
+
+
+def projection_from_msg(msg: CameraInfo) -> np.ndarray:
+    """Return the camera matrix (3, 3) of the full rectified image, from P or else K."""
+    projection = np.reshape(msg.p, (3, 4))[:, :3]
+    return projection if projection[0, 0] else np.reshape(msg.k, (3, 3))
+
+
+def crop_and_bin(matrix: np.ndarray, msg: CameraInfo) -> np.ndarray:
+    """Convert a camera matrix (3, 3) of the full image to that of the image that is sent."""
+    binning = max(msg.binning_x, 1), max(msg.binning_y, 1)
+    sent = matrix.copy()
+    sent[0, 2] -= msg.roi.x_offset
+    sent[1, 2] -= msg.roi.y_offset
+    sent[0] /= binning[0]
+    sent[1] /= binning[1]
+    return sent
+
+
+def image_size(msg: CameraInfo) -> tuple[int, int]:
+    """Return width and height of the image that is sent: cropped, then binned."""
+    width, height = msg.roi.width or msg.width, msg.roi.height or msg.height
+    return width // max(msg.binning_x, 1), height // max(msg.binning_y, 1)
