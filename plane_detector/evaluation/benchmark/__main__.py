@@ -27,6 +27,7 @@ from plane_detector.evaluation.benchmark.tables import emit
 COMMANDS = {
     'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
     'labelled': ('benchmark.labelled', 'real frames with planes labelled by hand'),
+    'sensors': ('benchmark.sensors', 'errors of planes of real and of simulated sensors'),
     'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
     'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),

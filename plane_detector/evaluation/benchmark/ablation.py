@@ -26,12 +26,15 @@ from plane_detector.evaluation.benchmark.accuracy import (
     column,
     grouped,
     means,
+    noise_text,
 )
 from plane_detector.evaluation.benchmark.real_images import collect_frames
 from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
 from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.metrics import known_mean
 from plane_detector.evaluation.peers import Ours
+from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.types import PlaneSegmentation
 
 TUNING_SEED = 8000
@@ -91,6 +94,8 @@ def switched_off(stages: Sequence[str]) -> Iterator[None]:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument('--only', default='', help='stages whose name contains this')
+    parser.add_argument('--labelled', action='store_true',
+                        help='only the frames whose planes were labelled by hand')
     shared.add_scenes(parser, rooms=40, living=32, first_seed=TUNING_SEED)
     parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
     shared.add_data(parser)
@@ -112,23 +117,31 @@ def run(options: argparse.Namespace) -> None:
     methods = [Ours(), *(Without(name, [name]) for name in wanted)]
     if len(wanted) > 1:
         methods.append(Without(ALL, wanted))
-    jobs = plan(methods, shared.scene_counts(options), options.first_seed, 0,
-                collect_frames(options.data))
+    by_hand = list(labelled_frames(options.data))
+    if options.labelled:
+        jobs = plan(methods, dict.fromkeys(shared.scene_counts(options), 0), 0, 0, by_hand)
+    else:
+        jobs = plan(methods, shared.scene_counts(options), options.first_seed, 0,
+                    [*by_hand, *collect_frames(options.data)], sensors=tuple(SENSORS))
     report(run_jobs(jobs, options.processes))
 
 
 def report(samples: Sequence[Sample]) -> None:
     """Print tables of the metrics with all stages, and of the changes without each."""
-    for kind in EXACT_TRUTH:
-        emit(f'### {kind[0].upper()}{kind[1:]}: SC / recall / precision by noise (1/m)',
-             changes([one for one in samples if one.kind == kind],
-                     ('SC', 'recall', 'precision')))
-    emit('### Columns, pipes and balls: taken for planes / least IoU of a plane, by noise (1/m)',
-         changes([one for one in samples if one.kind == CURVED], ('curved', 'IoU')))
-    real = [one for one in samples if one.kind not in (*EXACT_TRUTH, CURVED)]
-    if real:
-        emit('### Real frames, depth of the sensor: labelled / purity / planes',
-             changes(real, ('labelled', 'purity', 'planes')))
+    by_hand = [one for one in samples if 'pieces' in one.numbers]
+    real = [one for one in samples if 'purity' in one.numbers]
+    for title, own, metrics in (
+            ('Planes labelled by hand: SC / recall / pieces', by_hand,
+             ('SC', 'recall', 'pieces')),
+            *((f'{kind[0].upper()}{kind[1:]}: SC / recall / precision by noise (1/m)',
+               [one for one in samples if one.kind == kind], ('SC', 'recall', 'precision'))
+              for kind in EXACT_TRUTH),
+            ('Columns, pipes and balls: taken for planes / least IoU of a plane',
+             [one for one in samples if one.kind == CURVED], ('curved', 'IoU')),
+            ('Real frames, depth of the sensor: labelled / purity / planes', real,
+             ('labelled', 'purity', 'planes'))):
+        if own:
+            emit(f'### {title}', changes(own, metrics))
     emit('First row: all stages. The others: the change without a stage; in brackets the standard '
          'error of the change of the first metric.')
 
@@ -137,7 +150,7 @@ def changes(samples: Sequence[Sample], metrics: Sequence[str]) -> str:
     """Return a Markdown table with a row for each method and a column for each set of scenes."""
     groups = grouped(samples)
     first, *others = dict.fromkeys(one.method for one in samples)
-    sets = dict.fromkeys((kind, sigma) for kind, sigma, _ in groups)
+    sets = dict.fromkeys((kind, noise) for kind, noise, _ in groups)
     full = [groups[(*one, first)] for one in sets]
     rows = [['all stages', *(means(group, metrics) for group in full)]]
     for method in others:
@@ -145,7 +158,7 @@ def changes(samples: Sequence[Sample], metrics: Sequence[str]) -> str:
             _change(before, groups[(*one, method)], metrics)
             for one, before in zip(sets, full, strict=True))])
     is_by_noise = len({kind for kind, _ in sets}) == 1
-    return table(('', *(f'{sigma:g}' if is_by_noise else kind for kind, sigma in sets)), rows)
+    return table(('', *(noise_text(noise) if is_by_noise else kind for kind, noise in sets)), rows)
 
 
 def _change(before: Sequence[Sample], after: Sequence[Sample], metrics: Sequence[str]) -> str:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Sequence
-from itertools import groupby
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +20,11 @@ import numpy as np
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.real_images import collect_frames
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
-from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
+from plane_detector.evaluation.benchmark.samples import Noise, Sample, plan, run_jobs
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.metrics import MIN_PIXELS, known_mean
 from plane_detector.evaluation.peers import Ours, all_methods
+from plane_detector.evaluation.scenes.sensors import SENSORS
 
 EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 
@@ -34,6 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--slow', type=int, default=5,
                         help='rooms of each kind for methods that take seconds')
     parser.add_argument('--only-ours', action='store_true', help='no other methods')
+    only = parser.add_mutually_exclusive_group()
+    only.add_argument('--sensors', action='store_true', help='only simulated sensors')
+    only.add_argument('--rendered', action='store_true', help='no simulated sensors')
     parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
     parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write figures there')
     shared.add_data(parser)
@@ -43,7 +47,8 @@ def run(options: argparse.Namespace) -> None:
     """Print the tables, and write the figures if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
     jobs = plan(methods, shared.scene_counts(options), options.first_seed, options.slow,
-                collect_frames(options.data))
+                () if options.sensors else collect_frames(options.data), not options.sensors,
+                () if options.rendered else tuple(SENSORS))
     samples = run_jobs(jobs, options.processes)
     report(samples)
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
@@ -58,8 +63,11 @@ def report(samples: Sequence[Sample]) -> None:
     for kind in EXACT_TRUTH:
         own = [one for one in samples if one.kind == kind]
         if own:
-            emit(f'### {kind[0].upper()}{kind[1:]}: SC / recall / precision by noise (1/m)',
-                 comparison(own))
+            title = f'### {kind[0].upper()}{kind[1:]}: SC / recall / precision by'
+            for by, is_sensor in (('noise (1/m)', False), ('simulated sensor', True)):
+                seen = [one for one in own if isinstance(one.noise, str) is is_sensor]
+                if seen:
+                    emit(f'{title} {by}', comparison(seen))
     groups = grouped(samples)
     first = samples[0].method if samples else ''
     for title, header, cells, wanted in (
@@ -70,8 +78,8 @@ def report(samples: Sequence[Sample]) -> None:
              lambda kind, _: kind == CURVED),
             ('Real frames, depth of the sensor', ('planes', 'labelled', 'purity'), _frame_cells,
              lambda kind, _: kind not in (*EXACT_TRUTH, CURVED))):
-        rows = [[kind, f'{sigma:g}', method, str(len(group)), *cells(group), *_times(group)]
-                for (kind, sigma, method), group in groups.items() if wanted(kind, method)]
+        rows = [[kind, noise_text(noise), method, str(len(group)), *cells(group), *_times(group)]
+                for (kind, noise, method), group in groups.items() if wanted(kind, method)]
         if rows:
             emit(f'### {title}', table(('scenes', 'noise (1/m)', 'method', 'n', *header,
                                         'CPU ms, median', 'worst'), rows))
@@ -85,26 +93,30 @@ def report(samples: Sequence[Sample]) -> None:
 def comparison(samples: Sequence[Sample]) -> str:
     """Return a Markdown table with a row for each method and a column for each noise."""
     groups = grouped(samples)
-    sigmas = sorted({one.sigma for one in samples})
+    noises = list(dict.fromkeys(one.noise for one in samples))
     lines = []
     for method in dict.fromkeys(one.method for one in samples):
         own = [group for (_, _, name), group in groups.items() if name == method]
         lines.append([method, str(len(own[0])), *(
             means(group, ('SC', 'recall', 'precision')) for group in own),
             f'{np.median([one.cpu_ms for group in own for one in group]):.0f}'])
-    return table(('method', 'n', *(f'{sigma:g}' for sigma in sigmas), 'CPU ms'), lines)
+    return table(('method', 'n', *map(noise_text, noises), 'CPU ms'), lines)
 
 
-def grouped(samples: Sequence[Sample]) -> dict[tuple[str, float, str], list[Sample]]:
-    """Return samples by kind of scene, noise and method; kinds and methods stay in order."""
-    kinds, methods = (list(dict.fromkeys(getattr(one, name) for one in samples))
-                      for name in ('kind', 'method'))
+def grouped(samples: Sequence[Sample]) -> dict[tuple[str, Noise, str], list[Sample]]:
+    """Return samples by kind of scene, noise and method, each in the order of its first sample."""
+    orders = [list(dict.fromkeys(getattr(one, name) for one in samples))
+              for name in ('kind', 'noise', 'method')]
+    groups: dict[tuple[str, Noise, str], list[Sample]] = {
+        key: [] for key in product(*orders)}
+    for one in samples:
+        groups[one.kind, one.noise, one.method].append(one)
+    return {key: group for key, group in groups.items() if group}
 
-    def key(one: Sample) -> tuple[int, float, int]:
-        return kinds.index(one.kind), one.sigma, methods.index(one.method)
 
-    return {(kinds[k], sigma, methods[m]): list(group) for (k, sigma, m), group in
-            groupby(sorted(samples, key=key), key)}
+def noise_text(noise: Noise) -> str:
+    """Return the name of a sensor or the deviation of the noise."""
+    return noise if isinstance(noise, str) else f'{noise:g}'
 
 
 def column(group: Sequence[Sample], name: str) -> np.ndarray:

@@ -70,9 +70,9 @@ def _figure(samples: Sequence[Sample], path: Path, panels: Sequence[tuple[Any, s
 
 def draw_noise(axes: Any, samples: Sequence[Sample]) -> None:
     """Draw SC over noise, one line per method."""
-    sigmas = sorted({one.sigma for one in samples})
+    sigmas = sorted({one.noise for one in samples if not isinstance(one.noise, str)})
     for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
-        covering = [np.mean([one.numbers['SC'] for one in own if one.sigma == sigma])
+        covering = [np.mean([one.numbers['SC'] for one in own if one.noise == sigma])
                     for sigma in sigmas]
         axes.plot(range(len(sigmas)), covering, marker=marker, label=method)
     axes.set(xlabel='noise of 1/depth (1/m)', ylabel='segmentation covering', ylim=(0, 1.02),
@@ -91,7 +91,7 @@ def draw_time(axes: Any, samples: Sequence[Sample]) -> None:
 def draw_size(axes: Any, samples: Sequence[Sample]) -> None:
     """Draw recall over the size of the true plane, one line per method."""
     for marker, (method, own) in zip(_MARKERS, by_method(samples).items(), strict=False):
-        recall = recall_by_size([one for one in own if one.sigma == RECALL_SIGMA])
+        recall = recall_by_size([one for one in own if one.noise == RECALL_SIGMA])
         axes.plot(range(len(recall)), recall, marker=marker, label=method)
     axes.set(xlabel=f'share of the image (%), at a noise of {RECALL_SIGMA:g} per metre',
              ylabel='recall', ylim=(0, 1.02), xticks=range(len(SIZE_EDGES) - 1),

@@ -29,6 +29,7 @@ from plane_detector.evaluation.peers import Method, Ours
 from plane_detector.evaluation.plane_geometry import plane_depth
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
+from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.pipeline import segment_planes
 
 SIGMAS = (0.0, 0.0001, 0.0003, 0.001, 0.004, 0.01)
@@ -64,11 +65,12 @@ def room(seed: int) -> Scene:
     return random_room(np.random.default_rng(seed))
 
 
-def noisy_depth(scene: Scene | Frame, sigma: float, seed: int) -> np.ndarray:
-    """Return a scene's depth with disparity noise that depends only on the seed."""
-    if sigma == 0:
-        return scene.depth_m
-    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng([seed, 1]))
+def noisy_depth(scene: Scene | Frame, noise: float | str, seed: int) -> np.ndarray:
+    """Return a scene's depth with disparity noise or as a sensor sees it, the same for a seed."""
+    rng = np.random.default_rng([seed, 1])
+    if isinstance(noise, str):
+        return SENSORS[noise](scene.depth_m, scene.intrinsics, rng)
+    return with_disparity_noise(scene.depth_m, noise, rng) if noise else scene.depth_m
 
 
 def report_rooms(methods: Sequence[Method], count: int, slow_count: int) -> None:

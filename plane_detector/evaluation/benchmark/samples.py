@@ -15,8 +15,8 @@ from plane_detector.evaluation.benchmark.curved import CURVED, curved_scene, jud
 from plane_detector.evaluation.benchmark.living_rooms import furnished
 from plane_detector.evaluation.benchmark.parallel import mapping
 from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
-from plane_detector.evaluation.datasets import Frame
-from plane_detector.evaluation.metrics import MIN_PIXELS, overlap, score
+from plane_detector.evaluation.datasets import UNKNOWN, Frame, LabelledFrame
+from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
 from plane_detector.evaluation.scenes.rooms import Scene
 from plane_detector.tools.demo.sensor_comparison import judge_planes
@@ -25,6 +25,8 @@ from plane_detector.types import CameraIntrinsics
 SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)
 """Standard deviations of the disparity noise, 1/m."""
 CURVED_SIGMAS = (0.0, 0.004, 0.01)
+Noise = float | str
+"""Standard deviation of the disparity noise, 1/m, or a name of SENSORS."""
 _SCENES: dict[str, Callable[[int], Scene]] = {
     'rooms': room, 'lived-in rooms': furnished, 'curved': curved_scene}
 
@@ -40,8 +42,7 @@ class Sample:
         ``kind`` is ``rooms``, ``lived-in rooms``, ``curved`` or the name of a set of real frames.
     scene : str
         Seed or name of the frame.
-    sigma : float
-        Standard deviation of the disparity noise, 1/m.
+    noise : Noise
     cpu_ms : float
         Time on one core; for a quick method the faster of two runs.
     numbers : dict of str to float
@@ -56,7 +57,7 @@ class Sample:
     method: str
     kind: str
     scene: str
-    sigma: float
+    noise: Noise
     cpu_ms: float
     numbers: dict[str, float]
     plane_shares: np.ndarray
@@ -69,12 +70,13 @@ class Job:
 
     kind: str
     scene: int | Frame
-    sigmas: Sequence[float]
+    noises: Sequence[Noise]
     methods: Sequence[Method]
 
 
 def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slow: int,
-         frames: Iterable[Frame]) -> list[Job]:
+         frames: Iterable[Frame], rendered: bool = True,
+         sensors: Sequence[str] = ()) -> list[Job]:
     """
     Return the jobs of a run.
 
@@ -89,16 +91,22 @@ def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slo
         Number of rooms and lived-in rooms for slow methods.
     frames : iterable of Frame
         Real images, for quick methods only.
+    rendered : bool
+        Whether with SIGMAS and CURVED_SIGMAS.
+    sensors : sequence of str
+        Names of SENSORS, for all scenes.
 
     """
     present = [method for method in methods if not method.absent]
     quick = [method for method in present if not method.slow]
+    noises, curved = ((*(sigmas if rendered else ()), *sensors)
+                      for sigmas in (SIGMAS, CURVED_SIGMAS))
     jobs = []
     for kind in ('rooms', 'lived-in rooms'):
-        jobs += [Job(kind, first_seed + k, SIGMAS, present if k < slow else quick)
+        jobs += [Job(kind, first_seed + k, noises, present if k < slow else quick)
                  for k in range(counts[kind])]
     count = min(counts['curved'], len(CURVED))
-    jobs += [Job('curved', int(k), CURVED_SIGMAS, quick)
+    jobs += [Job('curved', int(k), curved, quick)
              for k in np.linspace(0, len(CURVED) - 1, count).round()]
     return jobs + [Job(frame.set_name, frame, (0.0,), quick) for frame in frames]
 
@@ -114,11 +122,13 @@ def run_jobs(jobs: Sequence[Job], processes: int) -> list[Sample]:
 
 def run_job(job: Job) -> list[Sample]:
     """Run all methods of a job with all its noises."""
+    if isinstance(job.scene, LabelledFrame):
+        return [_on_labels(method, job.scene) for method in job.methods]
     if isinstance(job.scene, Frame):
         return [_on_frame(method, job.scene) for method in job.methods]
     scene = _SCENES[job.kind](job.scene)
-    return [_on_scene(method, job.kind, scene, job.scene, sigma)
-            for sigma in job.sigmas for method in job.methods]
+    return [_on_scene(method, job.kind, scene, job.scene, noise)
+            for noise in job.noises for method in job.methods]
 
 
 def timed(method: Method, depth_m: np.ndarray,
@@ -133,8 +143,8 @@ def timed(method: Method, depth_m: np.ndarray,
     return method.result(raw), 1e3 * min(taken_s)
 
 
-def _on_scene(method: Method, kind: str, scene: Scene, seed: int, sigma: float) -> Sample:
-    (labels, planes), cpu_ms = timed(method, noisy_depth(scene, sigma, seed), scene.intrinsics)
+def _on_scene(method: Method, kind: str, scene: Scene, seed: int, noise: Noise) -> Sample:
+    (labels, planes), cpu_ms = timed(method, noisy_depth(scene, noise, seed), scene.intrinsics)
     seen = np.isfinite(scene.depth_m)
     result = score(scene.labels, scene.planes, labels, planes, seen)
     on_planes = seen & (scene.labels >= 0)
@@ -146,8 +156,18 @@ def _on_scene(method: Method, kind: str, scene: Scene, seed: int, sigma: float) 
     shared = overlap(scene.labels, labels, seen)
     pixels = shared.counts[:-1].sum(axis=1)
     large = pixels > MIN_PIXELS
-    return Sample(method.name, kind, str(seed), sigma, cpu_ms, numbers,
+    return Sample(method.name, kind, str(seed), noise, cpu_ms, numbers,
                   pixels[large] / labels.size, (shared.iou[large] > 0.5).any(axis=1))
+
+
+def _on_labels(method: Method, frame: LabelledFrame) -> Sample:
+    (labels, _), cpu_ms = timed(method, frame.depth_m, frame.intrinsics)
+    known = (frame.labels != UNKNOWN) & np.isfinite(frame.depth_m)
+    score = labelled_score(np.maximum(frame.labels, -1), labels, known)
+    numbers = {'SC': score.segmentation_covering, 'recall': score.recall, 'pieces': score.pieces,
+               'merged': score.merged, 'unlabelled': score.unlabelled}
+    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms, numbers,
+                  np.zeros(0), np.zeros(0, bool))
 
 
 def _on_frame(method: Method, frame: Frame) -> Sample:

@@ -12,7 +12,7 @@ from plane_detector.evaluation.benchmark import samples as benchmark_samples
 from plane_detector.evaluation.benchmark.accuracy import grouped, report
 from plane_detector.evaluation.benchmark.plots import by_method, recall_by_size, write_plots
 from plane_detector.evaluation.benchmark.samples import Sample, plan, run_job, run_jobs
-from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.datasets import UNKNOWN, Frame, LabelledFrame
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.types import CameraIntrinsics
 
@@ -55,10 +55,25 @@ def test_a_scene_is_measured_at_every_noise(monkeypatch):
     monkeypatch.setitem(benchmark_samples._SCENES, 'rooms', lambda seed: WALL)
     job, *_ = plan([Fixed()], COUNTS, 9000, 1, [])
     found = run_job(job)
-    assert [one.sigma for one in found] == list(benchmark_samples.SIGMAS)
+    assert [one.noise for one in found] == list(benchmark_samples.SIGMAS)
     assert all(one.numbers == {'SC': 1, 'recall': 1, 'precision': 1, 'unlabelled': 0}
                for one in found)
     assert all(one.plane_shares == [1] and one.found == [True] for one in found)
+
+
+def test_a_scene_is_seen_through_sensors(monkeypatch):
+    monkeypatch.setitem(benchmark_samples._SCENES, 'rooms', lambda seed: WALL)
+    job, *_ = plan([peers.Ours()], COUNTS, 9000, 1, [], rendered=False, sensors=('whole mm',))
+    found, = run_job(job)
+    assert found.noise == 'whole mm' and found.numbers['SC'] > 0.9
+
+
+def test_a_frame_labelled_by_hand_is_scored_on_its_labels():
+    labels = WALL.labels.copy()
+    labels[:, :40] = UNKNOWN
+    frame = LabelledFrame('office', '1', WALL.rgb, WALL.depth_m, SMALL, labels)
+    found, = run_job(plan([Fixed()], dict.fromkeys(COUNTS, 0), 9000, 1, [frame])[0])
+    assert found.numbers == {'SC': 1, 'recall': 1, 'pieces': 1, 'merged': 0, 'unlabelled': 0}
 
 
 def test_a_real_frame_is_measured_by_its_sensor():
@@ -70,13 +85,13 @@ def test_a_real_frame_is_measured_by_its_sensor():
 def test_two_processes_find_the_same_as_one():
     jobs = plan([peers.Ours()], {'rooms': 1, 'lived-in rooms': 0, 'curved': 1}, 1300, 1, [])
     one, two = (run_jobs(jobs, processes) for processes in (1, 2))
-    assert [(s.kind, s.scene, s.sigma, s.numbers) for s in one] == [
-        (s.kind, s.scene, s.sigma, s.numbers) for s in two]
+    assert [(s.kind, s.scene, s.noise, s.numbers) for s in one] == [
+        (s.kind, s.scene, s.noise, s.numbers) for s in two]
 
 
 def test_tables_compare_all_methods_and_show_the_first_in_detail(capsys):
-    found = [sample(method=method, sigma=sigma, covering=covering, scene=scene, cpu_ms=cpu_ms)
-             for sigma in (0.01, 0.004) for method in ('ours', 'other')
+    found = [sample(method=method, noise=noise, covering=covering, scene=scene, cpu_ms=cpu_ms)
+             for noise in (0.004, 0.01) for method in ('ours', 'other')
              for scene, covering, cpu_ms in (('1', 0.5, 2.0), ('2', 0.75, 3.0), ('3', 1.0, 9.0))]
     report(found)
     lines = capsys.readouterr().out.splitlines()
@@ -87,7 +102,7 @@ def test_tables_compare_all_methods_and_show_the_first_in_detail(capsys):
     assert [line for line in lines if line.startswith(('| ours', '| other'))] == [
         f'| {method} | 3 | {cells} |' for method in ('ours', 'other')]
     assert 'Columns' not in ' '.join(lines)
-    assert list(grouped(found)) == [('rooms', sigma, method) for sigma in (0.004, 0.01)
+    assert list(grouped(found)) == [('rooms', noise, method) for noise in (0.004, 0.01)
                                     for method in ('ours', 'other')]
 
 
@@ -99,9 +114,9 @@ def test_recall_by_size_by_hand():
 
 def test_figures_are_written_and_hold_every_method(tmp_path):
     pytest.importorskip('matplotlib', reason='the extra plane_detector[benchmark] is missing')
-    found = [sample(method=method, kind=kind, sigma=sigma, shares=(0.03,), found=(1,))
+    found = [sample(method=method, kind=kind, noise=noise, shares=(0.03,), found=(1,))
              for method in ('method A', 'method B') for kind in ('rooms', 'lived-in rooms')
-             for sigma in (0.0, 0.004)]
+             for noise in (0.0, 0.004)]
     paths = write_plots(found, tmp_path / 'figures')
     assert [path.name for path in paths] == ['noise.svg', 'time.svg', 'size.svg', 'accuracy.svg']
     before = [path.read_text() for path in paths]
