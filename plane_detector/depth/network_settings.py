@@ -22,8 +22,8 @@ def resolve(config: DepthConfig) -> tuple[Network | None, Path, str]:
         return NETWORKS[config.model], path, f'{config.model} as requested'
     path = Path(config.model).expanduser()
     if not path.is_file():
-        raise FileNotFoundError(f'depth.model {config.model!r} is neither a file nor one of auto, '
-                                f'{", ".join(NETWORKS)}')
+        raise ValueError(f'depth.model {config.model!r} is neither a file nor one of auto, '
+                         f'{", ".join(NETWORKS)}')
     return None, path, f'{path} as requested'
 
 

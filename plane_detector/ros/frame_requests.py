@@ -73,11 +73,13 @@ class FrameRequests:
             number = next((n for other, n in self._accepted if other is frame), 0)
         self._answer(lambda call: call.after < number, success, message)
 
-    def expire(self, reason: str) -> None:
-        """Answer the calls that have waited too long."""
+    def expire(self, obstacle: str) -> None:
+        """Answer the calls that have waited too long, or all if it is known why no frame comes."""
         now_s = self._clock()
+        if obstacle:
+            self._answer(lambda _: True, False, f'no frame: {obstacle}')
         self._answer(lambda call: call.until_s <= now_s, False,
-                     f'no frame within {ANSWERED_WITHIN_S:.0f} s' + (reason and f': {reason}'))
+                     f'no frame within {ANSWERED_WITHIN_S:.0f} s')
 
     def refuse_all(self, reason: str) -> None:
         """Answer all calls: no frame will be processed."""

@@ -51,6 +51,7 @@ class Health:
         """Discard the state of earlier frames: missing inputs are logged again."""
         self._gap = ''
         self._told: set[str] = set()
+        self._last_told: dict[str, str] = {}
         self._facts: dict[str, str] = {}
 
     @property
@@ -78,6 +79,12 @@ class Health:
             self._told.add(key)
             self._logger.warning(warning)
 
+    def tell_changes(self, key: str, warning: str) -> None:
+        """Log a warning when its wording changes, and again after it was empty."""
+        if warning and self._last_told.get(key) != warning:
+            self._logger.warning(warning)
+        self._last_told[key] = warning
+
     def status(self, report: Report, silence: str, is_idle: bool = False) -> tuple[bytes, str]:
         """
         Return level and message of an active node.
@@ -87,7 +94,7 @@ class Health:
         report : Report
             Counts since the last report.
         silence : str
-            Names a silent input and the reason; empty if there is none.
+            Names a silent or incomplete input and the reason; empty if there is none.
         is_idle : bool
             There are no subscribers, so no frame is processed.
 
@@ -95,9 +102,6 @@ class Health:
         skipped = f'frames skipped: {report.last_error}' if report.skipped_lately else ''
         if skipped or silence:  # a silent IMU does not hide that images give nothing
             return DiagnosticStatus.WARN, '; '.join(filter(None, (skipped, silence)))
-        if report.unpaired_lately and not report.stage_seconds:
-            return DiagnosticStatus.WARN, ('images arrive, but no depth image with their stamp, '
-                                           'within stamp_slop')
         if is_idle:
             return DiagnosticStatus.OK, 'idle: nobody listens to an output'
         if self._gap:

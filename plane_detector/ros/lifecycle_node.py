@@ -9,6 +9,7 @@ frames, see frame_flow.py.
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Any
 
@@ -19,6 +20,7 @@ from std_srvs.srv import Trigger
 
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros import parameters
 from plane_detector.ros.allocator import freeze_loaded_objects
 from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
@@ -79,7 +81,8 @@ class PlaneDetectorNode(ReloadableNode):
         self._given_transforms = transforms
         self._listening: FrameTransforms | None = None
         self._depth_model = depth_model
-        self._live = LiveSettings(self, lambda: self.state == 'active', self._on_change)
+        self._live = LiveSettings(self, lambda: self.state != 'unconfigured', self._on_change)
+        parameters.warn_of_other_sections(self, sys.argv)
         self._statistics = Statistics()
         self._processor: FrameProcessor | None = None
         self._flow: FrameFlow | None = None
@@ -199,6 +202,7 @@ class PlaneDetectorNode(ReloadableNode):
     def _describe(self, report: Report) -> tuple[bytes, str, dict[str, str]]:
         """Return level, message and facts for the diagnostics."""
         facts = {'state': self.state, 'mode': self._live.settings.mode, **self._health.facts}
+        self._warn_of_namesake()
         if self._live.late_kernels.is_loading:
             facts['shapes'] = 'their loops are being compiled'
         if self._processor is not None:
@@ -213,10 +217,26 @@ class PlaneDetectorNode(ReloadableNode):
             return DiagnosticStatus.OK, facts['state'], facts
         for key, misfit in self._outputs.misfits().items():
             self._health.tell_once(key, misfit)
-        silence = self._inputs.problem()
-        self._requests.expire(silence)
+        silence, obstacle = self._inputs.problem(), self._inputs.obstacle()
+        if not silence and report.unpaired_lately and not report.stage_seconds:
+            silence = obstacle = self._inputs.explain_unpaired(self.get_fully_qualified_name())
+            self._health.tell_changes('unpaired', silence)
+        if not silence:
+            silence = self._inputs.explain_loss()
+            self._health.tell_changes('loss', silence)
+        self._requests.expire(obstacle)
+        arrivals = self._inputs.arrivals()
+        facts['images_received'] = f'{arrivals.received} of {arrivals.implied}, in 5 s'
         is_idle = self._live.settings.mode == 'continuous' and not self._outputs.wanted()
         return *self._health.status(report, silence, is_idle), facts
+
+    def _warn_of_namesake(self) -> None:
+        own = self.get_name(), self.get_namespace()
+        if self.get_node_names_and_namespaces().count(own) > 1:
+            name = self.get_fully_qualified_name()
+            self._health.tell_once('namesake', (
+                f'another node is called {name} too: both publish into the same topics; start one '
+                'of them with -r __node:=NAME (or a node of this name has just died)'))
 
     def _load(self) -> PlaneDetector:
         """Make the pipeline, which may download the network; called in a thread."""

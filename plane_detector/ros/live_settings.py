@@ -10,7 +10,8 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.config import Config, NodeConfig
+from plane_detector.config import Config
+from plane_detector.node_config import NodeConfig
 from plane_detector.ros import parameters
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.kernels import LateKernels
@@ -24,7 +25,7 @@ class LiveSettings:
     ----------
     node : rclpy.node.Node
         The node that declares the parameters.
-    is_active : callable
+    is_configured : callable
         Whether the settings that are read at configure are fixed now.
     on_change : callable
         Called after each change of a setting, in the thread of the executor.
@@ -43,8 +44,9 @@ class LiveSettings:
 
     """
 
-    def __init__(self, node: Node, is_active: Callable[[], bool], on_change: Callable[[], None]):
-        self._is_active, self._on_change = is_active, on_change
+    def __init__(self, node: Node, is_configured: Callable[[], bool],
+                 on_change: Callable[[], None]):
+        self._is_configured, self._on_change = is_configured, on_change
         self.config = parameters.declare(node, Config())
         self.settings = parameters.declare(node, NodeConfig())
         self.late_kernels = LateKernels(node.get_logger().info)
@@ -75,10 +77,10 @@ class LiveSettings:
                      for name in parameters.fixed_changes(old, parameters.updated(old, changed))]
         except ValueError as error:
             return SetParametersResult(successful=False, reason=str(error))
-        if fixed and self._is_active():
+        if fixed and self._is_configured():
             return SetParametersResult(successful=False, reason=(
-                f'{", ".join(fixed)}: read when the node is configured; deactivate the node, set '
-                'it, then clean up and configure'))
+                f'{", ".join(fixed)}: read when the node is configured; deactivate it, clean up, '
+                'set this, then configure and activate'))
         return SetParametersResult(successful=True)
 
     def _take(self, changed: list[Parameter]) -> None:

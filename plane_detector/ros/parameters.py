@@ -10,11 +10,14 @@ are taken from the fields.
 from __future__ import annotations
 
 import array
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import Field, fields, replace
 from difflib import get_close_matches
+from itertools import pairwise
 from typing import Any, TypeVar
 
+import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -54,6 +57,39 @@ def warn_of_unknown(node: Node) -> None:
                      if name not in declared and not name.startswith('qos_overrides.'))
     if unknown:
         node.get_logger().warning(f'ignored: {no_such_parameter(unknown, declared)}')
+
+
+def warn_of_other_sections(node: Node, arguments: Sequence[str]) -> None:
+    """
+    Warn of parameter files on a command line that have no section for this node.
+
+    ROS 2 ignores such a file. Sections are names of nodes, also with wildcards, or namespaces that
+    contain them.
+    """
+    name = node.get_fully_qualified_name()
+    for option, file in pairwise(arguments):
+        if option != '--params-file':
+            continue
+        with open(file, encoding='utf-8') as opened:
+            sections = list(_sections(yaml.safe_load(opened) or {}))
+        if not any(_matches(section, name) for section in sections):
+            node.get_logger().warning(
+                f'{file} has no section for {name}; it has: {", ".join(sections) or "none"}')
+
+
+def _sections(content: Any, above: str = '') -> Iterator[str]:
+    """Yield the full names of the nodes for which a parameter file has values."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if key == 'ros__parameters':
+            yield above or '/'
+        else:
+            yield from _sections(value, f'{above}/{str(key).strip("/")}')
+
+
+def _matches(section: str, name: str) -> bool:
+    """Return whether a name of a section, in which ** stands for any namespace, is that name."""
+    pattern = re.escape(section).replace(r'/\*\*', '(/[^/]+)*').replace(r'\*', '[^/]+')
+    return re.fullmatch(pattern, name) is not None
 
 
 def no_such_parameter(unknown: Iterable[str], known: Iterable[str]) -> str:

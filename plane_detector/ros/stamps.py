@@ -22,3 +22,8 @@ def stamp_text(stamped: Any) -> str:
     """
     stamp = stamped.header.stamp
     return f'{stamp.sec}.{stamp.nanosec:09d}'
+
+
+def stamp_ns(stamped: Any) -> int:
+    """Return the stamp of a message, or of what else has a header, in nanoseconds."""
+    return stamped.header.stamp.sec * 1_000_000_000 + stamped.header.stamp.nanosec

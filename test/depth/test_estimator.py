@@ -139,7 +139,7 @@ def test_a_path_needs_the_meaning_of_its_output(tmp_path):
 
 
 def test_a_missing_file_is_reported_with_the_available_networks():
-    with pytest.raises(FileNotFoundError, match='nowhere.onnx.*auto.*fastdepth'):
+    with pytest.raises(ValueError, match='nowhere.onnx.*auto.*fastdepth'):
         DepthEstimator(config_for('/nowhere.onnx'))
 
 

@@ -48,15 +48,21 @@ def test_a_newer_frame_answers_for_one_that_it_replaced(requests):
     assert future.result() == (False, 'skipped')
 
 
-def test_a_call_without_frames_is_answered_with_the_reason(requests, clock):
+def test_a_call_without_frames_is_answered_after_a_time(requests, clock):
     future = requests.add()
     clock.now_s = ANSWERED_WITHIN_S - 0.1
-    requests.expire('nobody publishes /image')
+    requests.expire('')
     assert not future.done()
     clock.now_s = ANSWERED_WITHIN_S
-    requests.expire('nobody publishes /image')
-    assert future.result() == (False, 'no frame within 30 s: nobody publishes /image')
+    requests.expire('')
+    assert future.result() == (False, 'no frame within 30 s')
     assert not requests.are_waiting
+
+
+def test_a_call_is_answered_as_soon_as_it_is_known_that_no_frame_comes(requests):
+    future = requests.add()
+    requests.expire('nobody publishes /image')
+    assert future.result() == (False, 'no frame: nobody publishes /image')
 
 
 def test_all_are_refused_at_once(requests):

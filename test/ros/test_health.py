@@ -54,13 +54,6 @@ def test_max_side_is_advised_for_large_images(shape, is_large):
     assert ('max_side' in health.facts.get('advice', '')) == is_large
 
 
-def test_images_without_matching_depth_are_reported():
-    health = Health(SimpleNamespace(warning=print, info=print))
-    level, message = health.status(Report(0, 5, 0, 0.0, unpaired_lately=True), '')
-    assert level == DiagnosticStatus.WARN
-    assert 'stamp_slop' in message
-
-
 def test_a_silent_imu_does_not_hide_skipped_frames():
     health = Health(SimpleNamespace(warning=print, info=print))
     report = Report(0, 0, 5, 0.0, skipped_lately=True, last_error='encoding 8UC7')

@@ -4,17 +4,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
-from plane_detector.config import Config, NodeConfig
+from plane_detector.config import Config
+from plane_detector.node_config import NodeConfig
+from plane_detector.ros.inputs.image_loss import Arrivals, ImageLoss
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
 from plane_detector.ros.inputs.topic_names import input_topics
-from plane_detector.ros.inputs.topic_watch import TopicWatch
+from plane_detector.ros.inputs.topic_watch import MESSAGES_LOST, TopicWatch
 from plane_detector.ros.qos import InputSubscription
+from plane_detector.ros.stamps import stamp_ns
+
+# derived: a camera's jitter is no change of the difference between its stamps.
+_OFFSET_CHANGE = 0.3
+# derived: a share of some 75 images in a window varies by a few percent.
+_LOSS_CHANGE = 0.15
 
 
 class Subscriptions:
@@ -55,6 +64,8 @@ class Subscriptions:
         if settings.use_imu:
             wanted['imu'] = Imu, self._synchronizer.add_imu
         self._watch = TopicWatch(node)
+        self._loss = ImageLoss()
+        self._depth_offset_s = self._lost_share = 0.0
         self._subscriptions: dict[str, InputSubscription] = {}
         try:
             for role, (msg_type, on_message) in wanted.items():
@@ -82,6 +93,39 @@ class Subscriptions:
         """Return which topic is silent and why, empty if none is; it is logged when it changes."""
         return self._watch.problem()
 
+    def obstacle(self) -> str:
+        """Return why no frame can come, as far as that is known; empty if one can."""
+        return self._watch.obstacle()
+
+    def arrivals(self) -> Arrivals:
+        """Return how many of the images that the camera sent have arrived lately."""
+        return self._loss.arrivals()
+
+    def explain_loss(self) -> str:
+        """Return that images are lost, and the remedy; empty if they arrive."""
+        arrivals = self.arrivals()
+        if not arrivals.are_few:
+            return ''
+        lost_share = 1 - arrivals.received / arrivals.implied
+        if abs(lost_share - self._lost_share) > _LOSS_CHANGE:
+            self._lost_share = lost_share
+        return (f'{self._lost_share:.0%} of the images on {self._names["image"]} do not arrive, '
+                f'as the stamps tell: large {MESSAGES_LOST}, or this machine is too busy to '
+                'receive them')
+
+    def explain_unpaired(self, node_name: str) -> str:
+        """Return by how much the stamps of image and depth differ, and the remedy."""
+        offset_s = self._synchronizer.take_unpaired_s()
+        if offset_s is None:
+            return ('images arrive, but no depth image with their stamp, within stamp_slop')
+        if abs(offset_s - self._depth_offset_s) > _OFFSET_CHANGE * abs(self._depth_offset_s):
+            self._depth_offset_s = offset_s
+        offset_s = self._depth_offset_s
+        return (f'images arrive, but no depth image with their stamp, within stamp_slop: the '
+                f'nearest is {1e3 * abs(offset_s):.0f} ms {"later" if offset_s > 0 else "earlier"}'
+                f'; synchronise the camera, or: ros2 param set {node_name} stamp_slop '
+                f'{_rounded_up(abs(offset_s))}')
+
     def _subscribe(self, role: str, msg_type: Any, on_message: Callable[[Any], Any],
                    is_watched: bool) -> None:
         def receive(msg: Any) -> None:
@@ -94,15 +138,18 @@ class Subscriptions:
         self._subscriptions[role] = subscription
         if is_watched:  # one CameraInfo is enough
             self._watch.add(role, subscription.topic, msg_type, may_stop=role == 'camera_info',
-                            only_reliable=self._reliability == 'reliable')
+                            only_reliable=self._reliability == 'reliable',
+                            is_needed=role != 'imu')
 
     def _on_image(self, msg: Any) -> None:
+        self._loss.add_image(stamp_ns(msg))
         epoch = self._synchronizer.epoch
         self._hand_over(self._synchronizer.add_image(msg))
         if self._synchronizer.epoch != epoch:
             self._node.get_logger().warning('time jumped back: buffers and tracking are reset')
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
+        self._loss.add_camera_info(stamp_ns(msg))
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Image) -> None:
@@ -114,3 +161,10 @@ class Subscriptions:
             self._on_dropped(dropped)
         for frame in frames:
             self._on_frame(frame)
+
+
+def _rounded_up(seconds: float) -> str:
+    """Return a time with one digit, a little above the given one: 0.06 s -> 0.08."""
+    most_s = 1.2 * seconds
+    step_s = 10.0 ** math.floor(math.log10(most_s))
+    return f'{math.ceil(most_s / step_s) * step_s:.6g}'

@@ -20,6 +20,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from plane_detector.config import Config
 from plane_detector.ros.calibration import image_size
 from plane_detector.ros.inputs.gravity_filter import GravityFilter
+from plane_detector.ros.stamps import stamp_ns as ns_of
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000
@@ -98,6 +99,7 @@ class FrameSynchronizer:
         self._depths = _MessageBuffer()
         self._gravity = GravityFilter(imu_to_camera)
         self._dropped = 0
+        self._unpaired_ns: int | None = None
         self.epoch = 0
 
     def apply(self, depth: str, stamp_slop_s: float, imu_to_camera: tuple[float, ...]) -> None:
@@ -110,11 +112,21 @@ class FrameSynchronizer:
         count, self._dropped = self._dropped, 0
         return count
 
+    def take_unpaired_s(self) -> float | None:
+        """
+        Return how much later than the last image dropped for it the nearest depth image is.
+
+        None if no image was dropped for lack of a depth image since the last call, or if there is
+        no depth image at all.
+        """
+        taken, self._unpaired_ns = self._unpaired_ns, None
+        return None if taken is None else taken * 1e-9
+
     def add_image(self, msg: Image | CompressedImage) -> list[Frame]:
         """Add an image; return the frames that are complete now, oldest first."""
         if self._images.add(msg):
             self.epoch += 1
-            self._depths.forget_after(_stamp_ns(msg) + _JUMP_NS)
+            self._depths.forget_after(ns_of(msg) + _JUMP_NS)
             self._gravity.reset()
         self._dropped += self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
         return self._complete()
@@ -125,7 +137,7 @@ class FrameSynchronizer:
         self._infos.add(msg)
         self._infos.shrink_to(_CACHED)
         if first:  # of the images before it, only one with its stamp is usable
-            self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == _stamp_ns(msg))
+            self._dropped += self._images.keep(lambda stamp_ns, _: stamp_ns == ns_of(msg))
         return self._complete()
 
     def add_depth(self, msg: Image) -> list[Frame]:
@@ -141,7 +153,7 @@ class FrameSynchronizer:
     def add_imu(self, msg: Imu) -> None:
         """Add an accelerometer reading, for frames that are completed later."""
         force = msg.linear_acceleration
-        self._gravity.add(_stamp_ns(msg) * 1e-9, (force.x, force.y, force.z))
+        self._gravity.add(ns_of(msg) * 1e-9, (force.x, force.y, force.z))
 
     def _complete(self, at_end: bool = False) -> list[Frame]:
         frames = []
@@ -153,6 +165,7 @@ class FrameSynchronizer:
             self._images.keep(lambda _, other, done=image: other is not done)
             if depth is None and self._depth_use == 'required':
                 self._dropped += 1
+                self._unpaired_ns = self._depths.offset_of_nearest(stamp_ns)
                 continue
             gravity = self._gravity.gravity_camera(stamp_ns * 1e-9)
             frames.append(Frame(image, info, depth, gravity, self.epoch))
@@ -162,8 +175,8 @@ class FrameSynchronizer:
         """Return whether an image does not fit its calibration and a later one may still come."""
         if isinstance(image, CompressedImage) or info.header.stamp == image.header.stamp:
             return False
-        can_come = (self._infos.has_recent(_stamp_ns(self._images.latest))
-                    and not self._infos.is_past(_stamp_ns(image)))
+        can_come = (self._infos.has_recent(ns_of(self._images.latest))
+                    and not self._infos.is_past(ns_of(image)))
         return can_come and image_size(info) not in ((image.width, image.height), (0, 0))
 
     def _depth_for(self, stamp_ns: int, at_end: bool) -> tuple[bool, Image | None]:
@@ -188,7 +201,7 @@ class _MessageBuffer:
 
     def add(self, msg: Any) -> bool:
         """Add a message; return whether time has jumped back."""
-        stamp_ns = _stamp_ns(msg)
+        stamp_ns = ns_of(msg)
         jumped = self.latest is not None and stamp_ns < self._latest_ns - _JUMP_NS
         if jumped:
             self._messages.clear()
@@ -233,11 +246,11 @@ class _MessageBuffer:
 
     def nearest(self, stamp_ns: int, slop_ns: int) -> Any:
         """Return the message nearest in time within the slop, or None."""
-        if not self._messages:
+        offset_ns = self.offset_of_nearest(stamp_ns)
+        if offset_ns is None or abs(offset_ns) > slop_ns:
             return None
-        other_ns, msg = min(self._messages, key=lambda entry: abs(entry[0] - stamp_ns))
-        return msg if abs(other_ns - stamp_ns) <= slop_ns else None
+        return self.exact(stamp_ns + offset_ns)
 
-
-def _stamp_ns(msg: Any) -> int:
-    return msg.header.stamp.sec * 1_000_000_000 + msg.header.stamp.nanosec
+    def offset_of_nearest(self, stamp_ns: int) -> int | None:
+        """Return how much later than a stamp the message nearest to it is; None without one."""
+        return min((other_ns - stamp_ns for other_ns, _ in self._messages), key=abs, default=None)

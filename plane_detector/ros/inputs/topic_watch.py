@@ -23,7 +23,7 @@ _FIRST_INTERVAL_S = 5.0
 _REMEMBERED = 6
 _LISTED = 8
 _COMPRESSED = '/compressed'
-_LOST = 'messages get lost between processes without config/fastdds_large_messages.xml'
+MESSAGES_LOST = 'messages get lost between processes without config/fastdds_large_messages.xml'
 
 
 @dataclass
@@ -39,6 +39,8 @@ class _Topic:
         Whether a single message is enough.
     only_reliable : bool
         Whether the subscription rejects best-effort publishers.
+    is_needed : bool
+        Whether no frame is possible without it.
     heard_s : deque of float
         Arrival times of the last messages.
     offered_s : float or None
@@ -52,6 +54,7 @@ class _Topic:
     type_name: str
     may_stop: bool
     only_reliable: bool
+    is_needed: bool = True
     heard_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
     offered_s: float | None = None
     problem: str = ''
@@ -76,7 +79,7 @@ class TopicWatch:
         self._topics: dict[str, _Topic] = {}
 
     def add(self, role: str, topic: str, msg_type: Any, may_stop: bool = False,
-            only_reliable: bool = False) -> None:
+            only_reliable: bool = False, is_needed: bool = True) -> None:
         """
         Watch a topic.
 
@@ -92,11 +95,13 @@ class TopicWatch:
             A single message is enough, for example of a calibration.
         only_reliable : bool
             Best-effort publishers are rejected.
+        is_needed : bool
+            No frame is possible without it.
 
         """
         package = msg_type.__module__.split('.')[0]
         self._topics[role] = _Topic(topic, f'{package}/msg/{msg_type.__name__}', may_stop,
-                                    only_reliable)
+                                    only_reliable, is_needed)
 
     def heard(self, role: str) -> None:
         """Record the arrival of a message."""
@@ -109,6 +114,11 @@ class TopicWatch:
             self._note(topic, self._problem_of(role, topic, now_s))
         unheard_first = sorted(self._topics.values(), key=lambda topic: bool(topic.heard_s))
         return next((topic.problem for topic in unheard_first if topic.problem), '')
+
+    def obstacle(self) -> str:
+        """Return the last problem because of which no frame can come; empty if there is none."""
+        return next((topic.problem for topic in self._topics.values()
+                     if topic.is_needed and topic.problem), '')
 
     def _problem_of(self, role: str, topic: _Topic, now_s: float) -> str:
         if not topic.heard_s:
@@ -172,14 +182,14 @@ def explain_loss(topic: str, offered: Sequence[ReliabilityPolicy], only_reliable
         return (f'nothing arrives on {topic}: the parameter input_reliability asks for reliable, '
                 'the publisher is best effort: set it to auto or best_effort')
     return (f'nothing arrives on {topic}, though it has {len(offered)} publisher(s): it sends '
-            f'nothing, large {_LOST}, or the QoS does not fit')
+            f'nothing, large {MESSAGES_LOST}, or the QoS does not fit')
 
 
 def _hint_of_loss(offered: Sequence[ReliabilityPolicy]) -> str:
     """Return another possible cause than a stopped camera; empty if there is none."""
     if ReliabilityPolicy.BEST_EFFORT not in offered:
         return ''
-    return f'; if the camera still sends: large best-effort {_LOST}'
+    return f'; if the camera still sends: large best-effort {MESSAGES_LOST}'
 
 
 def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str],
