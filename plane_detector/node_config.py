@@ -50,8 +50,8 @@ class NodeConfig(Settings):
     tf_timeout: float = setting(
         0.2, 'longest time to wait for a transform; then the frame is skipped', 's', 0.0, 10.0)
     points_color: str = setting(
-        'image', 'colours of ~/points: those of the image, or one per plane as in the overlay and '
-        'the markers', choices=('image', 'label'))
+        'image', 'colours of ~/points: those of the image, one per plane as in the markers '
+        '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))
     mode: str = setting(
         'continuous', 'continuous: process the newest frame repeatedly; on_demand: one frame per '
         'call of ~/detect', choices=('continuous', 'on_demand'))

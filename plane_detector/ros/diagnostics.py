@@ -14,10 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from plane_detector.ros.outputs.captions import plane_name
+from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.messages import plane_labels
 from plane_detector.ros.qos import overriding_options
+from plane_detector.scale.estimate import RELATIVE
 
 HARDWARE_ID = 'plane_detector'
 """Hardware id of all statuses of this package, by which viewers group them."""
+PLANES_ID = 'plane_detector planes'
+"""Hardware id of the table of planes: a panel of its own, whatever the name of the node."""
 _PERIOD_S = 1.0
 
 
@@ -40,6 +46,8 @@ class Report:
         Empty if there was none.
     error_age_s : float
         Time since the last error.
+    last : ProcessedFrame or None
+        The last frame since the last report.
 
     """
 
@@ -53,6 +61,7 @@ class Report:
     last_error: str = ''
     arrival_hz: float = 0.0
     error_age_s: float = 0.0
+    last: ProcessedFrame | None = None
 
 
 class Statistics:
@@ -64,9 +73,11 @@ class Statistics:
         self._last_error, self._error_s = '', 0.0
         self._start_window()
 
-    def add_processed(self, stage_seconds: Mapping[str, float]) -> None:
+    def add_processed(self, stage_seconds: Mapping[str, float],
+                      frame: ProcessedFrame | None = None) -> None:
         """Count a processed frame."""
         with self._lock:
+            self._last = frame
             self._processed += 1
             self._window_processed += 1
             for stage, seconds in stage_seconds.items():
@@ -107,7 +118,7 @@ class Statistics:
                 {stage: seconds / count for stage, seconds in self._window_seconds.items()},
                 self._window_skipped > 0, self._window_unpaired > 0, self._last_error,
                 (count + self._window_dropped + self._window_skipped) / elapsed_s,
-                now_s - self._error_s)
+                now_s - self._error_s, self._last)
             self._start_window()
             return result
 
@@ -118,6 +129,7 @@ class Statistics:
         self._window_start_s = time.monotonic()
         self._window_processed = self._window_skipped = self._window_unpaired = 0
         self._window_dropped = 0
+        self._last: ProcessedFrame | None = None
         self._window_seconds: defaultdict[str, float] = defaultdict(float)
 
 
@@ -154,6 +166,8 @@ class DiagnosticsPublisher:
         msg.header.stamp = self._node.get_clock().now().to_msg()
         name = self._node.get_fully_qualified_name().lstrip('/')
         msg.status = [status_to_msg(name, level, message, report, facts)]
+        if report.last is not None:
+            msg.status.append(planes_status(name, report.last))
         self._publisher.publish(msg)
 
 
@@ -194,10 +208,10 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
     report : Report
         Counts and times.
     facts : mapping of str to str
-        Additional keys and values, which come first.
+        Additional keys and values, which come first; empty ones are left out.
 
     """
-    values = dict(facts)
+    values = {key: value for key, value in facts.items() if value}
     values['rate_hz'] = f'{report.rate_hz:.2f}'
     for stage, seconds in report.stage_seconds.items():
         values[f'latency.{stage}_ms'] = f'{seconds * 1e3:.2f}'
@@ -205,8 +219,39 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
     values['frames_processed'] = str(report.processed)
     values['frames_dropped'] = str(report.dropped)
     values['frames_skipped'] = str(report.skipped)
-    values['last_error'] = report.last_error
     if report.last_error:  # it stays after the node has recovered
+        values['last_error'] = report.last_error
         values['last_error_age_s'] = f'{report.error_age_s:.1f}'
     return DiagnosticStatus(name=name, level=level, message=message, hardware_id=HARDWARE_ID,
                             values=[KeyValue(key=k, value=v) for k, v in values.items()])
+
+
+def planes_status(name: str, frame: ProcessedFrame,
+                  planes_in_all: int | None = None) -> DiagnosticStatus:
+    """
+    Return the planes of a frame as a table: their number, then one row a plane.
+
+    Parameters
+    ----------
+    name : str
+        Of the node.
+    frame : ProcessedFrame
+    planes_in_all : int, optional
+        In all frames so far.
+
+    """
+    detection, labels = frame.detection, plane_labels(frame.detection).tolist()
+    rows = {'planes': str(len(labels))}
+    if planes_in_all is not None:
+        rows['planes_in_all'] = str(planes_in_all)
+    is_metric = detection.scale_method != RELATIVE
+    unit = ' m' if is_metric else ''
+    for index, (plane, label, rectangle) in enumerate(zip(detection.planes, labels,
+                                                          frame.rectangles, strict=True)):
+        sides = f'{rectangle.width_m:.2f} x {rectangle.height_m:.2f}{unit}'
+        rms = f'{1e3 * plane.rms_m:.0f} mm' if is_metric else f'{plane.rms_m:.3f}'
+        rows[plane_name(detection, index, label)] = (
+            f'{plane.offset_m:.2f}{unit}, {sides}, rms {rms}, {100 * plane.confidence:.0f} %')
+    return DiagnosticStatus(name=f'{name}: planes', level=DiagnosticStatus.OK,
+                            message=f'{len(labels)} planes', hardware_id=PLANES_ID,
+                            values=[KeyValue(key=k, value=v) for k, v in rows.items()])

@@ -95,7 +95,8 @@ class FrameFlow:
                 self._query.answer(processed.result)
                 publish_s = time.perf_counter() - start_s
                 health.note(processed.result.detection, wanted)
-                statistics.add_processed({**processed.stage_seconds, 'publish': publish_s})
+                statistics.add_processed({**processed.stage_seconds, 'publish': publish_s},
+                                         processed.result)
                 requests.finish(frame, True, describe_frame(processed.result))
         except Exception as error:
             with current_stop().uncut():

@@ -17,8 +17,8 @@ from plane_detector.ros.inputs.frame_conversion import FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
-from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.topics import OUTPUTS, ProcessedFrame
+from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection
@@ -56,7 +56,6 @@ class FrameProcessor:
         self.settings = settings
         self._converter = FrameConverter(image_topic)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
-        self._shown: frozenset[int] = frozenset()
         self._before: Detection | None = None
         self._lines_s = -math.inf
         self._epoch = 0
@@ -104,13 +103,10 @@ class FrameProcessor:
             self._before = detection
         # 4. The messages that somebody wants.
         result = ProcessedFrame(header, seen.rgb, seen.intrinsics, detection, settings,
-                                self._shown, to_target, converted.distortion, merged)
+                                to_target, converted.distortion, merged)
         with stages('messages'):
             made = {name: msg for name in wanted
                     if (msg := OUTPUTS[name].make(result)) is not None}
-        if 'markers' in made:
-            self._shown = frozenset([*messages.plane_labels(detection).tolist(),
-                                     *messages.shape_labels(detection).tolist()])
         return FrameOutputs(made, result, _sum(detection.stage_seconds, stages.seconds))
 
     def reset(self) -> None:

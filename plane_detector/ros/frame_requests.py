@@ -13,7 +13,7 @@ from typing import Any
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from plane_detector.ros.outputs.topics import ProcessedFrame
+from plane_detector.ros.outputs.frame import ProcessedFrame
 from plane_detector.ros.stamps import stamp_text
 
 ANSWERED_WITHIN_S = 30.0

@@ -7,15 +7,14 @@ from __future__ import annotations
 from collections import deque
 
 import numpy as np
-from geometry_msgs.msg import Point, PointStamped, Pose, PoseStamped, Quaternion
+from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.lifecycle import LifecycleNode
 
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import qos
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.topics import ProcessedFrame
-from plane_detector.types import Plane
+from plane_detector.ros.outputs.frame import ProcessedFrame
 
 # derived: a click is within a few pixels of its target; planes further away are not meant.
 REACH_PX = 8
@@ -66,8 +65,9 @@ class PointQuery:
             except ValueError as error:
                 self._faults.tell(error)
                 continue
-            pose = pose_of(result.target_detection.planes[index])
-            self._publisher.publish(PoseStamped(header=result.target_header, pose=pose))
+            header, plane = result.target_header, result.target_detection.planes[index]
+            (pose,) = messages.poses_to_msg(header, [plane]).poses  # as in ~/plane_poses
+            self._publisher.publish(PoseStamped(header=header, pose=pose))
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
 
     def refuse_all(self) -> None:
@@ -84,14 +84,6 @@ class PointQuery:
 
     def _refuse(self) -> None:
         self._faults.tell(ValueError('the node is not active'))
-
-
-def pose_of(plane: Plane) -> Pose:
-    """Return the centroid of a plane, z along the normal, as in ``~/plane_poses``."""
-    x_m, y_m, z_m = plane.centroid_m.tolist()
-    turn = messages.plane_quaternions([plane])[0].tolist()
-    return Pose(position=Point(x=x_m, y=y_m, z=z_m),
-                orientation=Quaternion(**dict(zip('xyzw', turn, strict=True))))
 
 
 def point_in_camera(result: ProcessedFrame, click: PointStamped) -> np.ndarray:

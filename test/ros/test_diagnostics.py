@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts, times and the last error of the diagnostics."""
 
+import output_scene as scene
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import diagnostics
-from plane_detector.ros.diagnostics import Statistics, status_to_msg
+from plane_detector.ros.diagnostics import Statistics, planes_status, status_to_msg
 
 
 @pytest.fixture
@@ -33,10 +35,8 @@ def test_the_last_error_stays_and_says_how_long_ago_it_was(now_s, add):
         now_s[0] += 30.0
 
 
-def test_without_an_error_there_is_no_age(now_s):
-    values = values_of(Statistics())
-    assert values['last_error'] == ''
-    assert 'last_error_age_s' not in values
+def test_without_an_error_there_are_no_rows_about_one(now_s):
+    assert not {'last_error', 'last_error_age_s'} & set(values_of(Statistics()))
 
 
 def test_rates_and_times_are_those_since_the_last_report(now_s):
@@ -52,3 +52,25 @@ def test_rates_and_times_are_those_since_the_last_report(now_s):
     report = statistics.report()
     assert (report.rate_hz, report.arrival_hz, report.stage_seconds) == (0.0, 0.0, {})
     assert (report.processed, report.dropped) == (2, 2)
+
+
+def table_of(found, **options):
+    msg = planes_status('front', scene.frame(found), **options)
+    assert (msg.name, msg.hardware_id) == ('front: planes', 'plane_detector planes')
+    return [(value.key, value.value) for value in msg.values]
+
+
+def test_the_planes_are_a_table_after_their_number():
+    (_, number), (_, in_all), (wall, measures), (floor, _) = table_of(scene.detection(),
+                                                                      planes_in_all=12)
+    assert (number, in_all, wall, floor) == ('2', '12', '7 wall', '3 floor')
+    width, height = scene.frame().rectangles[0].width_m, scene.frame().rectangles[0].height_m
+    assert measures == f'3.00 m, {width:.2f} x {height:.2f} m, rms 3 mm, 75 %'
+    others = scene.detection(classes=(PlaneClass.OTHER, PlaneClass.OTHER_HORIZONTAL))
+    assert [key for key, _ in table_of(others)] == ['planes', '7', '3 horizontal']
+
+
+def test_a_table_without_a_unit_does_not_say_metres():
+    table = table_of(scene.detection(scale_method='relative', classes=()))
+    assert all(' m' not in value for _, value in table)
+    assert table[1][1].startswith('3.00, ') and table[1][1].endswith('rms 0.003, 75 %')

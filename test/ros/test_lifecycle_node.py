@@ -20,6 +20,7 @@ from ros_helpers import (
     image_msg,
 )
 from sensor_msgs.msg import CameraInfo, Imu
+from visualization_msgs.msg import Marker
 
 from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.drawing import label_colours
@@ -130,8 +131,14 @@ def test_diagnostics(robot, room, monkeypatch):
     assert values['state'] == 'active'
     assert values['scale'] == 'metric'
     for key in ('rate_hz', 'latency.total_ms', 'latency.convert_ms', 'latency.messages_ms',
-                'depth_model', 'frames_dropped', 'last_error'):
+                'depth_model', 'frames_dropped'):
         assert key in values
+    assert 'last_error' not in values, 'there was none'
+    tables = [status for message in robot.received['diagnostics'] for status in message.status[1:]]
+    count = cloud_array(robot.wait_for('planes')[0]).size
+    assert [(table.name, table.message) for table in tables] == [
+        ('plane_detector: planes', f'{count} planes')], 'once for one frame'
+    assert len(tables[0].values) == 1 + count
 
 
 def test_depth_of_unknown_unit_is_called_relative(robot, room):
@@ -205,7 +212,7 @@ def test_the_clouds_can_be_decimated(robot, room):
     assert image_array(robot.wait_for('labels')[0], '<u2').shape[:2] == (240, 320)
 
 
-def test_markers_of_lost_planes_are_deleted(robot, room):
+def test_markers_of_lost_planes_and_earlier_nodes_are_deleted(robot, room):
     depths = [room.depth_m, np.full((240, 320), np.nan, np.float32)]
     start(robot, lambda rgb: depths.pop(0))
     send(robot, room, 1.0)
@@ -216,8 +223,10 @@ def test_markers_of_lost_planes_are_deleted(robot, room):
     assert any(ns == 'caption' for ns, _ in shown)
     send(robot, room, 2.0)
     second = robot.wait_for('markers', 2)[1]
-    assert {(m.ns, m.id) for m in second.markers if m.action == m.DELETE} >= shown
-    assert all(m.header.frame_id == FRAME_ID for m in second.markers)
+    assert [m.action for m in second.markers] == [Marker.DELETEALL]
+    for markers in (first.markers, second.markers):
+        assert (markers[0].action, markers[0].ns) == (Marker.DELETEALL, '')
+        assert all(m.header.frame_id == FRAME_ID for m in markers)
 
 
 def test_large_images_are_reduced_and_the_camera_info_fits(robot, room):

@@ -182,7 +182,7 @@ class CameraLoad:
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         self._statuses += [{pair.key: pair.value for pair in status.values}
-                           for status in msg.status if status.name.startswith(NODE)]
+                           for status in msg.status if status.name == NODE]
 
 
 def input_messages(header: Header, view: Frame) -> dict[str, Any]:

@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Captions of planes: text, size, position, and whether they are shown."""
+"""Captions of planes: text, size and position of those that are shown."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +15,16 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import CameraIntrinsics, Detection, Plane
 
-# Sizes as a share of the distance from the camera: they look equal near and far, and need no unit
-# if the scale is not known.
-_HEIGHT, _ARROW_LENGTH = 0.03, 0.15
+# The viewer's eye in config/foxglove_layout.json, above and behind the camera, and its axes right,
+# down and forward. RViz looks from about there too.
+_EYE = np.array([0.0, -0.503, -0.684])
+_PHI = math.radians(174)
+_VIEW_AXES = np.array([[1.0, 0.0, 0.0], [0.0, -math.cos(_PHI), -math.sin(_PHI)],
+                       [0.0, math.sin(_PHI), -math.cos(_PHI)]])
+# As a share of the distance from the eye: texts look equal near and far, and need no unit.
+_HEIGHT = 0.025
+# As a share of the distance from the camera.
+_ARROW_LENGTH = 0.15
 # derived: limits, as a share of the plane's own size, that keep neighbouring captions apart.
 _LARGEST_HEIGHT, _LARGEST_ARROW = 0.2, 0.5
 # derived: a plane with a smaller share of the pixels has no room for a caption.
@@ -28,43 +35,38 @@ _ADVANCE, _BOX = 0.6, 1.5
 # derived: a text is in front of the part of the plane that it covers, but not closer than three
 # quarters of the distance, so that it stays near its plane from other viewpoints.
 _BEFORE_PLANE, _NEAREST = 0.98, 0.75
+_SHORT_NAMES = {PlaneClass.UNKNOWN: '', PlaneClass.OTHER: '',
+                PlaneClass.OTHER_HORIZONTAL: 'horizontal'}
 
 
-@dataclass(frozen=True)
-class Caption:
-    """
-    The text of a plane.
-
-    Attributes
-    ----------
-    text : str
-    position_m : (3,) float64
-        Its centre, in the frame of the camera.
-    height_m : float
-        Of its characters.
-    is_shown : bool
-        False if the plane is too small, or if the text would cover that of a larger plane.
-
-    """
+class Caption(NamedTuple):
+    """The text of a plane, its centre in the frame of the camera, and its height."""
 
     text: str
     position_m: np.ndarray
     height_m: float
-    is_shown: bool
 
 
 def arrow_length_m(plane: Plane) -> float:
     """Return the length of the arrow along the normal."""
-    return min(_ARROW_LENGTH * _distance_m(plane), _LARGEST_ARROW * math.sqrt(plane.area_m2))
+    return min(_ARROW_LENGTH * math.hypot(*plane.centroid_m),
+               _LARGEST_ARROW * math.sqrt(plane.area_m2))
+
+
+def plane_name(detection: Detection, index: int, label: int) -> str:
+    """Return the label of a plane with its class, if that says more than "other"."""
+    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
+    return f'{label} {_SHORT_NAMES.get(kind, kind.name.lower())}'.rstrip()
 
 
 def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: CameraIntrinsics,
-                   places: Mapping[int, LabelPlace]) -> tuple[Caption, ...]:
+                   places: Mapping[int, LabelPlace]) -> dict[int, Caption]:
     """
-    Return the captions of all planes.
+    Return the captions that are shown, by label.
 
     A caption is placed where its plane is widest in the image, in front of the plane, and faces
-    the viewer. If two captions overlap as seen by the camera, the one of the larger plane is kept.
+    the viewer. A small plane has none. If two overlap as seen from where the layout of the viewer
+    looks, the one of the larger plane is kept.
 
     Parameters
     ----------
@@ -78,67 +80,47 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
         By label; the default is the centroid.
 
     """
-    captions: list[Caption] = []
-    boxes: list[_Box] = []
-    min_pixels = _MIN_SHARE * detection.labels.size
-    order = sorted(range(len(detection.planes)), key=lambda k: -detection.planes[k].inlier_count)
-    for index in order:
-        plane, text = detection.planes[index], f'{labels[index]}: {_description(detection, index)}'
-        height = _height_m(plane) / _distance_m(plane)
-        x, y = _middle(plane, places.get(labels[index]), intrinsics)
-        half_width, half_height = _BOX * height / 2 * _ADVANCE * len(text), _BOX * height / 2
-        box = x - half_width, y - half_height, x + half_width, y + half_height
-        is_shown = plane.inlier_count >= min_pixels and not any(
-            _overlap(box, other) for other in boxes)
-        if is_shown:
-            boxes.append(box)
-        z_m = _before_m(plane, box)
-        captions.append(Caption(text, z_m * np.array([x, y, 1.0]), z_m * height, is_shown))
-    return tuple(captions[order.index(index)] for index in range(len(order)))
-
-
-# Left, top, right, bottom as x / z and y / z.
-_Box = tuple[float, float, float, float]
-
-
-def _distance_m(plane: Plane) -> float:
-    return math.hypot(*plane.centroid_m)
-
-
-def _height_m(plane: Plane) -> float:
-    return min(_HEIGHT * _distance_m(plane), _LARGEST_HEIGHT * math.sqrt(plane.area_m2))
-
-
-def _middle(plane: Plane, place: LabelPlace | None,
-            intrinsics: CameraIntrinsics) -> tuple[float, float]:
-    """Return x / z and y / z of the position of a text."""
-    if place is None:
-        x_m, y_m, z_m = plane.centroid_m.tolist()
-        return x_m / z_m, y_m / z_m
-    return ((place.column - intrinsics.cx) / intrinsics.fx,
-            (place.row - intrinsics.cy) / intrinsics.fy)
-
-
-def _before_m(plane: Plane, box: _Box) -> float:
-    """Return the z at which a text with this box is in front of the plane."""
-    left, top, right, bottom = box
-    a, b, c = plane.normal.tolist()
-    nearness = [-(a * x + b * y + c) for x in (left, right) for y in (top, bottom)]
-    at_middle, at_nearest = sum(nearness) / 4, max(nearness)  # 1 / z times the offset
-    if at_middle <= 0:  # the centre is beyond the plane's horizon
-        return float(plane.centroid_m[2])
-    middle_m = plane.offset_m / at_middle
-    return max(_BEFORE_PLANE * plane.offset_m / at_nearest, _NEAREST * middle_m)
-
-
-def _overlap(first: _Box, second: _Box) -> bool:
-    return (first[0] < second[2] and second[0] < first[2]
-            and first[1] < second[3] and second[1] < first[3])
-
-
-def _description(detection: Detection, index: int) -> str:
-    """Return class, if known, and distance, with its unit if known."""
-    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
-    name = '' if kind == PlaneClass.UNKNOWN else kind.name.lower().replace('_', ' ') + ' '
+    captions: dict[int, Caption] = {}
+    boxes: list[np.ndarray] = []
     unit = '' if detection.scale_method == RELATIVE else ' m'
-    return f'{name}{detection.planes[index].offset_m:.2f}{unit}'
+    for index in sorted(range(len(labels)), key=lambda k: -detection.planes[k].inlier_count):
+        plane, label = detection.planes[index], labels[index]
+        if plane.inlier_count < _MIN_SHARE * detection.labels.size:
+            break
+        text = f'{plane_name(detection, index, label)}: {plane.offset_m:.2f}{unit}'
+        sight_m = _middle_m(plane, places.get(label), detection.depth_m, intrinsics) - _EYE
+        height_m = min(_HEIGHT * math.hypot(*sight_m), _LARGEST_HEIGHT * math.sqrt(plane.area_m2))
+        half_m = _BOX * height_m / 2 * np.array([_ADVANCE * len(text), 1.0])
+        across_m, depth_m = _VIEW_AXES[:2] @ sight_m, float(_VIEW_AXES[2] @ sight_m)
+        box = np.concatenate([across_m - half_m, across_m + half_m]) / depth_m
+        if depth_m > 0 and not any(_overlap(box, other) for other in boxes):
+            boxes.append(box)
+            share = _share_before(plane, sight_m, half_m)
+            captions[label] = Caption(text, _EYE + share * sight_m, share * height_m)
+    return captions
+
+
+def _middle_m(plane: Plane, place: LabelPlace | None, depth_m: np.ndarray,
+              intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return the point where a plane is widest in the image, else its centroid."""
+    if place is None:
+        return plane.centroid_m
+    z_m = float(depth_m[place.row, place.column])
+    return z_m * np.array([(place.column - intrinsics.cx) / intrinsics.fx,
+                           (place.row - intrinsics.cy) / intrinsics.fy, 1.0])
+
+
+def _share_before(plane: Plane, sight_m: np.ndarray, half_m: np.ndarray) -> float:
+    """Return the share of the way from the eye at which a text is in front of its plane."""
+    right, down = half_m[0] * _VIEW_AXES[0], half_m[1] * _VIEW_AXES[1]
+    nearness = max(-float(plane.normal @ (sight_m + x * right + y * down))
+                   for x in (-1, 1) for y in (-1, 1))
+    to_eye_m = float(plane.normal @ _EYE) + plane.offset_m
+    if nearness <= 0 or to_eye_m <= 0:  # behind the horizon of the plane, or seen from behind
+        return 1.0
+    return min(max(_BEFORE_PLANE * to_eye_m / nearness, _NEAREST), 1.0)
+
+
+def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
+    """Return whether two boxes overlap: left, top, right, bottom."""
+    return bool((first[:2] < second[2:]).all() and (second[:2] < first[2:]).all())

@@ -4,115 +4,82 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
 
 from plane_detector.compilation import kernel
+from plane_detector.drawing import label_image, tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.outputs.messages import POINT_DTYPE, XYZ_DTYPE, cloud_msg
-from plane_detector.types import CameraIntrinsics
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.messages import POINT_DTYPE, XYZ_DTYPE, cloud_msg, label_names
+from plane_detector.scale.estimate import RELATIVE
 
-_STAY = RigidTransform.identity()
 
-
-@dataclass(frozen=True)
-class PixelPoints:
+def points_to_msg(frame: ProcessedFrame) -> PointCloud2:
     """
-    Input of the clouds: depth and labels of an image.
+    Return the organised, coloured and labelled cloud; NaN where there is no depth.
 
-    Attributes
-    ----------
-    depth_m : (H, W) float32
-        Metres along the optical axis; invalid as in :func:`~plane_detector.geometry.disparity`.
-    labels : (H, W) int32
-        Index of a plane or shape, -1 for none.
-    intrinsics : CameraIntrinsics
-        Of these images.
-    to_target : RigidTransform or None
-        From the optical frame into that of the clouds; None: they are equal.
-    decimation : int
-        The clouds contain every n-th row and column.
-
+    Colours are packed as PCL does, 0x00RRGGBB in the bits of a float.
     """
-
-    depth_m: np.ndarray
-    labels: np.ndarray
-    intrinsics: CameraIntrinsics
-    to_target: RigidTransform | None = None
-    decimation: int = 1
-
-    def geometry(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return depth, slopes of columns and of rows, and the transform (3, 4), all float32."""
-        ray_x, ray_y = pixel_rays(self.intrinsics)
-        turn = self.to_target or _STAY
-        moved = np.column_stack([turn.rotation, turn.translation_m]).astype(np.float32)
-        return (self.thinned(self.depth_m, np.float32),
-                np.ascontiguousarray(ray_x[::self.decimation]),
-                np.ascontiguousarray(ray_y[::self.decimation]), moved)
-
-    def thinned(self, image: np.ndarray, dtype: type) -> np.ndarray:
-        """Return the pixels of an image that the clouds contain, C-contiguous."""
-        return np.ascontiguousarray(image[::self.decimation, ::self.decimation], dtype)
-
-
-def points_to_msg(header: Header, points: PixelPoints, rgb: np.ndarray,
-                  names: np.ndarray) -> PointCloud2:
-    """
-    Return the organised, coloured and labelled cloud.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image, with the frame of the cloud.
-    points : PixelPoints
-        NaN where there is no depth.
-    rgb : (H, W, 3) uint8
-        The image; packed as PCL does, 0x00RRGGBB in the bits of a float.
-    names : (K + 1,) uint32
-        Label in the message of each index; the last entry is for no plane.
-
-    """
-    geometry = points.geometry()
+    geometry = _geometry(frame)
     height, width = geometry[0].shape
     numbers = np.empty((height, width, POINT_DTYPE.itemsize // 4), '<f4')  # 4 bytes per field
-    _pack_points(geometry, points.thinned(rgb, np.uint8), points.thinned(points.labels, np.int32),
-                 _by_label(names), numbers, numbers.view('<u4'))
-    return cloud_msg(header, POINT_DTYPE, numbers, height, width)
+    # The name of -1, no plane, comes first: an index of 0 needs no wrap-around check.
+    _pack_points(geometry, _thinned(frame, _colours(frame), np.uint8),
+                 _thinned(frame, frame.detection.labels, np.int32),
+                 np.roll(label_names(frame.detection), 1), numbers, numbers.view('<u4'))
+    return cloud_msg(frame.target_header, POINT_DTYPE, numbers, height, width)
 
 
-def obstacles_to_msg(header: Header, points: PixelPoints, is_left_out: np.ndarray) -> PointCloud2:
-    """
-    Return the valid points without those of some planes, unorganised, with fields x y z.
+def obstacles_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
+    """Return the valid points off the floor; None while the floor or the unit is not known."""
+    found = frame.detection
+    if not any(found.classes) or found.scale_method == RELATIVE:
+        return None
+    is_obstacle = np.ones(len(found.planes) + len(found.shapes) + 1, bool)  # the last: no plane
+    is_obstacle[:len(found.classes)] = np.array(found.classes) != PlaneClass.FLOOR
+    return _xyz_to_msg(frame, is_obstacle[found.labels])
 
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image, with the frame of the cloud.
-    points : PixelPoints
-    is_left_out : (K + 1,) bool
-        For each index; the last entry is for no plane.
 
-    """
-    geometry = points.geometry()
+def _xyz_to_msg(frame: ProcessedFrame, is_kept: np.ndarray) -> PointCloud2:
+    """Return the valid points of some pixels (H, W), unorganised, with fields x y z."""
+    geometry = _geometry(frame)
     xyz_m = np.empty((geometry[0].size + 1, 3), '<f4')
-    count = _pack_obstacles(geometry, points.thinned(points.labels, np.int32),
-                            _by_label(is_left_out), xyz_m)
-    return cloud_msg(header, XYZ_DTYPE, xyz_m[:count], 1, count)
+    count = _pack_kept(geometry, _thinned(frame, is_kept, bool), xyz_m)
+    return cloud_msg(frame.target_header, XYZ_DTYPE, xyz_m[:count], 1, count)
 
 
-def _by_label(values: np.ndarray) -> np.ndarray:
-    """Return values with the last one, of -1, first: an index of 0 needs no wrap-around check."""
-    return np.roll(values, 1)
+def _colours(frame: ProcessedFrame) -> np.ndarray:
+    """Return the colours of the cloud, (H, W, 3) uint8."""
+    if frame.settings.points_color == 'label':
+        return label_image(frame.labels)
+    if frame.settings.points_color == 'overlay':
+        return tint(frame.rgb, frame.labels)
+    return frame.rgb
+
+
+def _geometry(frame: ProcessedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return depth, slopes of columns and of rows, and the transform (3, 4), all float32."""
+    step = frame.settings.points_decimation
+    ray_x, ray_y = pixel_rays(frame.intrinsics)
+    turn = frame.to_target or RigidTransform.identity()
+    moved = np.column_stack([turn.rotation, turn.translation_m]).astype(np.float32)
+    return (_thinned(frame, frame.detection.depth_m, np.float32),
+            np.ascontiguousarray(ray_x[::step]), np.ascontiguousarray(ray_y[::step]), moved)
+
+
+def _thinned(frame: ProcessedFrame, image: np.ndarray, dtype: type) -> np.ndarray:
+    """Return the pixels of an image that the clouds contain, C-contiguous."""
+    step = frame.settings.points_decimation
+    return np.ascontiguousarray(image[::step, ::step], dtype)
 
 
 # Read-only, for views of messages.
-_DEPTH, _LABELS, _RGB = (f"Array({kind}, 'C', readonly=True)"
-                         for kind in ('float32, 2', 'int32, 2', 'uint8, 3'))
+_DEPTH, _LABELS, _RGB, _MASK = (f"Array({kind}, 'C', readonly=True)" for kind in (
+    'float32, 2', 'int32, 2', 'uint8, 3', 'boolean, 2'))
 _GEOMETRY = f'Tuple(({_DEPTH}, float32[::1], float32[::1], float32[:, ::1]))'
 
 
@@ -143,8 +110,8 @@ def _pack_points(geometry, rgb, labels, names, numbers, bits):
             bits[v, u, 4] = names[np.uint32(labels[v, u] + 1)]
 
 
-@kernel(f'int64({_GEOMETRY}, {_LABELS}, boolean[::1], float32[:, ::1])')
-def _pack_obstacles(geometry, labels, is_left_out, xyz_m):
+@kernel(f'int64({_GEOMETRY}, {_MASK}, float32[:, ::1])')
+def _pack_kept(geometry, is_kept, xyz_m):
     """Fill the first rows of (N + 1, 3); return their number."""
     depth_m, ray_x, ray_y, moved = geometry
     (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
@@ -157,6 +124,5 @@ def _pack_obstacles(geometry, labels, is_left_out, xyz_m):
             xyz_m[count, 0] = a * x + b * y + c * z + d
             xyz_m[count, 1] = e * x + f * y + g * z + h
             xyz_m[count, 2] = i * x + j * y + k * z + m
-            count += ((z >= MIN_DEPTH_M) & (z < np.inf)
-                      & (not is_left_out[np.uint32(labels[v, u] + 1)]))
+            count += (z >= MIN_DEPTH_M) & (z < np.inf) & is_kept[v, u]
     return count

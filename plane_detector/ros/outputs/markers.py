@@ -1,94 +1,142 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes as markers: outline, normal and caption; markers of lost planes are deleted."""
+"""Planes and shapes as markers: outlines, normals and captions; surfaces of the shapes."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
-from visualization_msgs.msg import Marker
+from geometry_msgs.msg import Point, Vector3
+from rclpy.duration import Duration
+from scipy.spatial.transform import Rotation
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
 
 from plane_detector.drawing import label_colours
-from plane_detector.geometry.rigid_transform import RigidTransform
+from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.outline import Polygon
-from plane_detector.ros.outputs.captions import Caption, arrow_length_m
-from plane_detector.ros.outputs.cdr import NO_POINTS, MarkerValues
-from plane_detector.ros.outputs.messages import FIRST_SHAPE_LABEL, plane_labels, shape_labels
-from plane_detector.ros.outputs.shapes import NAMESPACE as SHAPE_NAMESPACE
-from plane_detector.ros.outputs.shapes import shape_markers
-from plane_detector.types import Detection, Plane
+from plane_detector.ros.outputs import messages
+from plane_detector.ros.outputs.captions import Caption, arrow_length_m, plane_captions
+from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.types import Shape, ShapeType
 
-_NAMESPACES = ('outline', 'normal', 'caption')
 # As a share of the distance from the camera, like the sizes of captions.
 _LINE_WIDTH = 0.006
+# derived: lines in the surface of the points flicker; lifted by this share of the distance towards
+# the camera, they are in front of it and look the same from there.
+_LIFTED = 0.99
+_WHITE = (1.0, 1.0, 1.0)  # of captions: legible on every colour; viewers add a dark box
+_SURFACE_ALPHA = 0.6
+_CONE_SIDES = 24
+# derived: shares of a cone's pixels below which single wrong ones may lie; its length is as robust
+_CONE_START = 0.02
 
 
-def scene_markers(detection: Detection, polygons: Sequence[Sequence[Polygon]],
-                  captions: Sequence[Caption], shown: Collection[int]) -> list[MarkerValues]:
+def markers_to_msg(frame: ProcessedFrame) -> MarkerArray:
     """
     Return the markers of all planes and shapes; a marker's id is the label of what it shows.
 
-    Parameters
-    ----------
-    detection : Detection
-        The planes.
-    polygons : sequence of sequences of Polygon
-        Of each plane; the first one is drawn.
-    captions : sequence of Caption
-        Of each plane.
-    shown : collection of int
-        Labels of the markers published before; those that are not present again are deleted.
-
+    The first marker deletes all that were shown before, also those of an earlier node.
     """
-    labels = plane_labels(detection).tolist()
-    gone = set(shown) - {*labels, *shape_labels(detection).tolist()}
-    markers = [MarkerValues(name, label, Marker.ARROW, Marker.DELETE) for label in sorted(gone)
-               for name in _namespaces_of(label)]
-    shares = (label_colours(labels) / 255.0).tolist() if labels else []
-    for plane, label, share, outlines, caption in zip(detection.planes, labels, shares, polygons,
-                                                      captions, strict=True):
-        markers += _plane_markers(plane, label, (*share, 1.0), outlines, caption)
-    return [*markers, *shape_markers(detection)]
+    found = frame.detection
+    labels = messages.plane_labels(found).tolist()
+    captions = plane_captions(found, labels, frame.intrinsics, frame.label_places)
+    markers = [Marker(header=frame.target_header, action=Marker.DELETEALL)]
+    for index, label in enumerate(labels):
+        markers += _plane_markers(frame, index, label, captions.get(label))
+    return MarkerArray(markers=[*markers, *_shape_markers(frame)])
 
 
-def moved(markers: Iterable[MarkerValues], to_target: RigidTransform) -> list[MarkerValues]:
-    """
-    Return markers of the camera's frame in the target frame.
-
-    The points of a marker are relative to its pose, so only poses change.
-    """
-    found = []
-    for marker in markers:
-        here = RigidTransform.from_quaternion(marker.orientation, marker.position_m)
-        there = to_target.after(here)
-        found.append(marker._replace(position_m=tuple(there.translation_m.tolist()),
-                                     orientation=tuple(there.quaternion.tolist())))
-    return found
-
-
-def _plane_markers(plane: Plane, label: int, rgba: tuple[float, ...],
-                   outlines: Sequence[Polygon], caption: Caption) -> tuple[MarkerValues, ...]:
+def _plane_markers(frame: ProcessedFrame, index: int, label: int,
+                   caption: Caption | None) -> Iterator[Marker]:
+    plane, outlines = frame.detection.planes[index], frame.camera_polygons[index]
+    colour = _colour(label)
     line_width_m = _LINE_WIDTH * float(np.linalg.norm(plane.centroid_m))
-    # A plane that is too narrow for three corners has no outline.
-    closed_m = (np.concatenate([outlines[0].corners_m, outlines[0].corners_m[:1]]) if outlines
-                else NO_POINTS)
+    if outlines:  # a plane that is too narrow for three corners has none
+        yield _marker(frame, 'outline', label, Marker.LINE_LIST, colour, (line_width_m, 0.0, 0.0),
+                      points=_segments(frame, outlines))
     arrow_m = np.stack([plane.centroid_m,
                         plane.centroid_m + arrow_length_m(plane) * plane.normal])
-    outline = MarkerValues('outline', label, Marker.LINE_STRIP, _added(bool(outlines)), rgba,
-                           (line_width_m, 0.0, 0.0), closed_m)
-    normal = MarkerValues('normal', label, Marker.ARROW, Marker.ADD, rgba,
-                          (line_width_m, 3 * line_width_m, 0.0), arrow_m)
-    # The message keeps a text that is not shown, for viewers that list it.
-    text = MarkerValues('caption', label, Marker.TEXT_VIEW_FACING, _added(caption.is_shown), rgba,
-                        (0.0, 0.0, caption.height_m), text=caption.text,
-                        position_m=tuple(caption.position_m.tolist()))
-    return outline, normal, text
+    yield _marker(frame, 'normal', label, Marker.ARROW, colour,
+                  (line_width_m, 3 * line_width_m, 0.0),
+                  points=_points(frame.in_target(arrow_m)))
+    if caption is not None:
+        yield _marker(frame, 'caption', label, Marker.TEXT_VIEW_FACING, _WHITE,
+                      (0.0, 0.0, caption.height_m), text=caption.text,
+                      pose=messages.pose_msg(frame.in_target(caption.position_m)))
 
 
-def _added(is_shown: bool) -> int:
-    return Marker.ADD if is_shown else Marker.DELETE
+def _segments(frame: ProcessedFrame, outlines: Sequence[Polygon]) -> list[Point]:
+    """Return both ends of each side of all outlines, lifted from their plane."""
+    ends = []
+    for outline in outlines:
+        corners = _points(frame.in_target(_LIFTED * outline.corners_m))
+        for side in zip(corners, [*corners[1:], corners[0]], strict=True):
+            ends += side
+    return ends
 
 
-def _namespaces_of(label: int) -> tuple[str, ...]:
-    return (SHAPE_NAMESPACE,) if label > FIRST_SHAPE_LABEL else _NAMESPACES
+def _shape_markers(frame: ProcessedFrame) -> Iterator[Marker]:
+    """Yield a marker of each shape: a sphere, a cylinder, or the triangles of a cone."""
+    found = frame.target_detection
+    for index, (shape, label) in enumerate(zip(found.shapes, messages.shape_labels(found).tolist(),
+                                               strict=True)):
+        diameter_m = 2 * shape.radius_m
+        kind, scale_m = {
+            ShapeType.CONE: (Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),
+            ShapeType.CYLINDER: (Marker.CYLINDER, (diameter_m, diameter_m, shape.length_m)),
+            ShapeType.SPHERE: (Marker.SPHERE, (diameter_m,) * 3)}[shape.type]
+        corners_m = (_cone_corners(shape, _cone_start_m(frame, index))
+                     if shape.type == ShapeType.CONE else ())
+        yield _marker(frame, 'shape', label, kind, _colour(label), scale_m, _SURFACE_ALPHA,
+                      points=_points(corners_m),
+                      pose=messages.pose_msg(shape.position_m, _orientation(shape.axis)))
+
+
+def _cone_start_m(frame: ProcessedFrame, index: int) -> float:
+    """Return where along its axis the visible part of a cone begins, from the apex."""
+    found = frame.detection
+    shape, ray = found.shapes[index], pixel_rays(frame.intrinsics)
+    rows, columns = np.nonzero(found.labels == len(found.planes) + index)
+    z_m = found.depth_m[rows, columns]
+    points_m = np.stack([z_m * ray[0][columns], z_m * ray[1][rows], z_m], axis=-1)
+    along_m = (points_m - shape.position_m) @ shape.axis
+    return max(float(np.quantile(along_m, _CONE_START)), 0.0) if along_m.size else 0.0
+
+
+def _cone_corners(shape: Shape, start_m: float) -> np.ndarray:
+    """Return the corners (N, 3) of triangles about the z axis, with the apex at 0."""
+    angles = np.linspace(0, 2 * np.pi, _CONE_SIDES + 1)
+    circle = np.column_stack([np.cos(angles), np.sin(angles)]) * np.tan(shape.half_angle_rad)
+    circle = np.column_stack([circle, np.ones(angles.size)])
+    near_m, far_m = start_m * circle, shape.length_m * circle
+    return np.stack([near_m[1:], far_m[:-1], far_m[1:], near_m[:-1], far_m[:-1], near_m[1:]],
+                    axis=1).reshape(-1, 3)
+
+
+def _orientation(axis: np.ndarray) -> np.ndarray:
+    """Return a rotation x y z w that turns z into an axis; identity for a sphere."""
+    if not np.any(axis):
+        return Rotation.identity().as_quat()
+    return Rotation.align_vectors(np.asarray(axis)[None], [[0.0, 0.0, 1.0]])[0].as_quat()
+
+
+def _marker(frame: ProcessedFrame, namespace: str, label: int, kind: int,
+            colour: Sequence[float], scale_m: Sequence[float], alpha: float = 1.0,
+            **fields: Any) -> Marker:
+    red, green, blue = colour
+    x_m, y_m, z_m = scale_m
+    return Marker(header=frame.target_header, ns=namespace, id=label, type=kind,
+                  action=Marker.ADD, color=ColorRGBA(r=red, g=green, b=blue, a=alpha),
+                  scale=Vector3(x=x_m, y=y_m, z=z_m),
+                  lifetime=Duration(seconds=frame.settings.marker_lifetime).to_msg(), **fields)
+
+
+def _colour(label: int) -> list[float]:
+    return (label_colours(np.array(label)) / 255.0).tolist()
+
+
+def _points(points_m: np.ndarray) -> list[Point]:
+    return [Point(x=x_m, y=y_m, z=z_m) for x_m, y_m, z_m in np.asarray(points_m).tolist()]

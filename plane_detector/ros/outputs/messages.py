@@ -15,11 +15,11 @@ from typing import TypeVar
 
 import cv2
 import numpy as np
+from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from plane_detector.ros.outputs.cdr import serialised_poses
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.types import Detection, Plane
 
@@ -55,10 +55,19 @@ def pixel_labels(detection: Detection) -> np.ndarray:
     return rename_labels(detection.labels, label_names(detection)[:-1], 0)
 
 
-def plane_poses(header: Header, planes: Sequence[Plane]) -> bytes:
-    """Return a serialised PoseArray: each plane's centroid, z along the normal."""
-    centroids_m = np.array([plane.centroid_m for plane in planes], float).reshape(-1, 3)
-    return serialised_poses(header, centroids_m, plane_quaternions(planes))
+def poses_to_msg(header: Header, planes: Sequence[Plane]) -> PoseArray:
+    """Return the pose of each plane: its centroid, z along the normal."""
+    return PoseArray(header=header, poses=[
+        pose_msg(plane.centroid_m, turn)
+        for plane, turn in zip(planes, plane_quaternions(planes), strict=True)])
+
+
+def pose_msg(position_m: np.ndarray, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
+    """Return a pose from its position (3,) and its orientation x y z w."""
+    x_m, y_m, z_m = map(float, position_m)
+    qx, qy, qz, qw = map(float, quaternion)
+    return Pose(position=Point(x=x_m, y=y_m, z=z_m),
+                orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
 def plane_quaternions(planes: Sequence[Plane]) -> np.ndarray:

@@ -4,16 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header
 
-from plane_detector.planes.outline import Polygon, Rectangle
-from plane_detector.ros.outputs.messages import cloud_msg
-from plane_detector.types import Plane
+from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.messages import cloud_msg, plane_labels
 
 PLANE_DTYPE = np.dtype([
     ('x', '<f4'), ('y', '<f4'), ('z', '<f4'),
@@ -27,30 +25,13 @@ CORNER_DTYPE = np.dtype([('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('label', '<u
                          ('hole', 'u1'), ('polygon', '<u4')], align=True)
 
 
-def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
-                  classes: Sequence[int], rectangles: Sequence[Rectangle],
-                  merged: Sequence[int]) -> PointCloud2:
-    """
-    Return the coefficients: one point per plane, at its centroid; without planes an empty cloud.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    planes : sequence of Plane
-        normal . p + d = 0 with d >= 0 in the frame of the camera.
-    labels : (N,) uint32
-        Of these planes.
-    classes : sequence of int
-        PlaneClass of these planes; empty: all unknown.
-    rectangles : sequence of Rectangle
-        Around each plane.
-    merged : sequence of int
-        Label that was merged into each plane, 0: none; empty: none for all.
-
-    """
+def planes_to_msg(frame: ProcessedFrame) -> PointCloud2:
+    """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
+    detection, rectangles = frame.target_detection, frame.rectangles
+    planes = detection.planes
     table = np.zeros(len(planes), PLANE_DTYPE)
-    table['class'], table['merged'], table['label'] = classes or 0, merged or 0, labels
+    table['label'] = plane_labels(detection)
+    table['class'], table['merged'] = detection.classes or 0, frame.merged or 0
     if planes:
         _set(table, ('x', 'y', 'z'), [plane.centroid_m for plane in planes])
         _set(table, ('normal_x', 'normal_y', 'normal_z'), [plane.normal for plane in planes])
@@ -62,25 +43,13 @@ def planes_to_msg(header: Header, planes: Sequence[Plane], labels: np.ndarray,
         _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'), turns.as_quat())
         _set(table, ('rect_width', 'rect_height'), [(one.width_m, one.height_m)
                                                     for one in rectangles])
-    return _table_msg(header, table)
+    return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
 
 
-def boundaries_to_msg(header: Header, labels: Iterable[int],
-                      polygons: Iterable[Sequence[Polygon]]) -> PointCloud2:
-    """
-    Return one point per corner, in order; the last corner of a polygon repeats the first.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    labels : iterable of int
-        Of the planes.
-    polygons : iterable of sequences of Polygon
-        Of each plane.
-
-    """
-    outlines = [(label, polygon) for label, of_plane in zip(labels, polygons, strict=True)
+def boundaries_to_msg(frame: ProcessedFrame) -> PointCloud2:
+    """Return one point per corner, in order; the last corner of a polygon repeats the first."""
+    outlines = [(label, polygon) for label, of_plane
+                in zip(plane_labels(frame.detection), frame.polygons, strict=True)
                 for polygon in of_plane]
     closed_m = [np.zeros((0, 3))]
     for _, polygon in outlines:
@@ -92,13 +61,9 @@ def boundaries_to_msg(header: Header, labels: Iterable[int],
                          ('hole', [polygon.is_hole for _, polygon in outlines]),
                          ('polygon', range(len(outlines)))):
         table[name] = np.repeat(np.array(values, CORNER_DTYPE[name]), counts)
-    return _table_msg(header, table)
+    return cloud_msg(frame.target_header, CORNER_DTYPE, table, 1, len(table))
 
 
 def _set(table: np.ndarray, names: Sequence[str], rows: Sequence[Sequence[float]]) -> None:
     for name, column in zip(names, np.asarray(rows, float).T, strict=True):
         table[name] = column
-
-
-def _table_msg(header: Header, table: np.ndarray) -> PointCloud2:
-    return cloud_msg(header, table.dtype, table, 1, len(table))

@@ -191,7 +191,7 @@ class NodeClient:
 
     def _on_diagnostics(self, msg: DiagnosticArray) -> None:
         self._timing.statuses += [{pair.key: pair.value for pair in status.values}
-                                  for status in msg.status if status.name.startswith(NODE)]
+                                  for status in msg.status if status.name == NODE]
 
     def _skipped(self) -> str:
         """Return why frames were skipped; empty if none was."""

@@ -1,118 +1,210 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Markers of planes: outlines, arrows, and captions that do not cover each other."""
+"""Markers: outlines, normals and captions of planes, surfaces of shapes."""
 
+import json
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import output_scene as scene
 import pytest
-from rclpy.serialization import deserialize_message
 from ros_helpers import header
-from visualization_msgs.msg import MarkerArray
+from scipy.spatial.transform import Rotation
+from visualization_msgs.msg import Marker
 
-from plane_detector.geometry.label_places import label_places
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.planes.outline import plane_polygons
-from plane_detector.ros.outputs.captions import plane_captions
-from plane_detector.ros.outputs.cdr import serialised_markers
-from plane_detector.ros.outputs.markers import scene_markers
-from plane_detector.types import CameraIntrinsics, Detection, Plane
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.types import ShapeType
 
-CAMERA = CameraIntrinsics(100.0, 100.0, 49.5, 39.5, 100, 80)
-WALL = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.array([0.1, 0.0, 2.0]), 2500, 0.0, 1.0,
-             np.eye(4), 1.0)
+LAYOUT = Path(__file__).resolve().parents[3] / 'config' / 'foxglove_layout.json'
+BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 
 
-def detection(**changes):
-    labels = np.full((80, 100), -1, np.int32)
-    labels[10:60, 10:60] = 0
-    return replace(Detection((WALL,), labels, 0.0, np.full((80, 100), 2.0, np.float32), 'metric'),
-                   **changes)
+def shown(namespace, to_target=None, **settings):
+    """Return the markers of a namespace by id, after what comes first in each message."""
+    first, *markers = OUTPUTS['markers'].make(scene.frame(to_target=to_target, **settings)).markers
+    assert (first.action, first.ns) == (Marker.DELETEALL, ''), 'nothing old stays'
+    assert {m.action for m in markers} == {Marker.ADD}
+    assert len({(m.ns, m.id) for m in markers}) == len(markers)
+    frames = {m.header.frame_id for m in (first, *markers)}
+    assert frames == {header().frame_id if to_target is None else 'map'}
+    return {m.id: m for m in markers if m.ns == namespace}
 
 
-def markers(shown=(), lifetime_s=0.0, **changes):
-    found = detection(**changes)
-    polygons = [plane_polygons(found.labels == index, found.depth_m, CAMERA, plane)
-                for index, plane in enumerate(found.planes)]
-    labels = found.track_labels or range(1, len(found.planes) + 1)
-    lookup = np.array([0, *labels])
-    captions = plane_captions(found, labels, CAMERA, label_places(lookup[found.labels + 1]))
-    written = serialised_markers(
-        header(1.0), scene_markers(found, polygons, captions, shown), lifetime_s)
-    return deserialize_message(written, MarkerArray).markers
+def in_camera(vectors, to_target):
+    points_m = np.array([[v.x, v.y, v.z] for v in vectors])
+    return points_m if to_target is None else to_target.inverse().points(points_m)
 
 
-def shown_captions(first, second, columns):
-    """Return the captions shown of two planes side by side, each this wide."""
-    labels = np.full((80, 100), -1, np.int32)
-    labels[10:60, 10:10 + columns], labels[10:60, 10 + columns:10 + 2 * columns] = 0, 1
-    found = markers(planes=(first, second), labels=labels)
-    return [m.text for m in found if m.ns == 'caption' and m.action == m.ADD]
+def at(marker):
+    return np.array([marker.pose.position.x, marker.pose.position.y, marker.pose.position.z])
 
 
-def test_of_two_captions_that_would_overlap_that_of_the_larger_plane_is_shown():
-    small = replace(WALL, inlier_count=900)
-    assert shown_captions(small, WALL, 40) == ['1: 2.00 m', '2: 2.00 m']
-    assert shown_captions(small, WALL, 4) == ['2: 2.00 m']
+@BOTH_FRAMES
+def test_all_outlines_of_a_plane_are_drawn_in_front_of_it(to_target):
+    outlines = shown('outline', to_target)
+    assert set(outlines) == {7, 3}
+    for label, index in ((7, scene.WALL), (3, scene.FLOOR)):
+        marker = outlines[label]
+        ends_m = in_camera(marker.points, to_target)
+        normal, offset_m = scene.EQUATIONS[index]
+        lifted_m = ends_m @ normal + offset_m
+        assert (lifted_m > 0.004).all() and (lifted_m < 0.04).all()
+        pixels = ends_m[:, :2] / ends_m[:, 2:] * (80.0, 95.0) + (30.5, 45.25)
+        sides = pixels.reshape(-1, 2, 2)
+        # Each corner is an end of two sides, and every border of the plane's pixels is near one.
+        assert marker.type == Marker.LINE_LIST
+        assert set(np.unique(pixels.round(2), axis=0, return_counts=True)[1]) == {2}
+        mask = scene.depth_and_labels()[1] == index
+        inside = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & (
+            mask[1:-1, 2:])
+        border = mask.copy()
+        border[1:-1, 1:-1] &= ~inside
+        v, u = np.nonzero(border)
+        share = np.linspace(0, 1, 60)[:, None, None]
+        drawn = (sides[:, 0] * (1 - share) + sides[:, 1] * share).reshape(-1, 2)
+        distance_px = np.linalg.norm(drawn[None] - np.stack([u, v], -1)[:, None], axis=-1)
+        assert np.quantile(distance_px.min(axis=1), 0.99) < 3.5
 
 
-def test_a_caption_is_in_front_of_the_widest_place_of_its_plane():
-    """The arms of an L are narrow, and its centroid is off it; the left end of a wall is near."""
-    labels = np.full((80, 100), -1, np.int32)
-    labels[4:76, 4:12] = labels[60:76, 4:96] = 0
-    slanted = replace(WALL, normal=np.array([0.6, 0.0, -0.8]), offset_m=1.6)
-    caption = markers(planes=(slanted,), labels=labels)[2]
-    at = np.array([caption.pose.position.x, caption.pose.position.y, caption.pose.position.z])
-    column, row = at[:2] / at[2] * 100 + (49.5, 39.5)
-    assert 60 <= row <= 76 and 4 <= column <= 96
-    half_m = 0.6 * len(caption.text) * caption.scale.z / 2
-    for end_m in (at - [half_m, 0, 0], at + [half_m, 0, 0]):
-        assert end_m @ slanted.normal + slanted.offset_m > 0, 'on the side of the camera'
+@BOTH_FRAMES
+def test_normals_look_at_the_camera(to_target):
+    for label, index in ((7, scene.WALL), (3, scene.FLOOR)):
+        tail_m, tip_m = in_camera(shown('normal', to_target)[label].points, to_target)
+        np.testing.assert_allclose(tail_m, scene.plane(index).centroid_m, atol=1e-9)
+        along_m = tip_m - tail_m
+        np.testing.assert_allclose(along_m / np.linalg.norm(along_m), scene.EQUATIONS[index][0],
+                                   atol=1e-9)
 
 
-def test_a_caption_that_is_not_shown_can_still_be_listed():
-    texts = [m.text for m in markers(planes=(replace(WALL, inlier_count=79),))
-             if m.type == m.TEXT_VIEW_FACING]
-    assert texts == ['1: 2.00 m']
+@BOTH_FRAMES
+def test_a_caption_is_white_in_front_of_its_plane(to_target):
+    for label, index in ((7, scene.WALL), (3, scene.FLOOR)):
+        caption = shown('caption', to_target)[label]
+        colour = caption.color
+        assert (colour.r, colour.g, colour.b, colour.a) == (1, 1, 1, 1)
+        (centre_m,) = in_camera([caption.pose.position], to_target)
+        normal, offset_m = scene.EQUATIONS[index]
+        half_m = 0.6 * len(caption.text) * caption.scale.z / 2
+        for end_m in (centre_m - [half_m, 0, 0], centre_m + [half_m, 0, 0]):
+            assert end_m @ normal + offset_m > 0, 'on the side of the camera'
+        assert centre_m @ normal + offset_m < 0.3 * offset_m, 'near its plane'
 
 
-def test_a_plane_of_one_pixel_has_no_outline():
-    labels = np.full((80, 100), -1, np.int32)
-    labels[5, 7] = 0
-    outline, normal, _ = markers(labels=labels, shown={1})
-    assert (outline.action, normal.action) == (outline.DELETE, outline.ADD)
+def test_texts_of_captions():
+    def texts(**changes):
+        found = shown('caption', found=scene.detection(**changes))
+        return [found[label].text for label in scene.TRACKS]
+    assert texts() == ['7 wall: 3.00 m', '3 floor: 0.60 m']
+    assert texts(classes=()) == ['7: 3.00 m', '3: 0.60 m']
+    assert texts(classes=(PlaneClass.OTHER, PlaneClass.OTHER_HORIZONTAL)) == [
+        '7: 3.00 m', '3 horizontal: 0.60 m']
+    assert texts(scale_method='relative') == ['7 wall: 3.00', '3 floor: 0.60']
 
 
-def test_markers_of_a_plane():
-    outline, normal, caption = markers(lifetime_s=1.5, track_labels=(7,))
-    assert [m.ns for m in (outline, normal, caption)] == ['outline', 'normal', 'caption']
-    assert {m.id for m in (outline, normal, caption)} == {7}
-    assert {m.header.frame_id for m in (outline, normal, caption)} == {header().frame_id}
-    assert (outline.lifetime.sec, outline.lifetime.nanosec) == (1, 500_000_000)
-    assert outline.type == outline.LINE_STRIP
-    assert outline.points[0] == outline.points[-1]
-    assert len(outline.points) == 5
-    tail, tip = normal.points
-    assert (tail.x, tail.z) == (0.1, 2.0)
-    assert tip.z < tail.z, 'it looks at the camera'
-    assert all(m.color.a == 1.0 and m.pose.orientation.w == 1.0 for m in (outline, normal))
+def eye_of_layout():
+    """Return the position of the layout's camera, and its axes right, down and forward."""
+    camera = json.loads(LAYOUT.read_text('utf-8'))['configById']['3D!planes']['cameraState']
+    assert camera['thetaOffset'] == 0 and camera['target'] == [0, 0, 0]
+    phi = math.radians(camera['phi'])
+    back = np.array([0.0, -math.sin(phi), math.cos(phi)])
+    eye_m = np.array(camera['targetOffset']) + camera['distance'] * back
+    return eye_m, np.array([[1, 0, 0], np.cross(-back, [1, 0, 0]), -back])
 
 
-def test_captions():
-    assert markers()[2].text == '1: 2.00 m'
-    assert markers(classes=(PlaneClass.WALL,))[2].text == '1: wall 2.00 m'
-    assert markers(classes=(PlaneClass.OTHER_HORIZONTAL,))[2].text == '1: other horizontal 2.00 m'
-    assert markers(scale_method='relative')[2].text == '1: 2.00'
+def test_captions_look_equally_large_from_the_layout_and_do_not_overlap_there():
+    """Planes beside each other, from close to far, half of them too near to their neighbours."""
+    eye_m, axes = eye_of_layout()
+    labels = np.full((72, 110), -1, np.int32)
+    depth_m, planes = np.full((72, 110), np.nan, np.float32), []
+    for index in range(10):
+        rows, columns = slice(7 * index, 7 * index + 7), slice(11 * index, 11 * index + 11)
+        labels[rows, columns], depth_m[rows, columns] = index, 0.5 + index
+        planes.append(replace(scene.plane(scene.WALL), normal=np.array([0.0, 0.0, -1.0]),
+                              offset_m=0.5 + index, area_m2=9.0, inlier_count=100 + index))
+    found = scene.detection(planes=tuple(planes), labels=labels, depth_m=depth_m, shapes=(),
+                            classes=(), track_labels=(), shape_labels=())
+    captions = shown('caption', found=found)
+    assert 3 < len(captions) < 10
+    assert 10 in captions, 'that of the largest plane'
+    boxes, sizes = [], []
+    for caption in captions.values():
+        x, y, z = axes @ (at(caption) - eye_m)
+        height, width = caption.scale.z / z, 0.6 * len(caption.text) * caption.scale.z / z
+        half = np.array([width, height]) / 2
+        boxes.append((*(np.array([x, y]) / z - half), *(np.array([x, y]) / z + half)))
+        sizes.append(caption.scale.z / np.linalg.norm(at(caption) - eye_m))
+    np.testing.assert_allclose(sizes, sizes[0], rtol=1e-3)
+    for k, (left, top, right, bottom) in enumerate(boxes):
+        for other in boxes[k + 1:]:
+            assert (left > other[2] or other[0] > right or top > other[3] or other[1] > bottom)
 
 
 def test_a_small_plane_has_no_caption_and_no_text_is_larger_than_its_plane():
-    small = markers(planes=(replace(WALL, inlier_count=79),))
-    assert [m.action for m in small] == [small[0].ADD, small[0].ADD, small[0].DELETE]
-    shelf = markers(planes=(replace(WALL, area_m2=0.01),))
-    assert shelf[2].scale.z == pytest.approx(0.2 * 0.1, rel=0.03), 'a little nearer and smaller'
-    assert markers()[2].scale.z < 0.07, 'not as tall as a chair'
+    wall, floor = scene.plane(scene.WALL), scene.plane(scene.FLOOR)
+    small = replace(floor, inlier_count=79)
+    assert set(shown('caption', found=scene.detection(planes=(wall, small)))) == {7}
+    shelf = replace(wall, area_m2=0.01)
+    height_m = shown('caption', found=scene.detection(planes=(shelf, floor)))[7].scale.z
+    assert height_m == pytest.approx(0.2 * 0.1, rel=0.3), 'nearer to the eye and smaller'
 
 
-def test_only_markers_of_lost_planes_are_deleted():
-    deleted = [(m.ns, m.id) for m in markers(shown={1, 4}) if m.action == m.DELETE]
-    assert deleted == [('outline', 4), ('normal', 4), ('caption', 4)]
+def test_a_plane_of_one_pixel_has_no_outline():
+    labels = np.full((72, 110), -1, np.int32)
+    labels[5, 7] = 0
+    found = scene.detection(labels=labels, shapes=(), shape_labels=())
+    assert shown('outline', found=found) == {}
+    assert set(shown('normal', found=found)) == {7, 3}
+
+
+def test_lifetime():
+    lifetime = shown('normal', marker_lifetime=1.5)[7].lifetime
+    assert (lifetime.sec, lifetime.nanosec) == (1, 500_000_000)
+
+
+@BOTH_FRAMES
+def test_spheres_and_cylinders(to_target):
+    (ball,), axis = scene.detection().shapes, np.array([0.6, 0.0, 0.8])
+    pipe = replace(ball, type=ShapeType.CYLINDER, axis=axis, length_m=1.5)
+    found = scene.detection(shapes=(ball, pipe), shape_labels=(5, 2))
+    markers = shown('shape', to_target, found=found)
+    sphere, cylinder = markers[32773], markers[32770]
+    assert (sphere.type, cylinder.type) == (Marker.SPHERE, Marker.CYLINDER)
+    assert sphere.scale.x == sphere.scale.z == pytest.approx(0.2)
+    assert (cylinder.scale.x, cylinder.scale.z) == pytest.approx((0.2, 1.5))
+    turn = cylinder.pose.orientation
+    turned = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply([0, 0, 1])
+    np.testing.assert_allclose(turned, axis if to_target is None else to_target.rotation @ axis,
+                               atol=1e-6)
+    (centre_m,) = in_camera([sphere.pose.position], to_target)
+    np.testing.assert_allclose(centre_m, ball.position_m, atol=1e-9)
+
+
+@BOTH_FRAMES
+def test_a_cone_is_drawn_where_it_is_seen_and_not_from_its_apex_behind_the_camera(to_target):
+    """A cone about the optical axis that widens into the scene; its apex is behind the camera."""
+    half_angle_rad, apex_m = 0.2, np.array([0.0, 0.0, -1.0])
+    v, u = np.indices((72, 110))
+    radius = np.hypot((u - 30.5) / 80.0, (v - 45.25) / 95.0)
+    depth_m = np.tan(half_angle_rad) / (radius - np.tan(half_angle_rad))  # |x| = (z + 1) tan
+    seen = (depth_m > 0.8) & (depth_m < 2.0)
+    labels = np.where(seen, 0, -1).astype(np.int32)
+    cone = replace(scene.detection().shapes[0], type=ShapeType.CONE, position_m=apex_m,
+                   axis=np.array([0.0, 0.0, 1.0]), radius_m=0.0, half_angle_rad=half_angle_rad,
+                   length_m=3.0)
+    found = scene.detection(planes=(), labels=labels, depth_m=depth_m.astype(np.float32),
+                            shapes=(cone,), classes=(), track_labels=())
+    marker = shown('shape', to_target, found=found)[scene.BALL_LABEL]
+    assert (marker.type, len(marker.points) % 3) == (Marker.TRIANGLE_LIST, 0)
+    turn = marker.pose.orientation
+    corners_m = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).apply(
+        [[p.x, p.y, p.z] for p in marker.points]) + at(marker)
+    if to_target is not None:
+        corners_m = to_target.inverse().points(corners_m)
+    np.testing.assert_allclose(np.hypot(*corners_m[:, :2].T),
+                               (corners_m[:, 2] + 1.0) * np.tan(half_angle_rad), atol=1e-6)
+    assert corners_m[:, 2].min() == pytest.approx(0.8, abs=0.05)
+    assert corners_m[:, 2].max() == pytest.approx(2.0, abs=1e-6)
+    assert len(np.unique(corners_m[:, 2].round(3))) == 2

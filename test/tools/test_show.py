@@ -1,0 +1,108 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The planes of a running node as a table, and the snippet of the docs that reads them."""
+
+import io
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import output_scene as scene
+import pytest
+import rclpy
+from ros_helpers import cloud_array, random_domain
+from sensor_msgs.msg import PointCloud2
+
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.tools.show import PlanePrinter, main, table_of
+
+TOPICS = Path(__file__).resolve().parents[2] / 'docs' / 'topics.md'
+
+
+def two_planes():
+    return OUTPUTS['planes'].make(scene.frame())
+
+
+def test_the_printed_table():
+    lines = table_of(two_planes()).splitlines()
+    assert lines[0] == '2 planes at 1.500000000 in camera_optical_frame, metres'
+    (wall, _), = cloud_array(two_planes())
+    assert lines[2].split() == [
+        '7', 'wall', '3.00', f'{wall["rect_width"]:.2f}', f'{wall["rect_height"]:.2f}', '2.50',
+        '0.003', '75%', '-0.28', '+0.00', '-0.96']
+    assert 'unknown unit' in table_of(two_planes(), is_metric=False)
+    assert len(lines) == 4
+
+
+def test_the_table_is_printed_live(robot):
+    printed = io.StringIO()
+    robot.add(PlanePrinter('/plane_detector', printed, context=robot.context))
+    robot.publish('/plane_detector/planes', two_planes())
+    assert robot.spin(lambda: '2 planes at' in printed.getvalue())
+
+
+def test_silence_is_explained_with_the_existing_nodes(robot):
+    printer = PlanePrinter('front', io.StringIO(), context=robot.context)
+    robot.add(printer)
+    assert printer.why_nothing() == 'nobody publishes /front/planes; is it running?'
+    robot.node.create_publisher(PointCloud2, '/rear/planes', 1)
+    assert robot.spin(lambda: printer.why_nothing().endswith('; there is: --node /rear'))
+    robot.node.create_publisher(PointCloud2, '/front/planes', 1)
+    assert robot.spin(lambda: printer.why_nothing().startswith('no planes on /front/planes yet'))
+
+
+def test_silence_is_logged_until_there_are_planes(robot):
+    printed = io.StringIO()
+    printer = PlanePrinter('front', printed, context=robot.context)
+    told = []
+    printer.get_logger().warning = told.append
+    robot.add(printer)
+    assert robot.spin(lambda: told)
+    robot.publish('/front/planes', two_planes())
+    assert robot.spin(printed.getvalue)
+    assert len(told) == len(set(told))
+    assert printer._silence.is_canceled()
+
+
+def test_arguments_that_show_does_not_know_are_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(['--nodes', 'front', '--bogus'])
+    assert ended.value.code == 2
+    printed = capsys.readouterr().err
+    assert printed.startswith('usage: ros2 run plane_detector show')
+    assert '--bogus' in printed
+
+
+@pytest.fixture
+def snippet(monkeypatch):
+    """Run the snippet with a stand-in for sensor_msgs_py, which is not a package of PyPI."""
+    module = ModuleType('sensor_msgs_py.point_cloud2')
+    module.read_points = lambda msg: cloud_array(msg).ravel()  # as it does for all fields
+    monkeypatch.setitem(sys.modules, 'sensor_msgs_py', ModuleType('sensor_msgs_py'))
+    monkeypatch.setitem(sys.modules, 'sensor_msgs_py.point_cloud2', module)
+    source, = re.findall(r'```python\n(.*?)```', TOPICS.read_text(encoding='utf-8'), re.DOTALL)
+    names = {'__name__': 'snippet'}
+    exec(compile(source, 'topics.md', 'exec'), names)
+    rclpy.init(domain_id=random_domain())
+    yield names
+    rclpy.try_shutdown()
+
+
+def test_the_snippet_joins_planes_to_points(snippet, capsys):
+    reader, planes = snippet['PlaneReader'](), two_planes()
+    reader.on_planes(planes)
+    reader.on_points(OUTPUTS['points'].make(scene.frame()))
+    reader.on_planes(planes)
+    assert capsys.readouterr().out.splitlines() == [
+        f'{row["label"]} {name} {row["d"]:.2f} m away, {row["rect_width"]:.2f} x '
+        f'{row["rect_height"]:.2f} m, {row["num_inliers"]} points'
+        for row, name in zip(cloud_array(planes)[0], ('wall', 'floor'), strict=True)]
+    reader.destroy_node()
+
+
+def test_the_class_values_of_the_docs_are_those_of_the_code(snippet):
+    assert snippet['CLASSES'] == tuple(kind.name.lower().replace('_', ' ') for kind in PlaneClass)
+    told = ', '.join(f'{kind.value} {kind.name.lower().replace("_", " ")}' for kind in PlaneClass)
+    assert told in TOPICS.read_text(encoding='utf-8')
