@@ -12,17 +12,29 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.planes.pixel_sums import SQUARE, XZ, YZ, ZZZ, Z, sum_over_pixels
+from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.segmentation.cells.columns import XX, XY, YY, D, N, X, Y
 from plane_detector.segmentation.cells.labels import relabel_sequential
+from plane_detector.segmentation.cells.noise import SLOPE_PER_NOISE
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE
+from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE, squared_error
 from plane_detector.types import CameraIntrinsics, Plane
 
+# derived: the columns of the sums behind those of the moments: z x, z y and z of the plane at the
+# middle of the cells, z**3 of the plane, and the square of (1/z - plane) / (1/z); then the first
+# six moments again, of cells all of whose pixels are of one plane.
+XZ, YZ, Z, ZZZ, SQUARE, WHOLE, SUMS = 10, 11, 12, 13, 14, 15, 21
+# Lower bound of the disparity, to avoid division by 0.
+# derived: far below what any sensor measures.
+TINY_DISPARITY = 1e-9
 # derived: the columns of measurements: normal (3), centroid (3), offset, rms, area, confidence and
 # the covariance (4 x 4) of normal and offset.
 CENTROID, OFFSET, RMS, AREA, CONFIDENCE, COVARIANCE = 3, 6, 7, 8, 9, 10
-# Number of neighbouring cells with the same smooth noise.
+# The errors of a plane are those of its whole cells, which it was fitted to, if they hold at least
+# this share of its pixels; otherwise, of all its pixels.
+MIN_WHOLE_SHARE = 0.3
+# Area with the same smooth noise where the image has no region large enough to measure it.
+# derived: a cell and its eight neighbours.
 CORRELATED_CELLS = 9.0
 # Structure throughout the image resembles noise. Above this share of the typical disparity it is
 # not noise, and regions with such residuals are rejected.
@@ -54,7 +66,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
 
     """
     noise, typical = regions.noise, regions.grid.typical_disparity
-    sums = sum_over_pixels(regions)
+    sums = sum_over_pixels(regions, intrinsics)
     is_kept = sums[:, N] >= max(min_pixels, 1)
     if noise.mean_sigma > max(noise.source_sigma, MAX_NOISE_SHARE * typical):
         is_kept[:] = False
@@ -67,12 +79,12 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
 
 def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,
                      intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
-    """Measure planes (K, 3) from the sums (K, 15) over their pixels."""
+    """Measure planes (K, 3) from the sums (K, 21) over their pixels."""
     noise, camera = regions.noise, intrinsics
-    smooth = CORRELATED_CELLS * (regions.grid.size_px * noise.mean_sigma) ** 2
     table = _measured(
         sums, planes, ray_plane_jacobian(camera),
-        (noise.pixel_sigma**2 + noise.disparity_floor**2 + smooth, noise.depth_floor_m**2),
+        (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
+         *_smooth_noise(regions)),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
     return tuple(
         Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure)
@@ -82,13 +94,28 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray
             sums[:, N].tolist(), strict=True))
 
 
+def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:
+    """
+    Return the variance of the smooth noise, and the area in pixels that shares its value.
+
+    Noise that is stated for a network is a Gaussian field whose slope is SLOPE_PER_NOISE times its
+    deviation: its correlation length is the image width divided by that.
+    """
+    noise, size_px = regions.noise, regions.grid.size_px
+    variance = max(noise.mean_sigma**2 - (noise.pixel_sigma / size_px) ** 2, noise.source_sigma**2)
+    if noise.source_sigma > 0:
+        return variance, 2 * np.pi * (regions.grid.width_px / SLOPE_PER_NOISE) ** 2
+    return variance, regions.correlated_px or CORRELATED_CELLS * size_px**2
+
+
 @kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, ::1], '
-        'UniTuple(float64, 2), UniTuple(float64, 6))', is_short=True)
-def _measured(sums, planes, jacobian, variance, camera):
+        'UniTuple(float64, 4), UniTuple(float64, 6))', is_short=True)
+def _measured(sums, planes, jacobian, noise, camera):
     """
     Return the measurements (K, 26) of planes, in the columns of this module.
 
-    The variance of a pixel is the sum of a constant and a multiple of the fourth power of 1/z.
+    The variance of a pixel's own noise is the sum of a constant and a multiple of the fourth power
+    of 1/z; behind them are the variance of the smooth noise, and the area that shares its value.
     """
     fx, fy, cx, cy, width, height = camera
     table, chain, fit = np.zeros((len(sums), 26)), np.empty((4, 3)), np.empty((3, 3))
@@ -111,7 +138,9 @@ def _measured(sums, planes, jacobian, variance, camera):
             row[CENTROID + i] -= off_plane * row[i]
         row[RMS] = offset_m * np.sqrt(sums[k, SQUARE] / pixels)
         row[AREA] = sums[k, ZZZ] / (fx * fy * offset_m)
-        _invert(sums[k], variance[0] + variance[1] * (sums[k, D] / pixels) ** 4, fit)
+        fitted = sums[k, WHOLE:] if sums[k, WHOLE] > MIN_WHOLE_SHARE * pixels else sums[k]
+        _fit_errors(fitted, (noise[0] + noise[1] * (sums[k, D] / pixels) ** 4, noise[2], noise[3]),
+                    width, fit)
         _differentiate(row, jacobian, chain)
         for i in range(16):
             for j in range(9):
@@ -122,17 +151,31 @@ def _measured(sums, planes, jacobian, variance, camera):
     return table
 
 
-@kernel('void(float64[::1], float64, float64[:, ::1])')
-def _invert(m, variance, fit):
-    """Write the covariance (3, 3) of the plane fitted to pixels of moments m and a variance."""
+@kernel('void(float64[::1], UniTuple(float64, 3), float64, float64[:, ::1])')
+def _fit_errors(m, noise, width, fit):
+    """
+    Write the covariance (3, 3) of the plane fitted to pixels of moments m.
+
+    Own noise of the pixels gives the normal equations. Of noise that is smooth over an area A, n
+    pixels hold about 1 + n / A independent values. It shifts a region much smaller than A by its
+    deviation and tilts it by its slope, that of a Gaussian field of the length sqrt(A / 2 pi).
+    """
+    own, smooth, area = noise
     x, y = m[X] / m[N], m[Y] / m[N]
     xx, xy, yy = m[XX] - m[N] * x * x, m[XY] - m[N] * x * y, m[YY] - m[N] * y * y
-    scale = variance / max(xx * yy - xy * xy, MIN_EIGENVALUE * (xx + yy) ** 2)
-    fit[0, 0], fit[1, 1] = scale * yy, scale * xx
-    fit[0, 1] = fit[1, 0] = -scale * xy
+    fit[:] = 0.0
+    for variance, shared in ((own, 0.0), (smooth * area, area)):
+        added = (shared / width) ** 2 / (2 * np.pi)
+        s_xx, s_yy = xx + added, yy + added
+        scale = variance / max(s_xx * s_yy - xy * xy, MIN_EIGENVALUE * (s_xx + s_yy) ** 2)
+        fit[0, 0] += scale * s_yy
+        fit[1, 1] += scale * s_xx
+        fit[0, 1] -= scale * xy
+        fit[2, 2] += variance / (m[N] + shared)
+    fit[1, 0] = fit[0, 1]
     for i in range(2):
         fit[i, 2] = fit[2, i] = -(fit[i, 0] * x + fit[i, 1] * y)
-    fit[2, 2] = variance / m[N] - fit[0, 2] * x - fit[1, 2] * y
+    fit[2, 2] -= fit[0, 2] * x + fit[1, 2] * y
 
 
 @kernel('void(float64[::1], float64[:, ::1], float64[:, ::1])')
@@ -174,3 +217,130 @@ def normal_matrices(m: np.ndarray) -> np.ndarray:
     """Return the sums of the products of x, y and 1, (K, 3, 3), of moments m (10, K)."""
     return np.array([[m[XX], m[XY], m[X]], [m[XY], m[YY], m[Y]],
                      [m[X], m[Y], m[N]]]).transpose(2, 0, 1)
+
+
+def sum_over_pixels(regions: PixelRegions, intrinsics: CameraIntrinsics) -> np.ndarray:
+    """
+    Return the sums (K, 21) over the pixels of each plane, in the columns of this module.
+
+    The moments of each cell are shared by its pixels. In most cells all valid pixels are of one
+    plane: the moments give the residuals. The pixels of the other cells are read, once for each of
+    their planes. 1/z of a plane is not below that of a ray that sees it edge-on.
+    """
+    grid, planes = regions.grid, np.ascontiguousarray(regions.coefficients)
+    lowest = MIN_COSINE * np.linalg.norm(planes @ ray_plane_jacobian(intrinsics).T, axis=1)
+    return _sum_over_pixels(
+        np.ascontiguousarray(regions.labels), np.ascontiguousarray(regions.disparity),
+        (planes, np.maximum(lowest, TINY_DISPARITY)), (grid.moments, grid.mean, grid.size_px),
+        np.array([grid.width_px, *grid.origin]))
+
+
+@kernel('float64[:, ::1](int32[:, ::1], float32[:, ::1], Tuple((float64[:, ::1], float64[::1])), '
+        'Tuple((float64[:, ::1], float64[:, ::1], int64)), float64[::1])')
+def _sum_over_pixels(labels, disparity, seen, cells, frame):
+    """Return the sums (K, 21) over the pixels of planes (K, 3) and their smallest 1/z (K,)."""
+    (planes, lowest), (moments, mean, size), (height, width) = seen, cells, labels.shape
+    sums, columns, cell = np.zeros((len(planes), SUMS)), np.empty((2, width), np.int32), -1
+    pixels, own = np.zeros((3, size**2), np.float32), np.empty(size**2, np.int32)
+    for p in range(size**2):
+        pixels[0, p], pixels[1, p] = p % size, p // size
+    for top in range(0, height, size):
+        _sum_columns(labels, top, min(top + size, height), columns)
+        for left in range(0, width, size):
+            cell, label, total = cell + 1, np.int32(-1), np.int32(0)
+            for u in range(left, min(left + size, width)):
+                label, total = max(label, columns[0, u]), total + columns[1, u]
+            if label >= 0 and total == (label + 1) * moments[cell, N]:
+                plane, middle, pixels_here = planes[label], mean[cell], moments[cell, N]
+                error = squared_error(plane[0], plane[1], plane[2], moments[cell])
+                _add_cell(moments[cell], middle, plane, lowest[label], pixels_here, sums[label])
+                sums[label, ZZZ] += pixels_here * _cube_of_depth(
+                    plane, lowest[label], (top, left, size), frame)
+                sums[label, SQUARE] += max(error, 0.0) / max(middle[2], TINY_DISPARITY) ** 2
+                for j in range(SUMS - WHOLE):
+                    sums[label, WHOLE + j] += moments[cell, j]
+            elif label >= 0:
+                _load(labels, disparity, (top, left, size), own, pixels)
+                _sum_parts(own, pixels, (planes, lowest, moments[cell], mean[cell]),
+                           (label, top, left), frame, sums)
+    return sums
+
+
+@kernel('void(int32[:, ::1], int64, int64, int32[:, ::1])')
+def _sum_columns(labels, top, bottom, columns):
+    """Write the largest label and the sum of label + 1 of each column from top to bottom."""
+    for u in range(labels.shape[1]):
+        columns[0, u], columns[1, u] = -1, 0
+    for v in range(top, bottom):
+        for u in range(labels.shape[1]):
+            columns[0, u] = max(columns[0, u], labels[v, u])
+            columns[1, u] += labels[v, u] + np.int32(1)
+
+
+@kernel('void(int32[:, ::1], float32[:, ::1], UniTuple(int64, 3), int32[::1], float32[:, ::1])')
+def _load(labels, disparity, corner, own, pixels):
+    """Copy the labels of a cell, and z to the last row of its pixels, behind their u and v."""
+    (top, left, size), least = corner, np.float32(TINY_DISPARITY)
+    for p in range(size**2):
+        own[p] = -1
+    for i in range(min(size, labels.shape[0] - top)):
+        for j in range(min(size, labels.shape[1] - left)):
+            # Unsigned: no wrap-around check.
+            p, v, u = np.uint64(i * size + j), np.uint64(top + i), np.uint64(left + j)
+            own[p], pixels[2, p] = labels[v, u], np.float32(1) / max(disparity[v, u], least)
+
+
+@kernel('void(int32[::1], float32[:, ::1], '
+        'Tuple((float64[:, ::1], float64[::1], float64[::1], float64[::1])), '
+        'UniTuple(int64, 3), float64[::1], float64[:, ::1])')
+def _sum_parts(own, pixels, cell, place, frame, sums):
+    """Add the pixels of each label in a cell to the sums; its largest label comes first."""
+    (planes, lowest, moments, mean), (label, top, left) = cell, place
+    while label >= 0:
+        plane, this, below = planes[label], np.int32(label), np.int32(-1)
+        a, b = np.float32(plane[0] / frame[0]), np.float32(plane[1] / frame[0])
+        c = np.float32(plane[0] * (frame[1] + left / frame[0])
+                       + plane[1] * (frame[2] + top / frame[0]) + plane[2])
+        count, square, cube = np.int32(0), np.float32(0), np.float32(0)
+        least = np.float32(lowest[label])
+        for p in range(len(own)):
+            on_plane = a * pixels[0, p] + b * pixels[1, p] + c
+            relative = np.float32(1) - on_plane * pixels[2, p]
+            depth = np.float32(1) / max(on_plane, least)
+            count += np.int32(own[p] == this)
+            cube += depth * depth * depth if own[p] == this else np.float32(0)
+            square += relative * relative if own[p] == this else np.float32(0)
+            below = max(below, own[p] if own[p] < this else np.int32(-1))
+        _add_cell(moments, mean, plane, lowest[label], count, sums[label])
+        sums[label, SQUARE] += square
+        sums[label, ZZZ] += cube
+        label = np.int64(below)
+
+
+@kernel('float64(float64[::1], float64, UniTuple(int64, 3), float64[::1])')
+def _cube_of_depth(plane, least, corner, frame):
+    """
+    Return the mean of z**3 of a plane over the pixels of a cell.
+
+    A triangle of T pixels, whose corners see the plane at depths z_i, covers T z_1 z_2 z_3 /
+    (fx fy offset) of it: the volume of the tetrahedron with the camera. A cell is two of them.
+    """
+    top, left, size = corner
+    a, b = plane[0] / frame[0], plane[1] / frame[0]
+    first = (plane[0] * frame[1] + plane[1] * frame[2] + plane[2] + a * (left - 0.5)
+             + b * (top - 0.5))
+    right, below = 1 / max(first + a * size, least), 1 / max(first + b * size, least)
+    return (right * below / 2
+            * (1 / max(first, least) + 1 / max(first + (a + b) * size, least)))
+
+
+@kernel('void(float64[::1], float64[::1], float64[::1], float64, float64, float64[::1])')
+def _add_cell(moments, mean, plane, least, pixels, sums):
+    """Add the share of a cell that some of its pixels have to the sums (21,) of a plane."""
+    share = pixels / max(moments[N], 1.0)
+    for j in range(10):
+        sums[j] += share * moments[j]
+    depth = 1 / max(plane[0] * mean[0] + plane[1] * mean[1] + plane[2], least)
+    sums[XZ] += pixels * depth * mean[0]
+    sums[YZ] += pixels * depth * mean[1]
+    sums[Z] += pixels * depth

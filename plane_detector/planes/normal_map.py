@@ -21,6 +21,7 @@ import numpy as np
 
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.measurement import ray_plane_jacobian
+from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.segmentation.cells.labels import count_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
@@ -36,8 +37,6 @@ MIN_SPREAD_RAD = np.radians(2.0)
 # At a larger angle the two normals are of different surfaces, or the map uses other axes.
 MOST_APART_DEG = 45.0
 MIN_SAMPLES = 20
-# Cosine between ray and normal below which a plane is seen edge-on.
-MIN_COSINE = 0.02
 
 
 def turned_by_normals(regions: PixelRegions, prediction: Prediction,
