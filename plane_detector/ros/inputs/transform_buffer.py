@@ -1,15 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Transforms over time, for programs that read them from a bag, without tf2.
-
-It has the interface of tf2_ros.Buffer, for the transforms that were added.
-"""
+"""All transforms of a recording, looked up as in tf2_ros.Buffer, without tf2."""
 
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,33 +27,23 @@ class _Edge:
     stamps_ns: list[int] = field(default_factory=list)
     transforms: list[RigidTransform] = field(default_factory=list)
 
-    def add(self, stamp_ns: int, transform: RigidTransform) -> None:
-        if self.is_static:
-            self.stamps_ns, self.transforms = [0], [transform]
-            return
-        index = bisect_left(self.stamps_ns, stamp_ns)
-        self.stamps_ns.insert(index, stamp_ns)
-        self.transforms.insert(index, transform)
-
     def at(self, stamp_ns: int) -> RigidTransform:
+        """Return the transform at a time, interpolated between its neighbours."""
         if self.is_static:
-            return self.transforms[0]
+            return self.transforms[-1]
         index = bisect_left(self.stamps_ns, stamp_ns)
-        if index < len(self.stamps_ns) and self.stamps_ns[index] == stamp_ns:
+        if self.stamps_ns[index:index + 1] == [stamp_ns]:
             return self.transforms[index]
         if index in (0, len(self.stamps_ns)):
-            raise TransformError('the time is before the first or after the last transform')
+            raise TransformError('the time is before the first or after the last transform to '
+                                 f'{self.parent}')
         before_ns, after_ns = self.stamps_ns[index - 1:index + 1]
         share = (stamp_ns - before_ns) / (after_ns - before_ns)
         return interpolate(*self.transforms[index - 1:index + 1], share)
 
 
 class TransformBuffer:
-    """
-    The tree of frames over time.
-
-    No transform is dropped, so memory grows with their number.
-    """
+    """The tree of frames over time. No transform is dropped: memory grows with their number."""
 
     def __init__(self) -> None:
         self._edges: dict[str, _Edge] = {}
@@ -73,24 +58,22 @@ class TransformBuffer:
             Its quaternion is zero, or a number is not finite.
 
         """
-        transform = transform_from_msg(msg)
+        transform, stamp = transform_from_msg(msg), msg.header.stamp
         edge = self._edges.get(msg.child_frame_id)
         if edge is None or edge.parent != msg.header.frame_id:
             edge = self._edges[msg.child_frame_id] = _Edge(msg.header.frame_id, is_static)
-        stamp = msg.header.stamp
-        edge.add(stamp.sec * 1_000_000_000 + stamp.nanosec, transform)
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        index = len(edge.stamps_ns) if is_static else bisect_left(edge.stamps_ns, stamp_ns)
+        edge.stamps_ns.insert(index, stamp_ns)
+        edge.transforms.insert(index, transform)
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Any,
                          timeout: Any = None) -> TransformStamped:
         """
         Return the transform that maps points of the source frame into the target frame.
 
-        Parameters
-        ----------
-        target_frame, source_frame : str
-        time : rclpy.time.Time
-        timeout : rclpy.duration.Duration, optional
-            Ignored: all transforms are available.
+        Only the transforms between the frames and their nearest common ancestor are needed at
+        that time (rclpy.time.Time); the timeout is ignored, because all have been added.
 
         Raises
         ------
@@ -98,23 +81,27 @@ class TransformBuffer:
             The frames are not connected at that time.
 
         """
-        source = dict(self._ancestors(source_frame, time.nanoseconds))
-        for frame, from_target in self._ancestors(target_frame, time.nanoseconds):
-            if frame in source:
-                return _to_msg(target_frame, source_frame, time,
-                               from_target.inverse().after(source[frame]))
-        frames = sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
-        raise TransformError(f'the frames are not connected; there are {", ".join(frames)}')
+        above_source, above_target = self._ancestors(source_frame), self._ancestors(target_frame)
+        common = next((frame for frame in above_target if frame in above_source), None)
+        if common is None:
+            frames = sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
+            raise TransformError(f'the frames are not connected; there are {", ".join(frames)}')
 
-    def _ancestors(self, frame: str, stamp_ns: int) -> Iterator[tuple[str, RigidTransform]]:
-        """Yield a frame, its parent, ... and the transform from the frame into each."""
-        transform = RigidTransform.identity()
-        for _ in range(len(self._edges) + 1):  # ends even if the tree has a cycle
-            yield frame, transform
-            edge = self._edges.get(frame)
-            if edge is None:
-                return
-            transform, frame = edge.at(stamp_ns).after(transform), edge.parent
+        def into_common(path: list[str]) -> RigidTransform:
+            transform = RigidTransform.identity()
+            for frame in path[:path.index(common)]:
+                transform = self._edges[frame].at(time.nanoseconds).after(transform)
+            return transform
+
+        transform = into_common(above_target).inverse().after(into_common(above_source))
+        return _to_msg(target_frame, source_frame, time, transform)
+
+    def _ancestors(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on; it ends where a cycle begins anew."""
+        path = [frame]
+        while (edge := self._edges.get(path[-1])) is not None and edge.parent not in path:
+            path.append(edge.parent)
+        return path
 
 
 def transform_from_msg(msg: Any) -> RigidTransform:

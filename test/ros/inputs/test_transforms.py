@@ -57,6 +57,13 @@ def test_an_unknown_frame_is_an_error(target, stamp_s):
         looked_up(robot_buffer(), target, 'camera_optical_frame', stamp_s)
 
 
+@pytest.mark.parametrize('stamp_s', [0.5, 1.5, 9.0])
+def test_frames_joined_by_static_transforms_need_no_other(stamp_s):
+    """The robot's place in odom is known from 1 to 2 s only; its camera stays where it is."""
+    found = looked_up(robot_buffer(), 'base_footprint', 'camera_optical_frame', stamp_s)
+    np.testing.assert_allclose(found.translation_m, [0.1, 0, 1.2], atol=1e-9)
+
+
 def test_a_circle_of_frames_is_an_error_too():
     buffer = TransformBuffer()
     buffer.add(transform_msg('a', 'b'), is_static=True)
