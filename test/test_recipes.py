@@ -16,7 +16,7 @@ from rclpy.node import Node
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.parameters import declare, updated, warn_of_unknown
-from plane_detector.tools.replay.node_settings import load_settings
+from plane_detector.tools.replay.options import load_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 RECIPES = sorted((ROOT / 'config').glob('recipe_*.yaml'))

@@ -60,11 +60,13 @@ def _stopped(bag: Path, target: Path, storage: str) -> Row:
     start_s = time.monotonic()
     process.send_signal(signal.SIGTERM)
     text, _ = process.communicate(timeout=60)
-    seconds, planes = time.monotonic() - start_s, _planes(target)
-    return Row(f'replay to {storage}, SIGTERM', 'ends within 3 s, the bag is whole',
+    seconds = time.monotonic() - start_s
+    planes = _planes(target.with_name(f'interrupted_{target.name}'))
+    return Row(f'replay to {storage}, SIGTERM',
+               'ends within 3 s, the bag of the frames so far is whole',
                f'{seconds:.2f} s, exit code {process.returncode}, {planes} frames readable',
                seconds <= MOST_ENDING_S and process.returncode == 130 and planes > 0
-               and 'Traceback' not in text)
+               and not target.exists() and 'Traceback' not in text)
 
 
 def _killed(bag: Path, target: Path, storage: str, frames: int) -> Row:
@@ -73,13 +75,15 @@ def _killed(bag: Path, target: Path, storage: str, frames: int) -> Row:
     _wait_until_it_writes(target)
     process.kill()
     process.communicate()
-    again = _begun(bag, target, '--storage', storage, '--resume')
+    was_there = target.exists()
+    again = _begun(bag, target, '--storage', storage)
     text, _ = again.communicate(timeout=300)
     planes = _planes(target)
-    kept = next((line for line in text.splitlines() if 'earlier' in line or 'resum' in line), '')
-    return Row(f'replay to {storage}, SIGKILL, then --resume', f'all {frames} frames',
-               f'exit code {again.returncode}, {planes} frames; {kept[:60]}',
-               again.returncode == 0 and planes == frames and 'Traceback' not in text)
+    return Row(f'replay to {storage}, SIGKILL, then again',
+               f'nothing under its name, then all {frames} frames',
+               f'exit code {again.returncode}, {planes} frames',
+               not was_there and again.returncode == 0 and planes == frames
+               and 'Traceback' not in text)
 
 
 def _full(bag: Path, target: Path, storage: str) -> Row:
@@ -90,11 +94,11 @@ def _full(bag: Path, target: Path, storage: str) -> Row:
     _remove(target)
     process = _begun(bag, target, '--storage', storage, preexec_fn=limit)
     text, _ = process.communicate(timeout=300)
-    planes = _planes(target)
     return Row(f'replay to {storage}, disk full after {FULL_BYTES // 10**6} MB',
-               'exit code 1, one line, the frames before are readable',
-               f'exit code {process.returncode}, {planes} frames',
-               process.returncode == 1 and planes > 0 and 'Traceback' not in text)
+               'exit code 1, one line, nothing is left',
+               f'exit code {process.returncode}, {text.splitlines()[-1][:60]}',
+               process.returncode == 1 and 'cannot be written' in text
+               and not list(target.parent.glob(f'*{target.name}*')) and 'Traceback' not in text)
 
 
 def _planes(target: Path) -> int:

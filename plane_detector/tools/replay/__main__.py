@@ -13,8 +13,8 @@ from plane_detector.stopping import quiet_interrupt
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the program; return the exit code."""
     with quiet_interrupt():
-        from plane_detector.tools.replay import program
-    return program.main(arguments)
+        from plane_detector.tools.replay import command_line
+    return command_line.main(arguments)
 
 
 if __name__ == '__main__':

@@ -10,7 +10,7 @@ ROS 1 .bag files, read by the library rosbags; no ROS installation is needed for
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,9 @@ except ModuleNotFoundError as error:
         'pip install rosbags', name=error.name) from error
 
 FILE_SUFFIXES = ('.bag', '.mcap', '.db3')
-# Reading continues after damage at a later time, found by bisection to this resolution.
-_FINEST_SKIP_NS = 1_000_000
+# Reading continues this long after the message before the damage, then twice as long, and so on.
+_FIRST_SKIP_NS = 1_000_000
+_FIRST_SPAN_NS = 1_000_000_000
 
 
 class BagError(ValueError):
@@ -155,27 +156,21 @@ class BagReader:
         """
         connections = [c for topic in topics for c in self._connections[topic]]
         last_ns = self.start_ns if start_ns is None else start_ns
+        end_ns = self.end_ns if stop_ns is None else min(stop_ns, self.end_ns)
+        skip_ns = _FIRST_SKIP_NS
         while connections:  # an empty list would mean all topics
             try:
                 for connection, time_ns, data in self._reader.messages(
                         connections, start_ns, stop_ns):
-                    last_ns = time_ns
+                    last_ns, skip_ns = time_ns, _FIRST_SKIP_NS
                     yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
                 return
             except Exception as error:  # damaged bytes may cause any exception in a parser
-                start_ns = self._after_damage(connections, last_ns, stop_ns)
-                if start_ns is None:
+                start_ns = last_ns + skip_ns
+                if start_ns >= end_ns:
                     raise self._unreadable(error) from error
-                self.damaged += 1
-
-    def messages(self, topic: str, message_class: Any, start_ns: int | None = None,
-                 stop_ns: int | None = None) -> Iterator[Any]:
-        """Yield the messages of a topic as a subscription would get them, without damaged ones."""
-        for recorded in self.read([topic], start_ns, stop_ns):
-            try:
-                yield to_message(recorded, message_class)
-            except BagError:
-                continue
+                self.damaged += skip_ns == _FIRST_SKIP_NS
+                skip_ns *= 2
 
     def plain(self, recorded: Recorded) -> Any:
         """Return a message as an object of rosbags, of any type of ROS 2 Jazzy."""
@@ -184,32 +179,28 @@ class BagReader:
     def first(self, topic: str, message_class: Any) -> Any:
         """Return the first message of a topic that can be read, or None."""
         if topic not in self._first:
-            self._first[topic] = next(self.messages(topic, message_class), None)
+            self._first[topic] = None
+            for recorded in self.read([topic]):
+                with suppress(BagError):
+                    self._first[topic] = to_message(recorded, message_class)
+                    break
         return self._first[topic]
 
-    def _after_damage(self, connections: list[Connection], last_ns: int,
-                      stop_ns: int | None) -> int | None:
-        """Return the next time at which the bag can be read again, or None."""
-        end_ns = self.end_ns if stop_ns is None else min(stop_ns, self.end_ns)
-        step_ns = _FINEST_SKIP_NS
-        while last_ns + step_ns < end_ns and not self._can_read(connections, last_ns + step_ns):
-            step_ns *= 2
-        if last_ns + step_ns >= end_ns:
-            return None
-        low_ns, high_ns = last_ns + step_ns // 2, last_ns + step_ns
-        while high_ns - low_ns > _FINEST_SKIP_NS:
-            middle_ns = (low_ns + high_ns) // 2
-            if self._can_read(connections, middle_ns):
-                high_ns = middle_ns
-            else:
-                low_ns = middle_ns
-        return high_ns
-
-    def _can_read(self, connections: list[Connection], start_ns: int) -> bool:
-        try:
-            return next(self._reader.messages(connections, start_ns, None), None) is not None
-        except Exception:  # as above
-            return False
+    def last_before(self, stop_ns: int, topic: str, message_class: Any) -> Any:
+        """Return the last message recorded before a time that can be read, or None."""
+        span_ns, damaged = _FIRST_SPAN_NS, self.damaged
+        found = None
+        while found is None and stop_ns > self.start_ns:  # backwards: bags are long
+            recorded = []
+            with suppress(BagError):
+                recorded.extend(self.read([topic], stop_ns - span_ns, stop_ns))
+            for one in reversed(recorded):
+                with suppress(BagError):
+                    found = to_message(one, message_class)
+                    break
+            stop_ns, span_ns = stop_ns - span_ns, 2 * span_ns
+        self.damaged = damaged  # what is damaged there is not of the part that is replayed
+        return found
 
     def _to_cdr(self, connection: Connection, data: bytes) -> bytes | memoryview:
         if not self.is_ros1:

@@ -4,12 +4,16 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
-import time
-from collections.abc import Mapping
+import shutil
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import yaml
 from rclpy.serialization import serialize_message
 from rosbags.interfaces import (
     Connection,
@@ -21,11 +25,10 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
-from plane_detector.tools.replay.bag_storage import CommittingWriter
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # Chunks of an mcap file are compressed inside the file; sqlite3 has no chunks.
@@ -36,16 +39,74 @@ _OUTPUT_QOS = Qos(QosHistory.KEEP_LAST, 2, QosReliability.RELIABLE, QosDurabilit
                   _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
 # The last version whose quality of service can be read by rosbag2 before Jazzy.
 _VERSION = 8
-# A killed process loses the data after the last commit: a second, or this many bytes.
-_COMMIT_PERIOD_S = 1.0
-_COMMIT_BYTES = 1 << 22
+
+
+class Draft:
+    """
+    A file or folder that gets its name when it is whole; a context manager.
+
+    TARGET is written as .TARGET.part/TARGET. What a killed process left there is replaced by the
+    next one that writes TARGET.
+
+    Attributes
+    ----------
+    path : Path
+        Path to write it to.
+
+    Raises
+    ------
+    BlockingIOError
+        Another process is writing it.
+
+    """
+
+    def __init__(self, target: Path):
+        self._target, self._folder = target, part_folder(target)
+        self.path = self._folder / target.name
+
+    def __enter__(self) -> Draft:
+        self._folder.mkdir(parents=True, exist_ok=True)
+        self._lock = open(self._folder / 'lock', 'w', encoding='ascii')
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            self._lock.close()
+            raise BlockingIOError(f'{self._target} is being written by another process'
+                                  ) from error
+        shutil.rmtree(self.path, ignore_errors=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._lock.close()
+
+    def publish(self, prefix: str = '') -> Path:
+        """Give it its name; a prefix is for what was interrupted, and replaces an earlier one."""
+        target = self._target.with_name(prefix + self._target.name)
+        if prefix and replay_fields(target):
+            shutil.rmtree(target)
+        os.replace(self.path, target)
+        return target
+
+
+def part_folder(target: Path) -> Path:
+    """Return the folder of a draft: it is left behind only by a process that was killed."""
+    return target.with_name(f'.{target.name}.part')
+
+
+def replay_fields(bag: Path) -> dict[str, str]:
+    """Return the fields that a replay wrote into the metadata of its bag; empty for other bags."""
+    try:
+        with open(bag / 'metadata.yaml', encoding='utf-8') as file:
+            found = yaml.safe_load(file)['rosbag2_bagfile_information']['custom_data']
+    except (OSError, yaml.YAMLError, KeyError, TypeError):
+        return {}
+    return found if isinstance(found, dict) and 'replay.state' in found else {}
 
 
 class BagWriter:
     """
-    A new rosbag2; a context manager that always closes it in a readable state.
-
-    Written data survives a killed process, except for the last second, see `end_frame`.
+    A new rosbag2; a context manager.
 
     Parameters
     ----------
@@ -56,50 +117,32 @@ class BagWriter:
     compressed : bool
         Whether messages are compressed with zstd.
 
-    Attributes
-    ----------
-    is_full : bool
-        Whether there was no space for the last data, which was removed.
-
     Raises
     ------
-    FileExistsError
-        The path exists.
+    OSError
+        It cannot be written.
 
     """
 
     def __init__(self, path: Path, storage: str = 'mcap', compressed: bool = False):
-        if os.path.lexists(path):
-            raise FileExistsError(f'{path} already exists: choose another name')
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        self._writer = CommittingWriter(path, version=_VERSION, storage_plugin=STORAGES[storage])
+        self._writer = Writer(path, version=_VERSION, storage_plugin=STORAGES[storage])
         if compressed:
             self._writer.set_compression(_COMPRESSIONS[storage], CompressionFormat.ZSTD)
-        self._writer.open()
         self._connections: dict[str, Connection] = {}
-        self._fields: dict[str, str] = {}
-        self._pending_bytes, self._committed_s = 0, time.monotonic()
-        self.is_full = False
 
     def __enter__(self) -> BagWriter:
+        self._writer.open()
         return self
 
-    def __exit__(self, *_: object) -> None:
-        try:
-            self._writer.commit()
-        finally:
-            for name, value in self._fields.items():
-                self._writer.set_custom_data(name, value)
-            self._writer.close()
+    def __exit__(self, *error: Any) -> None:
+        with self._writable():
+            self._writer.__exit__(*error)
 
-    @property
-    def topics(self) -> frozenset[str]:
-        """Topics announced so far."""
-        return frozenset(self._connections)
-
-    def describe(self, fields: Mapping[str, str]) -> None:
+    def describe(self, values: Mapping[str, str]) -> None:
         """Put names and values into the metadata, which `ros2 bag info` shows."""
-        self._fields.update(fields)
+        for name, value in values.items():
+            self._writer.set_custom_data(name, value)
 
     def add_outputs(self, classes: Mapping[str, Any]) -> None:
         """Announce topics whose messages are of these classes."""
@@ -116,10 +159,14 @@ class BagWriter:
         Raises
         ------
         BagError
-            The definition of a topic's type is neither in that bag nor known here.
+            There is no such topic, or the definition of its type is neither in that bag nor
+            known here.
 
         """
+        recorded = {topic.name for topic in bag.topics}
         for topic in topics:
+            if topic not in recorded:
+                raise BagError(f'there is no topic {topic}, as given by --copy. {bag.describe()}')
             if topic not in self._connections:  # diagnostics of both share a topic
                 self._connections[topic] = self._copied(bag, bag.connection(topic))
 
@@ -129,46 +176,22 @@ class BagWriter:
         # The middleware leaves padding between fields uninitialised; rosbags writes zeros.
         data = msg if isinstance(msg, bytes) else serialize_message(msg)
         plain = self._types.deserialize_cdr(data, kind)
-        self._put(topic, time_ns, self._types.serialize_cdr(plain, kind))
+        with self._writable():
+            self._writer.write(self._connections[topic], time_ns,
+                               self._types.serialize_cdr(plain, kind))
 
     def copy(self, recorded: Recorded) -> None:
         """Write a recorded message of an announced topic."""
-        self._put(recorded.topic, recorded.time_ns, recorded.cdr)
+        with self._writable():
+            self._writer.write(self._connections[recorded.topic], recorded.time_ns, recorded.cdr)
 
-    def end_frame(self) -> bool:
-        """
-        Mark the messages of a frame as complete; once per second they are committed.
-
-        Returns
-        -------
-        bool
-            Whether they have been committed.
-
-        Raises
-        ------
-        OSError
-            There is no space for them: the bag contains the frames up to the last commit.
-
-        """
-        now_s = time.monotonic()
-        if (self._pending_bytes >= _COMMIT_BYTES
-                or now_s - self._committed_s >= _COMMIT_PERIOD_S):
-            self.commit()
-            return True
-        return False
-
-    def commit(self) -> None:
-        """Commit everything written so far; see `end_frame`."""
+    @contextmanager
+    def _writable(self) -> Iterator[None]:
+        """Name the bag in an error of its storage, such as a full disk."""
         try:
-            self._writer.commit()
-        except OSError:
-            self.is_full = True
-            raise
-        self._pending_bytes, self._committed_s = 0, time.monotonic()
-
-    def _put(self, topic: str, time_ns: int, cdr: bytes | memoryview) -> None:
-        self._writer.write(self._connections[topic], time_ns, cdr)
-        self._pending_bytes += len(cdr)
+            yield
+        except (OSError, sqlite3.Error) as error:
+            raise OSError(f'{self._writer.path.name} cannot be written: {error}') from error
 
     def _copied(self, bag: BagReader, source: Connection) -> Connection:
         qos = [] if bag.is_ros1 else source.ext.offered_qos_profiles

@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import TextIO
@@ -23,6 +24,7 @@ from plane_detector.ros.outputs.shapes import SHAPE_DTYPE
 from plane_detector.ros.stamps import stamp_text
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.ply import write_ply
+from plane_detector.tools.replay.bag_writer import Draft
 
 
 class ReplayFiles:
@@ -34,11 +36,9 @@ class ReplayFiles:
     figures, ply : Path, optional
         Folders, created if needed, of a figure (.jpg) and of a labelled cloud of each frame.
     table : Path, optional
-        CSV file of all planes of all frames; an existing one is replaced.
+        CSV file of all planes of all frames; replaces an existing one when all frames are done.
     shapes : bool
         Whether to write a second table, ``<stem>_shapes.csv``, of all shapes.
-    first_index : int
-        Number of the first frame to come: earlier rows of an existing table are kept.
 
     Raises
     ------
@@ -48,31 +48,42 @@ class ReplayFiles:
     """
 
     def __init__(self, figures: Path | None = None, ply: Path | None = None,
-                 table: Path | None = None, first_index: int = 0, shapes: bool = False):
-        self._figures, self._ply, self._tables = figures, ply, {}
+                 table: Path | None = None, shapes: bool = False):
+        self._figures, self._ply = figures, ply
+        self._drafts: list[Draft] = []
+        self._tables: dict[str, tuple[Path, np.dtype]] = {}
         if table is not None:
             self._tables['planes'] = table, PLANE_DTYPE
             if shapes:
                 beside = table.with_name(f'{table.stem}_shapes.csv')
                 self._tables['shapes'] = beside, SHAPE_DTYPE
-        self._first_index = first_index
         self._opened = ExitStack()
         self._files: dict[str, TextIO] = {}
 
     def __enter__(self) -> ReplayFiles:
-        for folder in (self._figures, self._ply):
-            if folder is not None:
-                _check_writable(folder)
-        for name, (table, dtype) in self._tables.items():
-            kept = _rows_before(table, self._first_index)
-            table.parent.mkdir(parents=True, exist_ok=True)
-            file = self._files[name] = self._opened.enter_context(
-                open(table, 'w', newline='', encoding='utf-8'))
-            csv.writer(file).writerows([['frame', 'stamp', *dtype.names], *kept])
+        with ExitStack() as opened:
+            for folder in (self._figures, self._ply):
+                if folder is not None:  # checked now: the first frame comes much later
+                    folder.mkdir(parents=True, exist_ok=True)
+                    with NamedTemporaryFile(dir=folder):
+                        pass
+            for name, (table, dtype) in self._tables.items():
+                draft = opened.enter_context(Draft(table))
+                self._drafts.append(draft)
+                file = self._files[name] = opened.enter_context(
+                    open(draft.path, 'w', newline='', encoding='utf-8'))
+                csv.writer(file).writerow(['frame', 'stamp', *dtype.names])
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         self._opened.close()
+
+    def publish(self, prefix: str = '') -> None:
+        """Give the tables their names, see :class:`Draft`."""
+        for file, draft in zip(self._files.values(), self._drafts, strict=True):
+            file.flush()
+            draft.publish(prefix)
 
     @property
     def is_wanted(self) -> bool:
@@ -89,32 +100,24 @@ class ReplayFiles:
         result = processed.result
         if self._figures is not None:
             bgr = cv2.cvtColor(_figure(result), cv2.COLOR_RGB2BGR)
-            path = self._figures / f'{index:06d}.jpg'
-            if not cv2.imwrite(str(path), bgr):
-                raise OSError(f'{path} cannot be written')
+            with _whole(self._figures / f'{index:06d}.jpg') as path:
+                if not cv2.imwrite(str(path), bgr):
+                    raise OSError(f'{path} cannot be written')
         if self._ply is not None:
             points_m = depth_to_points(result.detection.depth_m, result.intrinsics)
-            write_ply(self._ply / f'{index:06d}.ply', points_m,
-                      drawing.tint(result.rgb, result.labels), result.labels,
-                      in_metres=result.detection.scale_method != RELATIVE)
+            with _whole(self._ply / f'{index:06d}.ply') as path:
+                write_ply(path, points_m, drawing.tint(result.rgb, result.labels), result.labels,
+                          in_metres=result.detection.scale_method != RELATIVE)
         for name, file in self._files.items():
             csv.writer(file).writerows(_rows(index, processed, name, self._tables[name][1]))
-            file.flush()  # not later than the bag, on which a resumed run relies
 
 
-def _check_writable(folder: Path) -> None:
-    """Create a folder, and a file in it that is removed: the first frame comes much later."""
-    folder.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=folder):
-        pass
-
-
-def _rows_before(table: Path, first_index: int) -> list[list[str]]:
-    """Return the rows of earlier frames of an existing table."""
-    if not first_index or not table.exists():
-        return []
-    with open(table, newline='', encoding='utf-8') as file:
-        return [row for row in list(csv.reader(file))[1:] if int(row[0]) < first_index]
+@contextmanager
+def _whole(path: Path) -> Iterator[Path]:
+    """Yield the path to write a file to, which then gets its name."""
+    draft = path.with_name(f'.{path.name}')
+    yield draft
+    os.replace(draft, path)
 
 
 def _figure(result: ProcessedFrame) -> np.ndarray:

@@ -1,18 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of a bag, in the order in which they are complete."""
+"""Frames of a bag in the order in which they are complete, their copies, and its transforms."""
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
+from plane_detector.config import NodeConfig
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer
-from plane_detector.tools.replay.bag_reader import BagError, BagReader, to_message
-from plane_detector.tools.replay.bag_topics import InputTopics, input_class
-from plane_detector.tools.replay.copies import CopiedMessages
+from plane_detector.ros.inputs.transform_buffer import TransformBuffer
+from plane_detector.ros.inputs.transforms import FrameTransforms
+from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, to_message
+from plane_detector.tools.replay.bag_writer import BagWriter
+from plane_detector.tools.replay.input_topics import InputTopics, input_class
 from plane_detector.tools.replay.options import ReplayOptions
+
+# derived: an image waits for its partners while at most 16 others do, see FrameSynchronizer.
+_WAITING = 64
+_TRANSFORM_TYPES = ('tf2_msgs/msg/TFMessage', 'tf/msg/tfMessage')
 
 
 class FrameReader:
@@ -24,7 +33,7 @@ class FrameReader:
     bag : BagReader
     topics : InputTopics
         Topics of the frames.
-    part_ns : (int, int)
+    times_ns : (int, int)
         Times of recording: start, and end, which is excluded.
     synchronizer : FrameSynchronizer
         Combines messages that belong together.
@@ -36,10 +45,10 @@ class FrameReader:
 
     """
 
-    def __init__(self, bag: BagReader, topics: InputTopics, part_ns: tuple[int, int],
+    def __init__(self, bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
                  synchronizer: FrameSynchronizer):
         self.bag, self.topics, self.damaged = bag, topics, 0
-        self._start_ns, self._stop_ns = part_ns
+        self._start_ns, self._stop_ns = times_ns
         self._synchronizer = synchronizer
 
     def frames(self, copies: CopiedMessages) -> Iterator[tuple[int, Frame]]:
@@ -75,14 +84,60 @@ class FrameReader:
         return int(np.ceil(count * share / every))
 
     def _add_first_calibration(self) -> None:
-        """Add the first CameraInfo for images before it, and after a late start."""
+        """Add a CameraInfo for the images before the first one, and after a late start."""
         topic = self.topics.camera_info
         kind = input_class(self.bag, topic)
-        earlier = list(self.bag.messages(topic, kind, None, self._start_ns + 1))
-        self._synchronizer.add_camera_info(earlier[-1] if earlier else self.bag.first(topic, kind))
+        self._synchronizer.add_camera_info(
+            self.bag.last_before(self._start_ns + 1, topic, kind) or self.bag.first(topic, kind))
 
 
-def part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
+class CopiedMessages:
+    """
+    Copies messages of the input bag: all of them, or only those of the processed frames.
+
+    Parameters
+    ----------
+    writer : BagWriter
+    topics : tuple of str
+        Topics to copy.
+    inputs : InputTopics
+        Image, calibration and depth belong to frames; other topics are copied completely.
+    every : int
+        One frame in this many is copied.
+
+    """
+
+    def __init__(self, writer: BagWriter, topics: tuple[str, ...], inputs: InputTopics,
+                 every: int):
+        self.topics = frozenset(topics)
+        self._writer, self._inputs = writer, inputs
+        of_frames = (inputs.image, inputs.camera_info, inputs.depth)
+        self._waiting: dict[str, OrderedDict[tuple[int, int], Recorded]] = {
+            name: OrderedDict() for name in of_frames if every > 1 and name in self.topics}
+
+    def add(self, recorded: Recorded, msg: Any) -> None:
+        """Copy a message, or keep it until its frame is taken; ``msg`` is None if damaged."""
+        if recorded.topic not in self.topics:
+            return
+        waiting = self._waiting.get(recorded.topic)
+        if waiting is None:
+            self._writer.copy(recorded)
+        elif msg is not None:
+            waiting[_stamp(msg)] = recorded
+            while len(waiting) > _WAITING:
+                waiting.popitem(last=False)
+
+    def take(self, frame: Frame) -> None:
+        """Copy the messages of a frame that were not copied with an earlier one."""
+        for topic, msg in ((self._inputs.image, frame.image), (self._inputs.depth, frame.depth),
+                           (self._inputs.camera_info, frame.camera_info)):
+            if msg is not None and topic in self._waiting:
+                recorded = self._waiting[topic].pop(_stamp(msg), None)
+                if recorded is not None:
+                    self._writer.copy(recorded)
+
+
+def requested_times(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
     """Return start and end of the replay; raise BagError if there is no image between them."""
     length_ns = bag.end_ns - bag.start_ns
     start_ns = bag.start_ns + round(min(options.start_s * 1e9, length_ns))
@@ -93,3 +148,43 @@ def part_asked_for(bag: BagReader, image: str, options: ReplayOptions) -> tuple[
             f'--start {options.start_s:g} --duration {options.duration_s:g}, there is '
             f'no image on {image}')
     return start_ns, stop_ns
+
+
+def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | None:
+    """
+    Return all transforms of a bag; None if the settings name no frame.
+
+    All are read before the first image, because they may be recorded after the image they precede.
+    Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``.
+
+    Raises
+    ------
+    BagError
+        A frame is named, but the bag has no transforms.
+
+    """
+    if not (settings.base_frame or settings.target_frame):
+        return None
+    topics = [topic.name for topic in bag.topics
+              if topic.msg_type in _TRANSFORM_TYPES and topic.count]
+    if not topics:
+        raise BagError('base_frame and target_frame need transforms, tf2_msgs/msg/TFMessage on '
+                       f'/tf and /tf_static. {bag.describe()}')
+    buffer = TransformBuffer()
+    for recorded in bag.read(topics):
+        is_static = recorded.topic.rpartition('/')[2] == 'tf_static'
+        try:
+            transforms = bag.plain(recorded).transforms
+        except Exception:  # damaged bytes may cause any exception in a parser
+            bag.damaged += 1
+            continue
+        for transform in transforms:
+            try:
+                buffer.add(transform, is_static)
+            except ValueError:  # recorders keep them, tf2 ignores them
+                bag.damaged += 1
+    return FrameTransforms(buffer)
+
+
+def _stamp(msg: Any) -> tuple[int, int]:
+    return msg.header.stamp.sec, msg.header.stamp.nanosec

@@ -1,25 +1,36 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Input and outputs of a replay."""
+"""What a replay reads, does and writes, and the parameters of the node that it takes."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.outputs.topics import OUTPUTS
+import yaml
+from rclpy.parameter import Parameter, get_parameter_value, parameter_dict_from_yaml_file
+from rclpy.parameter import parameter_value_to_python as value_to_python
 
-# Paths and the handling of unfinished bags do not affect the content.
-_NOT_OF_THE_CONTENT = ('source', 'target', 'figures', 'ply', 'table', 'leftover')
+from plane_detector.config import Config, NodeConfig
+from plane_detector.ros.health import FLOORLESS
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.ros.parameters import no_such_parameter, updated
+from plane_detector.settings import parameters_of
+
+NODE_NAME = 'plane_detector'
+# The obstacles are a quarter of a bag, and their points are in ~/points too.
+DEFAULT_OUTPUTS = tuple(name for name in OUTPUTS if name != FLOORLESS)
+# Paths do not affect the content of the new bag.
+_PATHS = ('source', 'target', 'figures', 'ply', 'table')
+_OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
     """
-    Input and outputs of a replay.
+    What to replay, and how.
 
     Attributes
     ----------
@@ -28,7 +39,7 @@ class ReplayOptions:
     config : Config
     settings : NodeConfig
     topics : mapping of str to str
-        Requested input topics; see :func:`find_camera`.
+        Requested input topics, see :func:`find_camera`.
     depth_by_bag : bool
         Whether to use measured depth if the bag has it for the image, whatever
         ``config.depth.source`` is.
@@ -45,9 +56,6 @@ class ReplayOptions:
     compressed : bool
     figures, ply, table : Path or None
         See :class:`ReplayFiles`.
-    leftover : str
-        What to do with an unfinished bag of an earlier run: ``refuse``, ``restart`` or
-        ``resume``.
 
     Examples
     --------
@@ -66,18 +74,71 @@ class ReplayOptions:
     start_s: float = 0.0
     duration_s: float = float('inf')
     every: int = 1
-    outputs: tuple[str, ...] = tuple(OUTPUTS)
+    outputs: tuple[str, ...] = DEFAULT_OUTPUTS
     copied: tuple[str, ...] | None = None
     storage: str = 'mcap'
     compressed: bool = False
     figures: Path | None = None
     ply: Path | None = None
     table: Path | None = None
-    leftover: str = 'refuse'
 
     @property
     def fingerprint(self) -> str:
         """Return a hash of the settings that determine the content of the new bag."""
         content = [(f.name, repr(getattr(self, f.name))) for f in fields(self)
-                   if f.name not in _NOT_OF_THE_CONTENT]
+                   if f.name not in _PATHS]
         return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
+
+
+def load_settings(params_file: Path | None, assignments: Sequence[str]
+                  ) -> tuple[Config, NodeConfig]:
+    """
+    Return the settings that the node would start with.
+
+    Parameters
+    ----------
+    params_file : Path, optional
+        As for ``ros2 run`` after ``--params-file``.
+    assignments : sequence of str
+        As for ``ros2 run`` after ``-p``: ``depth.source:=topic``. They override the file.
+
+    Raises
+    ------
+    FileNotFoundError
+        The file does not exist.
+    ValueError
+        A parameter is not known, a value is invalid, or the file has no section for this node.
+
+    """
+    values = [*_from_file(params_file), *map(_from_assignment, assignments)]
+    known = {name for settings in (Config(), NodeConfig())
+             for name, _, _ in parameters_of(settings)}
+    unknown = {parameter.name for parameter in values} - known
+    unknown = sorted(name for name in unknown if not name.startswith(_OF_ROS))
+    if unknown:
+        raise ValueError(no_such_parameter(unknown, known))
+    return updated(Config(), values), updated(NodeConfig(), values)
+
+
+def _from_file(path: Path | None) -> Iterable[Parameter]:
+    """Read the parameters of a file for this node, in any namespace, and for all nodes."""
+    if path is None:
+        return []
+    if not path.is_file():
+        raise FileNotFoundError(f'there is no parameter file {path}')
+    try:
+        sections = sorted(yaml.safe_load(path.read_text(encoding='utf-8')))
+        own = [name for name in sections if name.rpartition('/')[2] in (NODE_NAME, '**', '*')]
+        messages = parameter_dict_from_yaml_file(str(path), target_nodes=own) if own else {}
+    except (yaml.YAMLError, RuntimeError, TypeError, AttributeError) as error:
+        raise ValueError(f'{path} is not a ROS parameter file: {error}') from error
+    if not own:
+        raise ValueError(f'{path} has no section for /{NODE_NAME}; it has: {", ".join(sections)}')
+    return [Parameter.from_parameter_msg(message) for message in messages.values()]
+
+
+def _from_assignment(text: str) -> Parameter:
+    name, separator, value = text.partition(':=')
+    if not (name and separator):
+        raise ValueError(f'a parameter must be NAME:=VALUE, not {text!r}')
+    return Parameter(name, value=value_to_python(get_parameter_value(value)))

@@ -4,19 +4,24 @@
 
 from __future__ import annotations
 
+import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
 
+from plane_detector.config import Config
 from plane_detector.ros.diagnostics import Report, status_to_msg
+from plane_detector.ros.health import gap_of
 from plane_detector.types import Detection
 
 DIAGNOSTICS_TOPIC = '/diagnostics'
 REPLAY_NAME = 'replay'
-FRAME_KEY = 'frame'
 
 
 @dataclass
@@ -58,15 +63,12 @@ class Tally:
 
     Attributes
     ----------
-    processed, skipped, without_partner : int
-        Frames that gave planes, that could not be processed, images without calibration or
-        depth.
+    processed, without_partner : int
+        Frames that gave planes, images without calibration or depth.
     planes : int
         In all frames together.
     damaged : int
         Messages, or sections of the bag, that could not be read and were skipped.
-    resumed_at : int
-        Number of the first frame that an earlier run had not processed.
     errors : Counter of str
         Why frames were skipped.
     scales, gaps : Examples
@@ -76,65 +78,96 @@ class Tally:
     stage_seconds : Counter of str
         Total time of each stage.
     interrupted : bool
-    failure : str
-        Why the bag could not be read or written to its end.
+        Whether it was stopped before the end.
+    target : Path or None
+        The new bag.
+    unread : str
+        Why the bag could not be read to its end.
 
     """
 
     processed: int = 0
-    skipped: int = 0
     without_partner: int = 0
     planes: int = 0
     damaged: int = 0
-    resumed_at: int = 0
     errors: Counter[str] = field(default_factory=Counter)
     scales: Examples = field(default_factory=Examples)
     gaps: Examples = field(default_factory=Examples)
     depth: str = ''
     stage_seconds: Counter[str] = field(default_factory=Counter)
     interrupted: bool = False
-    failure: str = ''
+    target: Path | None = None
+    unread: str = ''
 
     @property
-    def seconds(self) -> float:
-        """All stages together."""
-        return sum(self.stage_seconds.values())
+    def skipped(self) -> int:
+        """Number of frames that could not be processed."""
+        return self.errors.total()
 
     @property
-    def state(self) -> str:
-        """Final state in one or two words."""
-        if self.interrupted:
-            return 'interrupted'
-        return 'broken off' if self.failure else 'finished'
+    def is_clean(self) -> bool:
+        """Whether every message was read and every frame processed."""
+        return not (self.skipped or self.damaged or self.unread)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of this block to a stage."""
+        start_s = time.perf_counter()
+        yield
+        self.stage_seconds[stage] += time.perf_counter() - start_s
+
+    def timed_each(self, stage: str, items: Iterator[Any]) -> Iterator[Any]:
+        """Yield the items; the time to make them is added to a stage."""
+        while True:
+            with self.timed(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
+    def add(self, detection: Detection, config: Config, outputs: Collection[str]
+            ) -> dict[str, str]:
+        """Count the result of a frame; return its facts for the diagnostics."""
+        self.processed += 1
+        self.planes += len(detection.planes)
+        scale = _scale_of(config.depth.source, detection)
+        self.scales.add(detection.scale_method, scale)
+        if gap := gap_of(detection, outputs):
+            self.gaps.add(gap.partition(':')[0], gap)
+        return {'scale': scale, 'gravity': detection.gravity_source,
+                'gravity_note': detection.gravity_note}
 
     def describe(self) -> str:
         """Return counts, rate and times as readable text."""
         frames = max(self.processed, 1)
         stages = ', '.join(f'{stage} {1e3 * total / frames:.1f}'
                            for stage, total in self.stage_seconds.items())
-        lines = [f'{self.processed} frames in {self.seconds:.1f} s: '
-                 f'{self.processed / max(self.seconds, 1e-9):.1f} frames per second',
+        seconds = self.stage_seconds.total()
+        lines = [f'{self.processed} frames in {seconds:.1f} s: '
+                 f'{self.processed / max(seconds, 1e-9):.1f} frames per second',
                  f'ms per frame: {stages}']
         lines += [f'Scale of {line}' for line in self.scales.lines()]
-        lines += self.gaps.lines()
+        return '\n'.join([*lines, *self.gaps.lines(), *self.losses()])
+
+    def losses(self) -> list[str]:
+        """Return a line for each kind of loss: frames and messages that were not used."""
+        lines = [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
         if self.without_partner:
             lines.append(f'{self.without_partner} images had no calibration or depth')
         if self.damaged:
             lines.append(f'{self.damaged} damaged messages were skipped')
-        lines += [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
-        if self.interrupted:
-            lines.insert(0, 'interrupted: the results so far are complete, --resume continues')
-        return '\n'.join(lines)
+        return lines + ([self.unread] if self.unread else [])
 
     def to_fields(self) -> dict[str, str]:
         """Return the fields for the metadata of the bag."""
-        return {'replay.state': self.state, 'replay.frames': str(self.processed),
-                'replay.planes': str(self.planes), 'replay.skipped': str(self.skipped),
-                'replay.damaged': str(self.damaged), 'replay.seconds': f'{self.seconds:.3f}',
-                'replay.depth': self.depth, 'replay.error': self.failure}
+        return {'replay.state': 'interrupted' if self.interrupted else 'finished',
+                'replay.frames': str(self.processed), 'replay.planes': str(self.planes),
+                'replay.skipped': str(self.skipped), 'replay.damaged': str(self.damaged),
+                'replay.seconds': f'{self.stage_seconds.total():.3f}',
+                'replay.depth': self.depth}
 
 
-def scale_of(depth_source: str, detection: Detection) -> str:
+def _scale_of(depth_source: str, detection: Detection) -> str:
     """Return the source of the unit of depth, with the note of the method."""
     if depth_source == 'topic':
         return 'metres, as measured'
@@ -171,6 +204,6 @@ def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str
                     skipped_lately=bool(error), last_error=error)
     level, message = ((DiagnosticStatus.WARN, f'frame skipped: {error}') if error
                       else (DiagnosticStatus.OK, 'replayed'))
-    facts = {FRAME_KEY: str(index), 'planes_in_all': str(tally.planes), **facts}
+    facts = {'frame': str(index), 'planes_in_all': str(tally.planes), **facts}
     return DiagnosticArray(header=header, status=[
         status_to_msg(REPLAY_NAME, level, message, report, facts)])

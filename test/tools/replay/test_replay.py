@@ -5,7 +5,6 @@
 import array
 import csv
 import shutil
-import signal
 
 import cv2
 import numpy as np
@@ -29,13 +28,12 @@ from replay_helpers import (
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
 from sensor_msgs.msg import CompressedImage, Image
 
-from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.replay.bag_reader import BagReader, to_message
-from plane_detector.tools.replay.bag_topics import input_class
+from plane_detector.tools.replay.input_topics import input_class
 
-FLOORLESS = '/plane_detector/points_without_floor'  # only where gravity is known
+FLOORLESS = '/plane_detector/points_without_floor'
 DIAGNOSTICS = '/diagnostics'
 
 
@@ -221,19 +219,3 @@ def test_wrong_parameters_are_reported(bag, replay, options, told):
     code, target, text = replay(bag, *options)
     assert (code, target.exists()) == (1, False)
     assert told in text
-
-
-def test_an_interrupted_replay_leaves_a_bag_of_what_was_done(bag, replay, monkeypatch):
-    process = FrameProcessor.process
-
-    def interrupted(self, frame, wanted):
-        if frame.image.header.stamp.nanosec:
-            signal.raise_signal(signal.SIGINT)
-        return process(self, frame, wanted)
-
-    monkeypatch.setattr(FrameProcessor, 'process', interrupted)
-    code, target, text = replay(bag)
-    assert code == 130
-    assert 'interrupted' in text
-    assert stamps_of(planes_of(target)) == [0.0, 0.1]
-    assert {len(messages) for messages in read_bag(target).values()} == {2}

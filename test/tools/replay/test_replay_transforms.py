@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Transforms that a bag brings: gravity, height of the camera, the frame of the outputs."""
 
+import shutil
+
 import numpy as np
 import pytest
-from bags import messages_of, write_bag
-from replay_helpers import camera_messages, planes_of, time_ns
+from bags import messages_of, read_bag, write_bag
+from replay_helpers import camera_messages, planes_of, stamp_s, time_ns
 from ros_helpers import FRAME_ID, cloud_array
 from rosbags import rosbag2
 from rosbags.typesys import Stores, get_typestore
@@ -36,12 +38,12 @@ def tf_message(gravity_camera, stamp_ns):
 @pytest.fixture
 def bag_with_tf(tmp_path, scenes):
     """Return a bag whose first scene is seen from a camera that /tf_static places."""
-    return write_bag_with_tf(tmp_path, scenes)
+    return write_bag_with_tf(tmp_path, scenes[:1])
 
 
-def write_bag_with_tf(tmp_path, scenes, broken=()):
-    """Write that bag, with further messages on /tf_static after the good one."""
-    source = write_bag(tmp_path / 'plain', camera_messages(scenes[:1]))
+def write_bag_with_tf(tmp_path, scenes, broken=(), moving=()):
+    """Write that bag, with further messages on /tf_static after the good one, and on /tf."""
+    source = write_bag(tmp_path / 'plain', camera_messages(scenes))
     floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
     target = tmp_path / 'walk'
     with rosbag2.Reader(source) as reader, rosbag2.Writer(target, version=9) as writer:
@@ -50,6 +52,9 @@ def write_bag_with_tf(tmp_path, scenes, broken=()):
         writer.write(tf, time_ns(0), STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage'))
         for data in broken:
             writer.write(tf, time_ns(0), data)
+        tf = writer.add_connection('/tf', 'tf2_msgs/msg/TFMessage', typestore=STORE)
+        for msg in moving:
+            writer.write(tf, time_ns(0), STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage'))
         connections = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=STORE)
                        for c in reader.connections}
         for connection, when, data in reader.messages():
@@ -63,6 +68,9 @@ def test_base_frame_tells_the_floor(bag_with_tf, replay):
     table = cloud_array(planes_of(target)[0])[0]
     (floor,) = table[table['class'] == PlaneClass.FLOOR]
     assert floor['d'] == pytest.approx(HEIGHT_M, abs=0.02)
+    assert '/plane_detector/points_without_floor' not in read_bag(target)
+    shutil.rmtree(target)
+    replay(bag_with_tf, '-p', 'base_frame:=base_link', '--outputs', 'points_without_floor')
     assert len(messages_of(target, '/plane_detector/points_without_floor', PointCloud2)) == 1
 
 
@@ -76,7 +84,7 @@ def test_broken_transforms_are_skipped_and_counted(tmp_path, scenes, replay):
         rotation.x = rotation.w = 0.0
         setattr(rotation, name, value)
         broken.append(bytes(STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage')))
-    code, target, text = replay(write_bag_with_tf(tmp_path, scenes, broken), '-p',
+    code, target, text = replay(write_bag_with_tf(tmp_path, scenes[:1], broken), '-p',
                                 'base_frame:=base_link')
     assert code == 3, text
     assert '3 damaged messages were skipped' in text
@@ -93,6 +101,24 @@ def test_target_frame_is_that_of_the_outputs(bag_with_tf, replay):
     (floor,) = table[table['class'] == PlaneClass.FLOOR]
     assert floor['normal_z'] == pytest.approx(1, abs=0.01)
     assert floor['z'] == pytest.approx(0, abs=0.03)
+
+
+def test_an_ancestor_without_data_is_no_obstacle(tmp_path, scenes, replay):
+    """The base is known in odom up to the third frame only; the camera is fixed to the base."""
+    moving = [tf_message(np.array([0.0, 1.0, 0.0]), round(stamp_s(index) * 1e9))
+              for index in (0, 2)]
+    for msg in moving:
+        (transform,) = msg.transforms
+        transform.header.frame_id, transform.child_frame_id = 'odom', 'base_link'
+    source = write_bag_with_tf(tmp_path, scenes, moving=moving)
+    code, target, text = replay(source, '-p', 'base_frame:=base_link')
+    assert code == 0, text
+    assert len(planes_of(target)) == len(scenes)
+    shutil.rmtree(target)
+    code, target, text = replay(source, '-p', 'target_frame:=odom')
+    assert code == 3
+    assert f'1 frames skipped: no transform from {FRAME_ID} to odom' in text.splitlines()[-1]
+    assert len(planes_of(target)) == len(scenes) - 1
 
 
 def test_a_bag_without_transforms_is_reported(bag, replay):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the input topics of a bag: those requested, or the only ones that fit."""
+"""Choice of the topics and the depth of a bag: those requested, or the only ones that fit."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from typing import Any
 
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
+from plane_detector.config import Config
 from plane_detector.ros.calibration import image_size
+from plane_detector.ros.inputs.synchronizer import depth_use
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Topic
+from plane_detector.tools.replay.options import ReplayOptions
 
 _CLASSES = {'sensor_msgs/msg/Image': Image, 'sensor_msgs/msg/CompressedImage': CompressedImage,
             'sensor_msgs/msg/CameraInfo': CameraInfo, 'sensor_msgs/msg/Imu': Imu}
@@ -72,22 +75,89 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     return InputTopics(image, wanted.get('camera_info') or _find_camera_info(bag, image))
 
 
-def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, str],
-                    depth_use: str, use_imu: bool) -> InputTopics:
+@dataclass(frozen=True)
+class DepthChoice:
     """
-    Choose depth and IMU, if they are used.
+    Source of depth.
+
+    Attributes
+    ----------
+    config : Config
+        With this source set.
+    topic : str
+        Topic of measured depth if one was found, else empty.
+    why : str
+        Readable reason.
+
+    """
+
+    config: Config
+    topic: str
+    why: str
+
+    def describe(self, facts: Mapping[str, str]) -> str:
+        """Return one line with the source, by the facts of a detector, and the reason."""
+        if self.config.depth.source == 'topic':
+            return f'measured: {self.why}'
+        reason = facts.get('depth_model_reason', '')
+        return f'network {facts["depth_model"]}{f" ({reason})" if reason else ""}, {self.why}'
+
+
+def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) -> DepthChoice:
+    """
+    Return measured depth if the bag has it for this image, unless another source is requested.
+
+    Measured depth needs no transform if it has the frame_id and the size of the image.
+
+    Raises
+    ------
+    BagError
+        Several depth topics fit.
+
+    """
+    config = options.config
+    if not options.depth_by_bag:
+        what = options.topics.get('depth', 'the depth topic')
+        measured = config.depth.source == 'topic'
+        return DepthChoice(
+            config, '', f'{what if measured else "not measured depth"}, as requested')
+    image, size = _first(bag, camera.image), _size_of(bag, camera)
+    others, fitting = [], []
+    for topic in _depth_images(bag, camera.image):
+        depth = _first(bag, topic.name)
+        what = (f'{topic.name} ({depth.width} x {depth.height}, {depth.encoding}, frame_id '
+                f'{depth.header.frame_id!r})')
+        fits = (depth.header.frame_id == image.header.frame_id
+                and (depth.width, depth.height) == size)
+        (fitting if fits else others).append((topic, what))
+    if fitting:
+        name = _only(bag, 'depth', [topic for topic, _ in fitting])
+        return DepthChoice(replace(config, depth=replace(config.depth, source='topic')), name,
+                           f'{fitting[0][1]}, registered to the image; --network uses a network '
+                           'instead')
+    if others:
+        return DepthChoice(config, '', (
+            f'because {", ".join(what for _, what in others)} is not registered to the image '
+            f'({size[0]} x {size[1]}, frame_id {image.header.frame_id!r})'))
+    return DepthChoice(config, '', 'because the bag has no depth images')
+
+
+def with_companions(bag: BagReader, camera: InputTopics, choice: DepthChoice, output: str,
+                    options: ReplayOptions) -> InputTopics:
+    """
+    Add the topics of depth and IMU, if they are used.
 
     Parameters
     ----------
     bag : BagReader
     camera : InputTopics
         Image and calibration.
-    wanted : mapping of str to str
-        As for :func:`find_camera`. Depth is chosen from the images with the frame_id of the image,
-        because others are not registered to it.
-    depth_use : str
-        ``required``, ``optional`` or ``unused``.
-    use_imu : bool
+    choice : DepthChoice
+        Its topic, or the requested one; else it is chosen from the images with the frame_id of
+        the image, because others are not registered to it.
+    output : str
+        Kind of depth that the network returns; see :func:`depth_use`.
+    options : ReplayOptions
 
     Raises
     ------
@@ -95,10 +165,12 @@ def with_companions(bag: BagReader, camera: InputTopics, wanted: Mapping[str, st
         A required topic is missing, or several fit; the message lists the topics.
 
     """
-    depth = wanted.get('depth', '') if depth_use != 'unused' else ''
-    if depth_use != 'unused' and not depth:
-        depth = _find_depth(bag, camera.image, depth_use == 'required')
-    imu = (wanted.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))) if use_imu else ''
+    use, wanted, depth, imu = depth_use(choice.config, output), options.topics, '', ''
+    if use != 'unused':
+        depth = (wanted.get('depth') or choice.topic
+                 or _find_depth(bag, camera.image, use == 'required'))
+    if options.settings.use_imu:
+        imu = wanted.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))
     return replace(camera, depth=depth, imu=imu)
 
 
@@ -164,42 +236,7 @@ def _depth_images(bag: BagReader, image: str) -> list[Topic]:
             if topic.name != image and _encoding(bag, topic) in _DEPTH_ENCODINGS]
 
 
-def registered_depth(bag: BagReader, camera: InputTopics) -> tuple[str, str]:
-    """
-    Return measured depth that needs no transform: with the frame_id and size of the image.
-
-    Returns
-    -------
-    topic : str
-        Empty if there is none.
-    what : str
-        Readable description, or why there is none.
-
-    Raises
-    ------
-    BagError
-        Several topics fit.
-
-    """
-    image, size = _first(bag, camera.image), _image_size(bag, camera)
-    others, fitting = [], []
-    for topic in _depth_images(bag, camera.image):
-        depth = _first(bag, topic.name)
-        what = (f'{topic.name} ({depth.width} x {depth.height}, {depth.encoding}, frame_id '
-                f'{depth.header.frame_id!r})')
-        fits = (depth.header.frame_id == image.header.frame_id
-                and (depth.width, depth.height) == size)
-        (fitting if fits else others).append((topic, what))
-    if fitting:
-        name = _only(bag, 'depth', [topic for topic, _ in fitting])
-        return name, f'{fitting[0][1]}, registered to the image'
-    if others:
-        return '', (f'{", ".join(what for _, what in others)} is not registered to the image '
-                    f'({size[0]} x {size[1]}, frame_id {image.header.frame_id!r})')
-    return '', 'the bag has no depth images'
-
-
-def _image_size(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
+def _size_of(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
     """Return width and height of the image; for a compressed one, those of its calibration."""
     image = _first(bag, camera.image)
     if isinstance(image, CompressedImage):

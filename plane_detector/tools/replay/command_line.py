@@ -1,0 +1,265 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""The program `replay`: its arguments, what it prints, and its exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from plane_detector.config import Config
+from plane_detector.depth.model_zoo import NETWORKS
+from plane_detector.ros.outputs.topics import OUTPUTS
+from plane_detector.stopping import Background, Stopped, leave
+from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
+
+if TYPE_CHECKING:
+    from plane_detector.tools.replay.tally import Tally
+
+Result = TypeVar('Result')
+BACKENDS = ('loky', 'dask', 'ray')
+TOPICS = {'image': 'sensor_msgs/Image or CompressedImage', 'camera_info': 'its CameraInfo',
+          'depth': 'measured depth of the image, used instead of a network',
+          'imu': 'sensor_msgs/Imu'}
+DESCRIPTION = """
+Find the planes in every image of a bag, as fast as possible, and write them into a new bag.
+
+Every frame is processed by the code of the node, without topics in between: none is dropped, and
+the same frames give the same planes. If the bag has measured depth for the image (same frame_id
+and size), it is used; a network is used only if there is none, or with --network.
+"""
+USAGE = """
+  replay [options] INPUT [OUTPUT]                       one bag (default: INPUT_planes, here)
+  replay [options] INPUT INPUT... FOLDER                many bags into a folder
+  replay [options] --output-folder FOLDER INPUT...      the same"""
+EXIT_CODES = """
+exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
+frames or damaged messages were skipped; 130 ended by a signal.
+"""
+_FAILED, _INCOMPLETE, _INTERRUPTED = 1, 3, 130
+_LOOK_S = 0.1
+# derived: replay ends within 3 s of a signal; closing the bag takes under a second.
+_PATIENCE_S = 1.5
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Replay one bag or many; return the exit code, see `--help`."""
+    options = parse(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return leave(_run(options))
+    except (KeyboardInterrupt, Stopped):
+        return leave(_INTERRUPTED)
+    except (OSError, ValueError, ModuleNotFoundError) as error:
+        print(f'replay: {error}', file=sys.stderr)
+        return leave(_FAILED)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    # Imported here, so that a missing library gives one line instead of a traceback.
+    from plane_detector.tools.replay.many_bags import is_collection
+    from plane_detector.tools.replay.replay_bag import replay
+    paths, folder = list(arguments.paths), arguments.output_folder
+    if folder is None and (len(paths) > 2 or is_collection(paths[0])):
+        folder = Path(paths.pop() if len(paths) > 1 else f'{Path(paths[0]).name}_planes')
+    if folder is not None:
+        return _run_many(arguments, paths, folder)
+    source = Path(paths[0])
+    target = Path(paths[1] if len(paths) > 1 else f'{bag_name(source)}_planes')
+    options = _options(arguments, source, target)
+    return _report(until_signal(lambda: replay(options)))
+
+
+def bag_name(path: Path) -> str:
+    """Return the name of a bag: that of the folder, dots included, or of the file without type."""
+    return path.name if path.is_dir() else path.stem
+
+
+def _report(tally: Tally) -> int:
+    print(tally.describe())
+    if tally.interrupted:
+        print(f'Interrupted: the planes of the frames so far are in {tally.target}')
+        return _INTERRUPTED
+    print(f'The planes are in {tally.target}')
+    if tally.is_clean:
+        return 0
+    print(f'replay: not everything could be used: {"; ".join(tally.losses())}', file=sys.stderr)
+    return _INCOMPLETE
+
+
+def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
+    from plane_detector.tools.replay import many_bags
+    bags = many_bags.find_bags(inputs, folder.resolve())
+    if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    summaries = many_bags.replay_many(bags, _options(arguments, Path(), folder),
+                                      arguments.backend, arguments.jobs)
+    print(many_bags.describe(summaries))
+    print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
+    if any(one.state == many_bags.FAILED for one in summaries):
+        return _FAILED
+    return _INCOMPLETE if any(one.skipped or one.damaged for one in summaries) else 0
+
+
+def until_signal(function: Callable[[], Result]) -> Result:
+    """
+    Return the result of a function; SIGINT or SIGTERM stops it, a second one ends the process.
+
+    An ignored signal, as SIGINT under nohup, stays ignored.
+
+    Raises
+    ------
+    Stopped
+        It was stopped, or did not end within 1.5 s and may still run in its thread: see
+        :func:`plane_detector.stopping.leave`.
+
+    """
+    call = Background(function, 'replay')
+    before = {number: handler for number in (signal.SIGINT, signal.SIGTERM)
+              if (handler := signal.getsignal(number)) is not signal.SIG_IGN}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def stop(_number: int, _stack: object) -> None:
+        restore()
+        call.stop.set()
+
+    for number in before:
+        signal.signal(number, stop)
+    try:
+        while not call.wait(_LOOK_S):
+            if call.stop.is_set and not call.wait(_PATIENCE_S):
+                raise Stopped
+        return call.result()
+    finally:
+        restore()
+
+
+def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:
+    config, settings = load_settings(arguments.params_file, _assignments(arguments))
+    return ReplayOptions(
+        source=source, target=target, config=config, settings=settings,
+        topics={role: name for role in TOPICS if (name := getattr(arguments, role))},
+        depth_by_bag=_depth_is_open(arguments, config),
+        start_s=arguments.start, duration_s=arguments.duration, every=arguments.every,
+        outputs=tuple(arguments.outputs),
+        copied=None if arguments.copy is None else tuple(arguments.copy),
+        storage=arguments.storage, compressed=arguments.compress, figures=arguments.figures,
+        ply=arguments.ply, table=arguments.csv)
+
+
+def _assignments(arguments: argparse.Namespace) -> list[str]:
+    """Return the parameters; those set by other options come first."""
+    by_depth = ['depth.source:=topic'] if arguments.depth else []
+    if arguments.network is not None:
+        by_depth = ['depth.source:=model']
+        by_depth += [f'depth.model:={arguments.network}'] if arguments.network else []
+    return [*by_depth, *arguments.parameter]
+
+
+def _depth_is_open(arguments: argparse.Namespace, config: Config) -> bool:
+    """Whether the source of depth is not given: no topic, no network, no parameter."""
+    named = {text.partition(':=')[0] for text in arguments.parameter}
+    return (not arguments.depth and arguments.network is None
+            and named.isdisjoint({'depth.source', 'depth.model'})
+            and config.depth.source == 'model' and config.scale.method != 'depth_topic')
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line; `--network` takes the next word only if it names a network."""
+    words = list(words)
+    for k, word in enumerate(words[:-1]):
+        if word == '--network' and not (words[k + 1] in NETWORKS or words[k + 1] == 'auto'
+                                        or words[k + 1].endswith('.onnx')):
+            words[k] = '--network='
+    if words[-1:] == ['--network']:
+        words[-1] = '--network='
+    return _make_parser().parse_intermixed_args(words)
+
+
+def _make_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog='replay', description=DESCRIPTION, epilog=EXIT_CODES, usage=USAGE,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('paths', nargs='+', metavar='INPUT', help=(
+        'rosbag2 folder (sqlite3, mcap, compressed), .mcap, .db3 or ROS 1 .bag; for many bags '
+        'any number of these, of folders of bags and of quoted patterns'))
+    parser.add_argument('--output-folder', type=Path, metavar='FOLDER', help=(
+        'process many bags: folder of the new bags and of summary.csv; all paths are inputs then'))
+    _add_inputs(parser.add_argument_group('inputs'))
+    _add_settings(parser.add_argument_group('processing'))
+    _add_outputs(parser.add_argument_group('outputs'))
+    _add_workers(parser.add_argument_group('many bags'))
+    return parser
+
+
+def _add_inputs(group: argparse._ArgumentGroup) -> None:
+    for role, meaning in TOPICS.items():
+        group.add_argument('--' + role.replace('_', '-'), metavar='TOPIC',
+                           help=f'{meaning} (default: found by type and name)')
+    group.add_argument('--start', type=_seconds, default=0.0, metavar='SECONDS',
+                       help='skip the beginning of the bag')
+    group.add_argument('--duration', type=_seconds, default=float('inf'), metavar='SECONDS',
+                       help='process only this much recorded time')
+    group.add_argument('--every', type=_positive, default=1, metavar='N',
+                       help='process only every n-th frame')
+
+
+def _add_settings(group: argparse._ArgumentGroup) -> None:
+    group.add_argument('--network', metavar='[NAME]',
+                       help='use a network even if the bag has measured depth: that of '
+                            'depth.model, or the one named here, or an .onnx file')
+    group.add_argument('--params-file', type=Path, metavar='YAML',
+                       help='parameters of the node, as for ros2 run')
+    group.add_argument('-p', '--parameter', action='append', default=[], metavar='NAME:=VALUE',
+                       help='one parameter, as for ros2 run: -p scale.camera_height:=1.2')
+
+
+def _add_outputs(group: argparse._ArgumentGroup) -> None:
+    group.add_argument('--outputs', nargs='+', choices=list(OUTPUTS),
+                       default=list(DEFAULT_OUTPUTS), help=(
+                           'topics of the new bag (default: all but points_without_floor)'))
+    group.add_argument('--copy', nargs='*', metavar='TOPIC',
+                       help='copy these topics into the new bag; without a name: the inputs. '
+                            'With --every, only the inputs of the processed frames')
+    group.add_argument('--storage', choices=['mcap', 'sqlite3'], default='mcap',
+                       help='format of the new bag (default: %(default)s)')
+    group.add_argument('--compress', action='store_true', help='compress the new bag with zstd')
+    group.add_argument('--figures', type=Path, metavar='FOLDER',
+                       help='image, depth and planes of each frame as .jpg; with many bags '
+                            '--figures, --ply and --csv name folders with one entry per bag')
+    group.add_argument('--ply', type=Path, metavar='FOLDER', help='labelled cloud of each frame')
+    group.add_argument('--csv', type=Path, metavar='FILE', help=(
+        'table of all planes; with shapes.types also one of all shapes'))
+
+
+def _add_workers(group: argparse._ArgumentGroup) -> None:
+    group.add_argument('--jobs', type=_jobs, default=-1, metavar='N',
+                       help='bags processed at a time, one thread each (default: all cores)')
+    group.add_argument('--backend', choices=BACKENDS, default='loky',
+                       help='of joblib: processes on this machine, or a cluster that shares the '
+                            'folders (default: %(default)s)')
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float('inf'):
+        raise argparse.ArgumentTypeError(f'must be a number of seconds, not {text}')
+    return value
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'must be at least 1, not {text}')
+    return value
+
+
+def _jobs(text: str) -> int:
+    return -1 if text == '-1' else _positive(text)

@@ -1,0 +1,248 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Many bags, each a job of joblib: processes on this machine, or Dask or Ray.
+
+As with make, a second run does what is missing: a new bag has its name only when it is whole.
+"""
+
+from __future__ import annotations
+
+import csv
+import glob
+import os
+import time
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+import joblib
+
+from plane_detector.threads import one_thread
+from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError
+from plane_detector.tools.replay.bag_writer import Draft, part_folder, replay_fields
+from plane_detector.tools.replay.command_line import bag_name
+from plane_detector.tools.replay.options import ReplayOptions
+from plane_detector.tools.replay.replay_bag import replay
+
+SUMMARY_NAME = 'summary.csv'
+FINISHED, DONE_BEFORE, FAILED = 'finished', 'done before', 'failed'
+_SHOWN_ERROR = 60
+
+
+@dataclass(frozen=True)
+class BagSummary:
+    """Result of a bag: the name of the new one, ``finished``, ``done before`` or ``failed``."""
+
+    bag: str
+    state: str
+    frames: int = 0
+    planes: int = 0
+    skipped: int = 0
+    damaged: int = 0
+    seconds: float = 0.0
+    depth: str = ''
+    error: str = ''
+
+
+def is_collection(text: str) -> bool:
+    """Whether a path is a pattern, or a folder of bags that is not a bag itself."""
+    if not os.path.lexists(text):
+        return glob.has_magic(text)
+    path = Path(text)
+    return path.is_dir() and not _is_bag_folder(path) and any(_below(path, None))
+
+
+def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, Path]:
+    """
+    Return the bags to process, by the names of the new ones.
+
+    Parameters
+    ----------
+    inputs : sequence of str
+        Bags; folders, which are searched recursively; patterns.
+    left_out : Path, optional
+        A folder that is not searched: that of the new bags.
+
+    Returns
+    -------
+    dict of str to Path
+        In a fixed order. A bag given as such keeps its name; one found in a folder is named by its
+        path in the folder: ``monday_walk`` for ``monday/walk``.
+
+    Raises
+    ------
+    FileNotFoundError
+        A path does not exist, or a folder contains no bag.
+    BagError
+        Two new bags would have the same name.
+
+    """
+    named: dict[str, Path] = {}
+    for text in inputs:
+        found = list(_of_input(text, left_out))
+        if not found:
+            raise FileNotFoundError(f'there is no bag {"in" if Path(text).is_dir() else "at"} '
+                                    f'{text}')
+        for name, path in found:
+            if named.setdefault(name, path).resolve() != path.resolve():
+                raise BagError(f'{named[name]} and {path} would both become {name}: process them '
+                               'in two runs, with two folders')
+    return named
+
+
+def _of_input(text: str, left_out: Path | None) -> Iterable[tuple[str, Path]]:
+    if os.path.lexists(text):
+        paths = [Path(text)]
+    else:
+        paths = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
+        paths = [path for path in paths if path.is_dir() or path.suffix in FILE_SUFFIXES]
+    for path in paths:
+        if path.is_dir() and not _is_bag_folder(path):
+            yield from (('_'.join((*bag.relative_to(path).parts[:-1], bag_name(bag))), bag)
+                        for bag in _below(path, left_out))
+        else:
+            yield bag_name(path), path
+
+
+def _below(folder: Path, left_out: Path | None) -> Iterable[Path]:
+    """Yield the bags in a folder and its subfolders, sorted by name, but no hidden ones."""
+    for path in sorted(folder.iterdir()):
+        if path.is_dir():
+            if _is_bag_folder(path):
+                yield path
+            elif not path.name.startswith('.') and path.resolve() != left_out:
+                yield from _below(path, left_out)
+        elif path.suffix in FILE_SUFFIXES:
+            yield path
+
+
+def _is_bag_folder(path: Path) -> bool:
+    """Whether it has metadata, or is a killed recording, a single storage file."""
+    if (path / 'metadata.yaml').exists():
+        return True
+    entries = list(path.iterdir())
+    storages = [entry for entry in entries if entry.suffix in ('.mcap', '.db3')]
+    return len(storages) == 1 and not any(entry.is_dir() for entry in entries) and not any(
+        entry.suffix == '.bag' for entry in entries)
+
+
+def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str = 'loky',
+                jobs: int = -1) -> list[BagSummary]:
+    """
+    Replay bags; return the summary of each, in order, and write them as a table.
+
+    Parameters
+    ----------
+    bags : mapping of str to Path
+        By the names of the new bags.
+    options : ReplayOptions
+        For all of them: the target is the folder of the new bags; figures, ply and table are
+        folders with one entry per bag.
+    backend : str
+        Of joblib: ``loky``, ``dask`` or ``ray``.
+    jobs : int
+        Bags at a time; -1: as many as the backend has cores.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be written, the cluster does not answer, or a worker was killed.
+    ModuleNotFoundError
+        The backend is not installed.
+
+    """
+    options.target.mkdir(parents=True, exist_ok=True)
+    each = [_options_of(name, source, options) for name, source in bags.items()]
+    with _cluster(backend), joblib.parallel_config(backend, n_jobs=jobs):
+        try:
+            summaries = joblib.Parallel(batch_size=1, verbose=11)(
+                joblib.delayed(replay_one)(one) for one in each)
+        except Exception as error:  # each backend has its own class for a worker that died
+            begun = [one.target.name for one in each if part_folder(one.target).exists()]
+            raise OSError(
+                f'a worker ended, at one of {", ".join(begun) or "the bags"}: '
+                f'{type(error).__name__}: {" ".join(str(error).split())}. Whole bags are kept; '
+                'the same command does the others') from error
+    with Draft(options.target / SUMMARY_NAME) as draft:
+        with open(draft.path, 'w', newline='', encoding='utf-8') as file:
+            writer = csv.DictWriter(file, [field.name for field in fields(BagSummary)])
+            writer.writeheader()
+            writer.writerows({**asdict(one), 'seconds': f'{one.seconds:.3f}'} for one in summaries)
+        draft.publish()
+    return summaries
+
+
+def replay_one(options: ReplayOptions) -> BagSummary:
+    """Replay a bag on one thread, unless it is there already; one bag does not end the others."""
+    start_s, name = time.monotonic(), options.target.name
+    try:
+        if os.path.lexists(options.target):
+            return _done_before(options)
+        with one_thread():
+            tally = replay(options, quiet=True)
+    except Exception as error:
+        kind = '' if isinstance(error, (OSError, ValueError)) else f'{type(error).__name__}: '
+        return BagSummary(name, FAILED, error=f'{kind}{error}')
+    return BagSummary(name, FINISHED, tally.processed, tally.planes, tally.skipped, tally.damaged,
+                      time.monotonic() - start_s, tally.depth, '; '.join(tally.losses()))
+
+
+def describe(summaries: Sequence[BagSummary]) -> str:
+    """Return the summaries as a readable table."""
+    width = max(len('bag'), *(len(one.bag) for one in summaries))
+    lines = [f'{"bag":<{width}}  {"state":<11} {"frames":>7} {"planes":>8} {"skipped":>7} '
+             f'{"damaged":>7} {"seconds":>8}  error']
+    for one in summaries:
+        error = one.error if len(one.error) <= _SHOWN_ERROR else one.error[:_SHOWN_ERROR] + '...'
+        lines.append(f'{one.bag:<{width}}  {one.state:<11} {one.frames:7d} {one.planes:8d} '
+                     f'{one.skipped:7d} {one.damaged:7d} {one.seconds:8.1f}  {error}'.rstrip())
+    states = Counter(one.state for one in summaries)
+    count_of_bags = f'{len(summaries)} bag{"s" if len(summaries) > 1 else ""}'
+    lines.append(f'{count_of_bags}, {sum(one.frames for one in summaries)} frames: '
+                 + ', '.join(f'{count} {state}' for state, count in states.items()))
+    return '\n'.join(lines)
+
+
+def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOptions:
+    """Return the options of a bag: one thread, its paths in the folders of the results."""
+    config = options.config
+    if not config.depth.threads:
+        config = replace(config, depth=replace(config.depth, threads=1))
+
+    def place(folder: Path | None, entry: str) -> Path | None:
+        return None if folder is None else folder.absolute() / entry
+
+    return replace(options, source=source.absolute(), config=config,
+                   target=place(options.target, name), figures=place(options.figures, name),
+                   ply=place(options.ply, name), table=place(options.table, f'{name}.csv'))
+
+
+def _done_before(options: ReplayOptions) -> BagSummary:
+    """Return what the metadata of a new bag say; any version may have written them."""
+    found = replay_fields(options.target)
+    if (found.get('replay.source'), found.get('replay.options')) != (
+            options.source.name, options.fingerprint):
+        raise BagError(f'{options.target} was made from {found.get("replay.source", "elsewhere")} '
+                       'with other options: remove it, or choose another folder')
+    return BagSummary(options.target.name, DONE_BEFORE, *(
+        int(found.get(f'replay.{key}', 0)) for key in ('frames', 'planes', 'skipped', 'damaged')),
+        depth=found.get('replay.depth', ''))
+
+
+def _cluster(backend: str) -> AbstractContextManager:
+    """Connect to a cluster, by the address in its own environment variable, or start one here."""
+    try:
+        if backend == 'dask':
+            from dask.distributed import Client
+            return Client()
+        if backend == 'ray':
+            from ray.util.joblib import register_ray
+            register_ray()
+    except ModuleNotFoundError as error:
+        package = {'dask': '"dask[distributed]"', 'ray': 'ray'}[backend]
+        raise ModuleNotFoundError(f'{error}: --backend {backend} needs pip install {package}, '
+                                  'here and on the workers', name=error.name) from error
+    return nullcontext()
