@@ -240,6 +240,11 @@ def to_message(recorded: Recorded, message_class: Any) -> Any:
                        f'{error}') from error
 
 
+def bag_name(path: Path) -> str:
+    """Return the name of a bag: that of the folder, dots included, or of the file without type."""
+    return path.name if path.is_dir() else path.stem
+
+
 def _storage(path: Path) -> Path:
     """Return the path for rosbags: the folder, or the only file of a folder without metadata."""
     if not path.exists():

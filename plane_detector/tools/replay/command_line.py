@@ -60,6 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     # Imported here, so that a missing library gives one line instead of a traceback.
+    from plane_detector.tools.replay.bag_reader import bag_name
     from plane_detector.tools.replay.many_bags import is_collection
     from plane_detector.tools.replay.replay_bag import replay
     paths, folder = list(arguments.paths), arguments.output_folder
@@ -71,11 +72,6 @@ def _run(arguments: argparse.Namespace) -> int:
     target = Path(paths[1] if len(paths) > 1 else f'{bag_name(source)}_planes')
     options = _options(arguments, source, target)
     return _report(until_signal(lambda: replay(options)))
-
-
-def bag_name(path: Path) -> str:
-    """Return the name of a bag: that of the folder, dots included, or of the file without type."""
-    return path.name if path.is_dir() else path.stem
 
 
 def _report(tally: Tally) -> int:

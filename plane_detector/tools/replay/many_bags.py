@@ -21,9 +21,8 @@ from pathlib import Path
 import joblib
 
 from plane_detector.threads import one_thread
-from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError
+from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
 from plane_detector.tools.replay.bag_writer import Draft, part_folder, replay_fields
-from plane_detector.tools.replay.command_line import bag_name
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.replay_bag import replay
 
