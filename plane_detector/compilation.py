@@ -4,8 +4,13 @@
 Loops over cells and pixels, compiled to machine code by numba.
 
 Numba is imported when the first kernel is needed, not with the package. The machine code is cached
-in a user folder named by a digest of the sources, so that code of another version is never loaded
-and the folder of the package may be read-only.
+in a folder of the user. The folder of each kernel is named by a digest of everything that numba
+compiles into it: its file, the values of the constants that it uses, also of other files, and the
+kernels that it calls. (Numba itself would notice only a change of the file.)
+
+Compiling is slow, mostly in Python, and numba compiles one function at a time. It is therefore
+done by as many processes as there are cores; this process stays responsive and loads the results.
+Measured on two cores: half the time of one process, 44 s of core time.
 """
 
 from __future__ import annotations
@@ -14,17 +19,28 @@ import gc
 import hashlib
 import logging
 import os
+import stat
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
+from contextlib import contextmanager, suppress
+from functools import cache, cached_property
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
+from types import FunctionType
 from typing import Any
 
+from plane_detector.stopping import raise_if_stopped
+
+# derived: more processes need 150 MB each and wait for the longest kernel anyway.
+MOST_PROCESSES = 6
+TELL_S = 5.0
+"""Time between two messages while kernels are compiled."""
+_CHECK_S = 0.1
 _KERNELS: list[Kernel] = []
 # Numba takes its cache folder from a global setting, so only one thread may change it at a time;
 # otherwise machine code would be written to the working directory.
@@ -38,7 +54,7 @@ class Kernel:
     Parameters
     ----------
     function : callable
-        Python function within numba's subset of the language; it may call other kernels.
+        Python function within numba's subset of the language; it may call kernels defined before.
     signature : str
         Types of result and arguments in numba's notation; no other types are compiled.
     is_short : bool
@@ -57,43 +73,66 @@ class Kernel:
         self.subject = function.__module__.split('.')[1]
         _KERNELS.append(self)
 
+    def __call__(self, *arguments: Any) -> Any:
+        """Run the machine code."""
+        return (self._compiled or self.compiled())(*arguments)
+
     @property
     def is_ready(self) -> bool:
         """Whether its machine code is loaded in this process."""
         return self._compiled is not None
 
-    def __call__(self, *arguments: Any) -> Any:
-        """Run the machine code."""
-        return (self._compiled or self.compiled())(*arguments)
+    @property
+    def is_cached(self) -> bool:
+        """Whether another process has compiled it."""
+        return any((cache_folder() / self.digest).glob('*/*.nbi'))
+
+    @cached_property
+    def digest(self) -> str:
+        """Name of its cache folder."""
+        digest = _digest_of_file(self._function.__code__.co_filename).copy()
+        for name in self._function.__code__.co_names:
+            value = self._function.__globals__.get(name)
+            if isinstance(value, Kernel):
+                value = value.digest
+            elif hasattr(value, 'tolist'):  # an array or a number of numpy
+                value = value.dtype, value.tolist()
+            if isinstance(value, (bool, int, float, str, tuple)):
+                digest.update(f'{name} {value!r}\n'.encode())
+        return digest.hexdigest()[:12]
 
     def compiled(self) -> Callable:
         """Return the compiled function, loaded from the cache if possible."""
-        with _COMPILING, _one_process(cache_folder()):
-            return self.make_ready()
+        if self._compiled is None:
+            with _COMPILING:
+                self._compile()
+        return self._compiled
 
-    def make_ready(self) -> Callable:
-        """Return the compiled function; the caller must hold the locks, see `compiled`."""
+    def _compile(self) -> None:
+        """Compile or load; the caller must hold the lock."""
         if self._compiled is not None:
-            return self._compiled
+            return
         import numba
-        names = self._function.__globals__
-        for name in self._function.__code__.co_names:
-            callee = names.get(name)
-            if isinstance(callee, Kernel):  # numba calls what it compiled itself
-                names[name] = callee.make_ready()
-        before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(cache_folder())
+        code, names = self._function.__code__, dict(self._function.__globals__)
+        for name in code.co_names:
+            if isinstance(callee := names.get(name), Kernel):
+                callee._compile()
+                names[name] = callee._compiled  # numba calls what it compiled itself
+        function = FunctionType(code, names, self.__name__)
+        function.__module__ = self.__module__
+        before, numba.config.CACHE_DIR = (numba.config.CACHE_DIR,
+                                          str(cache_folder() / self.digest))
         collects = gc.isenabled()
         gc.disable()  # a sixth of the time to compile would go into looking for garbage
         try:
             # Sums may be reordered; NaN and infinity are still handled exactly.
             self._compiled = numba.njit(
                 self._signature, cache=True, nogil=not self._is_short, error_model='numpy',
-                no_cfunc_wrapper=True, fastmath={'contract', 'reassoc', 'nsz'})(self._function)
+                no_cfunc_wrapper=True, fastmath={'contract', 'reassoc', 'nsz'})(function)
         finally:
             numba.config.CACHE_DIR = before
             if collects:
                 gc.enable()
-        return self._compiled
 
 
 def kernel(signature: str, is_short: bool = False) -> Callable[[Callable], Kernel]:
@@ -106,33 +145,79 @@ def are_ready(subject: str) -> bool:
     return all(one.is_ready for one in _KERNELS if one.subject == subject)
 
 
-def compile_kernels(subjects: Iterable[str],
-                    on_compiling: Callable[[], None] = lambda: None) -> None:
+def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambda text: None,
+                    what: str = 'the loops') -> None:
     """
     Compile kernels, or load them from the cache, so that the first frame is not delayed.
-
-    A second process compiles too, starting with the last kernel; this one loads its results.
 
     Parameters
     ----------
     subjects : iterable of str
         Folders of the package, such as ``'segmentation'``; their imported kernels are compiled.
-    on_compiling : callable
-        Called once, after the first kernel that was not cached; the others then take seconds.
+    tell : callable
+        Called with a text when kernels must be compiled, and every five seconds meanwhile.
+    what : str
+        What is compiled, for this text.
 
     """
-    missing = [one for subject in subjects for one in _KERNELS
-               if one.subject == subject and not one.is_ready]
-    if not missing:
+    subjects = set(subjects)
+    wanted = [one for one in _KERNELS if one.subject in subjects and not one.is_ready]
+    if not wanted:
         return
-    is_reported = False
-    # Under one lock: processes that take turns would each start numba's compiler.
-    with _COMPILING, _one_process(cache_folder()), ExitStack() as helpers:
-        for one in missing:
-            if one.make_ready().stats.cache_misses and not is_reported:
-                is_reported = True
-                on_compiling()
-                helpers.callback(_end, _second_process(missing))
+    with _one_process(cache_folder()):
+        missing = [one for one in wanted if not one.is_cached]
+        if missing:
+            tell(f'compiling {what} for this machine, once; this takes half a minute or more')
+            _compile_in_processes(missing, tell)
+        for one in wanted:
+            one.compiled()
+
+
+@cache
+def load_once(*subjects: str) -> None:
+    """Compile or load the kernels of these folders, at the first call of a process only."""
+    compile_kernels(subjects, logging.getLogger(__name__).warning)
+
+
+def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) -> None:
+    """Let other processes fill the cache; what they fail to compile is compiled by the caller."""
+    # A module at a time: its kernels call each other, and each process compiles what it calls.
+    modules = list(dict.fromkeys(one.__module__ for one in kernels))
+    count = min(len(os.sched_getaffinity(0)), MOST_PROCESSES, len(modules))
+    command = [sys.executable, '-c', 'from plane_detector.compilation import help_parent\n'
+                                     'help_parent()', str(os.getpid())]
+    helpers, told_s = [], time.monotonic()
+    try:
+        for k in range(count):
+            own = modules[k::count]
+            # A session of its own: a signal to end is for this process, which ends the others.
+            helpers.append(subprocess.Popen(
+                [*command, *own, *reversed([name for name in modules if name not in own])],
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)},
+                start_new_session=True))
+        while any(helper.poll() is None for helper in helpers):
+            raise_if_stopped()
+            if time.monotonic() - told_s > TELL_S:
+                told_s = time.monotonic()
+                tell(f'compiled {sum(one.is_cached for one in kernels)} of {len(kernels)} loops')
+            time.sleep(_CHECK_S)
+    finally:
+        for helper in helpers:
+            helper.kill()
+            helper.wait()
+
+
+def help_parent() -> None:
+    """Compile the kernels of the modules named on the command line, while the parent lives."""
+    parent, modules = int(sys.argv[1]), sys.argv[2:]
+    for module in modules:
+        import_module(module)
+        for one in _KERNELS:
+            if os.getppid() != parent:
+                return
+            if one.__module__ == module:
+                one.compiled()
 
 
 @contextmanager
@@ -147,64 +232,37 @@ def _one_process(folder: Path) -> Iterator[None]:
 
 
 @cache
-def load_once(*subjects: str) -> None:
-    """Compile or load the kernels of these folders, at the first call of a process only."""
-    compile_kernels(subjects, lambda: logging.getLogger(__name__).warning(
-        'compiling the loops for this machine, once'))
-
-
-def _second_process(wanted: list[Kernel]) -> subprocess.Popen | None:
-    """Start a process that compiles the kernels, last one first, if there is a core for it."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else 1
-    if cores < 2 or not sys.executable:
-        return None
-    code = 'from plane_detector import compilation; compilation.compile_backwards()'
-    names = [f'{one.__module__}:{one.__name__}' for one in wanted]
-    # A session of its own: a signal to end is for this process, which ends the other one.
-    return subprocess.Popen(
-        [sys.executable, '-c', code, str(os.getpid()), *names], start_new_session=True,
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)}, stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
-def _end(process: subprocess.Popen | None) -> None:
-    if process is not None:
-        process.kill()
-        process.wait()
-
-
-def compile_backwards() -> None:
-    """
-    Compile the kernels named on the command line, last one first, while the parent lives.
-
-    The parent holds the lock.
-    """
-    parent, names = int(sys.argv[1]), sys.argv[2:]
-    for name in reversed(names):
-        if os.getppid() != parent:
-            return
-        module, _, function = name.partition(':')
-        import_module(module)
-        for one in _KERNELS:
-            if (one.__module__, one.__name__) == (module, function):
-                one.make_ready()
+def _digest_of_file(path: str) -> Any:
+    # Numba compiles again if its version, Python's or the time of the file has changed.
+    versions = f'{version("numba")} {sys.version} {os.stat(path).st_mtime_ns}\n'
+    return hashlib.sha256(versions.encode() + Path(path).read_bytes())
 
 
 @cache
 def cache_folder() -> Path:
-    """Return the folder of the machine code; a temporary one if the user cache is not writable."""
-    digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob('*.py')):
-        source = path.read_bytes()
-        if b'compilation import kernel' in source:
-            digest.update(source)
-    root = Path(os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache')
-    folder = root / 'plane_detector' / f'kernels-{digest.hexdigest()[:12]}'
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError:
-        folder = Path(tempfile.gettempdir()) / f'plane_detector-{os.getuid()}' / folder.name
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    """
+    Return the folder of the machine code, which no other user can write to.
+
+    Numba unpickles what it finds there. If neither the user's cache nor a folder of the user in
+    the temporary directory can be used, the folder is a new one, and each start compiles again.
+    """
+    home = os.environ.get('XDG_CACHE_HOME') or Path('~/.cache').expanduser()
+    temporary = Path(tempfile.gettempdir()) / f'plane_detector-{os.getuid()}'
+    for folder in (Path(home) / 'plane_detector' / 'kernels', temporary):
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            if _is_ours_alone(folder):
+                return folder
+    folder = Path(tempfile.mkdtemp(prefix='plane_detector-'))
+    logging.getLogger(__name__).warning(
+        '%s belongs to another user or others may write to it: the loops are compiled again at '
+        'each start', temporary)
     return folder
+
+
+def _is_ours_alone(folder: Path) -> bool:
+    """Return whether this user owns the folder, which is no link, and only this user writes."""
+    status = folder.lstat()
+    return (stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+            and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+            and os.access(folder, os.W_OK | os.X_OK))

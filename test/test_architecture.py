@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
-LAYERS = (('stopping', 'compilation', 'threads', 'memory'), ('settings', 'stage_timer'),
+LAYERS = (('stopping', 'process'), ('compilation',), ('settings', 'stage_timer'),
           ('node_config',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('stages',), ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))

@@ -1,18 +1,80 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels are compiled when they are needed, into a cache that their sources name."""
+"""Kernels are compiled once, into a cache that what is compiled names and only its user writes."""
 
 import fcntl
 import os
 import subprocess
 import sys
 import threading
-import time
 
-import numba
 import pytest
 
 from plane_detector import compilation
+
+SAMPLE = """
+from plane_detector.compilation import compile_kernels, kernel
+from sample.stage.columns import COLUMN
+from sample.stage.parts import part
+@kernel('f8(f8[:])')
+def picked(row):
+    return part(row[COLUMN])
+"""
+PART = """
+from plane_detector.compilation import kernel
+@kernel('f8(f8)')
+def part(value):
+    return value {sign} 1
+"""
+RUN = """
+from plane_detector.compilation import compile_kernels
+import numpy as np, sample.stage.loops
+compile_kernels(['stage'], print)
+print(sample.stage.loops.picked(np.array([10.0, 20.0])))
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Return a new cache folder."""
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'cache'))
+    compilation.cache_folder.cache_clear()
+    yield tmp_path / 'cache' / 'plane_detector' / 'kernels'
+    compilation.cache_folder.cache_clear()
+
+
+@pytest.fixture
+def kernels(monkeypatch):
+    monkeypatch.setattr(compilation, '_KERNELS', [])
+    return [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
+
+
+@pytest.fixture
+def sample(tmp_path, monkeypatch, folder):
+    """Return a function: constant, sign -> what a program with kernels of two files prints."""
+    stage = tmp_path / 'sample' / 'stage'
+    stage.mkdir(parents=True)
+    monkeypatch.setenv('PYTHONPATH', os.pathsep.join([str(tmp_path), *sys.path]))
+
+    def run(column, sign):
+        for name, text in (('columns', f'COLUMN = {column}'), ('loops', SAMPLE),
+                           ('parts', PART.format(sign=sign))):
+            file = stage / f'{name}.py'
+            file.write_text(text, encoding='utf-8')
+            os.utime(file, (1, 1))
+        return subprocess.run([sys.executable, '-c', RUN], text=True, check=True,
+                              stdout=subprocess.PIPE).stdout.splitlines()
+    return run
+
+
+def test_changes_of_constants_and_callees_in_other_files_are_compiled(sample):
+    """Of files with the same size and time, which numba does not read for this kernel."""
+    printed = sample(0, '+')
+    assert printed[0].startswith('compiling the loops for this machine')
+    assert printed[-1] == '11.0'
+    assert sample(1, '+')[-1] == '21.0'
+    assert sample(1, '-')[-1] == '19.0'
+    assert sample(1, '-') == ['19.0']  # loaded, which takes no time to tell of
 
 
 def test_importing_the_package_does_not_import_numba():
@@ -21,104 +83,89 @@ def test_importing_the_package_does_not_import_numba():
     assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
 
 
-def test_machine_code_is_in_a_folder_of_the_user(tmp_path, monkeypatch):
+def test_every_global_name_that_a_kernel_uses_is_part_of_the_digest():
+    import plane_detector.pipeline
+    import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
+    for one in compilation._KERNELS:
+        names = one._function.__globals__
+        for name in one._function.__code__.co_names:
+            value = names.get(name, 0)
+            assert (isinstance(value, (compilation.Kernel, bool, int, float, str, tuple))
+                    or hasattr(value, 'tolist') or value is sys.modules['numpy']), (
+                f'{one.__name__}: {name}')
+
+
+def test_machine_code_is_in_a_folder_that_only_its_user_writes(folder, tmp_path, monkeypatch):
+    assert compilation.cache_folder() == folder
+    assert folder.stat().st_mode & 0o777 == 0o700
+    monkeypatch.setenv('XDG_CACHE_HOME', '/proc/none')
+    monkeypatch.setattr(compilation.tempfile, 'tempdir', str(tmp_path))
     compilation.cache_folder.cache_clear()
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    try:
-        assert compilation.cache_folder().is_relative_to(tmp_path / 'plane_detector')
-        monkeypatch.setenv('XDG_CACHE_HOME', '/proc/none')
-        compilation.cache_folder.cache_clear()
-        assert compilation.cache_folder().is_dir()
-    finally:
-        compilation.cache_folder.cache_clear()
+    temporary = compilation.cache_folder()
+    assert temporary.parent == tmp_path
+    assert temporary.stat().st_mode & 0o777 == 0o700
 
 
-def test_compiling_is_told_when_code_is_missing_not_when_it_is_loaded(tmp_path, monkeypatch):
-    """Code of the same sources at another place, or of some kernels only, is not that code."""
-    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
+@pytest.mark.parametrize('kind', ['of another user', 'writable', 'link'])
+def test_a_planted_folder_is_not_used(kind, folder, tmp_path, monkeypatch, caplog):
+    """Numba unpickles what it finds in its cache."""
+    monkeypatch.setenv('XDG_CACHE_HOME', '/proc/none')
+    monkeypatch.setattr(compilation.tempfile, 'tempdir', str(tmp_path))
+    planted = tmp_path / f'plane_detector-{os.getuid()}'
+    if kind == 'link':
+        (tmp_path / 'elsewhere').mkdir(mode=0o700)
+        planted.symlink_to(tmp_path / 'elsewhere')
+    else:
+        planted.mkdir(mode=0o700)
+    if kind == 'writable':
+        planted.chmod(0o777)
+    if kind == 'of another user':
+        user = os.getuid()
+        planted.rename(tmp_path / f'plane_detector-{user + 1}')
+        monkeypatch.setattr(os, 'getuid', lambda: user + 1)
+    used = compilation.cache_folder()
+    assert used.parent == tmp_path
+    assert used.name.removeprefix('plane_detector-') not in (
+        'elsewhere', str(os.getuid()))
+    assert 'compiled again at each start' in caplog.text
+
+
+def test_progress_is_told_every_few_seconds(folder, kernels, monkeypatch):
+    monkeypatch.setattr(compilation, 'TELL_S', 0.0)
     told = []
-    for expected in (['compiling'], ['compiling']):
-        monkeypatch.setattr(compilation, '_KERNELS', [])
-        kernels = [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
-        for one in kernels:
-            one.subject = 'segmentation'
-        for _ in range(2):  # what this process compiled a moment ago is ready the second time
-            compilation.compile_kernels(['segmentation'], lambda: told.append('compiling'))
-        assert told == expected
-    assert kernels[1](3) == 6
+    compilation.compile_kernels(['segmentation'], told.append)
+    assert told == []  # they belong to another folder
+    compilation.compile_kernels(['test_compilation'], told.append)
+    assert told[0].startswith('compiling the loops for this machine, once')
+    assert told[-1].endswith('of 2 loops')
+    assert [one(-3) for one in kernels] == [3, -6]
 
 
-def test_threads_that_compile_at_once_share_the_folder_of_the_user(monkeypatch):
-    """Else machine code is written into the working directory."""
-    before, seen = numba.config.CACHE_DIR, []
-
-    def slow_njit(*_, **__):
-        time.sleep(0.1 * (len(seen) + 1))  # the second would still compile when the first ends
-        seen.append(numba.config.CACHE_DIR)
-        return lambda function: function
-
-    monkeypatch.setattr(numba, 'njit', slow_njit)
-    monkeypatch.setattr(compilation, '_KERNELS', [])
-    kernels = [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
-    threads = [threading.Thread(target=one.compiled) for one in kernels]
-    for thread in threads:
-        thread.start()
-        time.sleep(0.05)
-    for thread in threads:
-        thread.join()
-    assert seen == [str(compilation.cache_folder())] * 2
-    assert before == numba.config.CACHE_DIR
-
-
-def test_another_process_that_compiles_is_waited_for(tmp_path, monkeypatch):
-    """Else every worker of many bags compiles all kernels, at the same time."""
-    compiled = []
-    monkeypatch.setattr(numba, 'njit', lambda *_, **__: lambda f: compiled.append(f) or f)
-    monkeypatch.setattr(compilation, '_KERNELS', [])
-    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
-    kernel = compilation.Kernel(abs_of, 'i8(i8)')
-    with open(tmp_path / 'lock', 'w', encoding='ascii') as other:
-        fcntl.flock(other, fcntl.LOCK_EX)
-        thread = threading.Thread(target=kernel.compiled)
-        thread.start()
-        thread.join(0.2)
-        assert not compiled
-    thread.join()
-    assert compiled == [abs_of]
-
-
-def test_the_second_process_fills_the_cache_and_ends_with_its_parent(tmp_path):
-    module = 'plane_detector.geometry.disparity'
-    script = 'from plane_detector import compilation; compilation.compile_backwards()'
-    for parent, written in (('1', []), (str(os.getpid()), ['_inverse'])):
-        subprocess.run([sys.executable, '-c', script, parent, f'{module}:_inverse'], check=True,
-                       env={**os.environ, 'XDG_CACHE_HOME': str(tmp_path)})
-        assert [path.name.split('.')[1].split('-')[0]
-                for path in tmp_path.rglob('*.nbi')] == written
-
-
-@pytest.mark.parametrize('body', ['exit 1', 'exec sleep 60'], ids=['fails', 'hangs'])
-def test_a_second_process_that_fails_or_hangs_holds_nobody_up(body, tmp_path, monkeypatch):
+@pytest.mark.parametrize('body', ['exit 1', 'exec sleep 3'], ids=['fails', 'does nothing'])
+def test_kernels_are_compiled_here_if_the_other_processes_fail(body, folder, kernels, tmp_path,
+                                                               monkeypatch):
     program = tmp_path / 'python'
     program.write_text(f'#!/bin/sh\n{body}\n', encoding='utf-8')
     program.chmod(0o700)
-    started, popen = [], subprocess.Popen
     monkeypatch.setattr(sys, 'executable', str(program))
-    monkeypatch.setattr(os, 'sched_getaffinity', lambda _: {0, 1})
-    monkeypatch.setattr(subprocess, 'Popen',
-                        lambda *a, **k: started.append(popen(*a, **k)) or started[0])
-    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
-    monkeypatch.setattr(compilation, '_KERNELS', [])
-    one = compilation.Kernel(double_of, 'i8(i8)')
-    one.subject = 'segmentation'
-    compilation.compile_kernels(['segmentation'])
-    assert one(3) == 6
-    assert [process.returncode is not None for process in started] == [True]
+    compilation.compile_kernels(['test_compilation'])
+    assert [one(-3) for one in kernels] == [3, -6]
+
+
+def test_another_process_that_compiles_is_waited_for(folder, kernels):
+    """Else every worker of many bags compiles all kernels, at the same time."""
+    with open(compilation.cache_folder() / 'lock', 'w', encoding='ascii') as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        thread = threading.Thread(target=compilation.compile_kernels, args=(['test_compilation'],))
+        thread.start()
+        thread.join(0.2)
+        assert not any(one.is_ready for one in kernels)
+    thread.join()
+    assert all(one.is_ready for one in kernels)
 
 
 @pytest.mark.parametrize('is_short', [False, True])
-def test_other_threads_run_beside_a_kernel_unless_it_is_short(is_short, tmp_path, monkeypatch):
-    monkeypatch.setattr(compilation, 'cache_folder', lambda: tmp_path)
+def test_other_threads_run_beside_a_kernel_unless_it_is_short(is_short, folder, monkeypatch):
     monkeypatch.setattr(compilation, '_KERNELS', [])
     one = compilation.Kernel(last_of_sequence, 'i8(i8)', is_short)
     one(1)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 from plane_detector.compilation import are_ready, compile_kernels
 from plane_detector.config import Config
@@ -22,7 +21,7 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     subjects = ['ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes']
     if config.shapes.wanted:
         subjects.append('shapes')
-    compile_kernels(subjects, partial(log, 'compiling the loops for this machine, once'))
+    compile_kernels(subjects, log)
 
 
 class LateKernels:
@@ -56,6 +55,5 @@ class LateKernels:
         return config  # if they could not be compiled, the frame will say why
 
     def _load(self) -> None:
-        compile_kernels(['shapes'], partial(
-            self._log, 'compiling the loops of shapes.types for this machine, once: planes are '
-            'found meanwhile, shapes follow'))
+        compile_kernels(['shapes'], self._log, 'the loops of shapes.types (planes are found '
+                        'meanwhile)')

@@ -20,8 +20,8 @@ from std_srvs.srv import Trigger
 
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.process import freeze_loaded_objects
 from plane_detector.ros import parameters
-from plane_detector.ros.allocator import freeze_loaded_objects
 from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain

@@ -25,9 +25,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from plane_detector.ros.allocator import retain_freed_memory
+from plane_detector.process import retain_freed_memory, use_one_thread
 from plane_detector.stopping import end_process
-from plane_detector.threads import use_one_thread
 
 _SPIN_TIMEOUT_S = 0.2
 # Time after which a thread gives the interpreter to one that waits for it. Every compiled loop
@@ -115,7 +114,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoRetur
 
 def prepare_process() -> None:
     """Set up memory and interpreter of this process for worker threads."""
-    retain_freed_memory()
+    retain_freed_memory(one_heap=True)
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     # The stages share the cores. The threads of OpenCV and OpenBLAS spin while they wait for the
     # next operation: measured 1 and 16 ms of core time for each frame.

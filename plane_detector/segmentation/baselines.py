@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from plane_detector.config import Config, PaperConfig
 from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
+from plane_detector.process import one_thread
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
@@ -28,11 +29,10 @@ from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.stopping import raise_if_stopped
-from plane_detector.threads import one_blas_thread
 from plane_detector.types import CameraIntrinsics
 
 
-@one_blas_thread
+@one_thread()
 def segment_by_paper(disparity: np.ndarray, intrinsics: CameraIntrinsics, noise_floor: Noise,
                      config: Config, rng: np.random.Generator | None = None) -> PixelRegions:
     """
@@ -232,7 +232,7 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
     return labels
 
 
-@one_blas_thread
+@one_thread()
 def ransac_alone(depth_m: np.ndarray, config: Config | None = None) -> np.ndarray:
     """
     Label pixels by sequential RANSAC without clustering, to show the effect of clustering.

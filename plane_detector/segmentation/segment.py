@@ -14,7 +14,7 @@ import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
-from plane_detector.memory import retain_freed_memory
+from plane_detector.process import retain_freed_memory
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions

@@ -19,9 +19,9 @@ def compiler(monkeypatch):
     """Return an event that ends the compiling of the shapes."""
     finished = threading.Event()
 
-    def compile_slowly(subjects, on_compiling):
+    def compile_slowly(subjects, tell, what='the loops'):
         if 'shapes' in subjects:
-            on_compiling()
+            tell(f'compiling {what}')
             finished.wait(60)
 
     monkeypatch.setattr(kernels, 'compile_kernels', compile_slowly)

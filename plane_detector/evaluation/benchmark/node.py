@@ -29,7 +29,7 @@ from plane_detector.evaluation.benchmark.options import add_data
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import Frame, frames
-from plane_detector.ros.allocator import retain_freed_memory
+from plane_detector.process import retain_freed_memory
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.demo.node_process import NodeProcess, use_private_domain
 
@@ -148,7 +148,7 @@ def _cells(load: Load) -> list[str]:
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables."""
-    retain_freed_memory()  # as the node does
+    retain_freed_memory(one_heap=True)  # as the node does
     use_private_domain()
     title, views = views_of(options.data, options.views)
     found = list(sources(options.model, options.rate))

@@ -14,7 +14,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
-from plane_detector.ros.allocator import retain_freed_memory
+from plane_detector.process import retain_freed_memory
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.demo.node_client import NODE
 
@@ -66,7 +66,7 @@ class Receiver:
 
 def _receive(outputs: tuple[str, ...], namespace: str, pipe: Connection) -> None:
     """Count until the process is ended."""
-    retain_freed_memory()  # as the node; otherwise most of its time is page faults
+    retain_freed_memory(one_heap=True)  # as the node; otherwise most of its time is page faults
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM ends it
     node, executor = rclpy.create_node('plane_detector_receiver'), SingleThreadedExecutor()
     executor.add_node(node)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 
-from plane_detector.threads import one_thread, use_one_thread
+from plane_detector.process import one_thread, use_one_thread
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from plane_detector.evaluation.scenes.rooms import (
     random_room,
     render,
 )
-from plane_detector.threads import one_thread
+from plane_detector.process import one_thread
 from plane_detector.types import CameraIntrinsics
 
 SIZES = ((320, 240), (640, 480), (1280, 720))

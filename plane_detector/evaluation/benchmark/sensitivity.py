@@ -32,7 +32,7 @@ from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import Scene
-from plane_detector.threads import one_thread
+from plane_detector.process import one_thread
 
 FACTORS = (0.7, 1.4)
 _FOLDER = Path(plane_detector.segmentation.__file__).parent

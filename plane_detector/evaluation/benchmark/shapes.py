@@ -23,7 +23,7 @@ from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
 from plane_detector.evaluation.shape_methods import CONFIG, PyRansac, ShapeGuess, ours
-from plane_detector.threads import one_thread
+from plane_detector.process import one_thread
 from plane_detector.types import CameraIntrinsics, ShapeType
 
 SIGMAS = (0.0, 0.001, 0.004)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import joblib
 
-from plane_detector.threads import one_thread
+from plane_detector.process import one_thread
 from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
 from plane_detector.tools.replay.bag_writer import Draft, part_folder, replay_fields
 from plane_detector.tools.replay.options import ReplayOptions

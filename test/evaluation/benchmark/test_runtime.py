@@ -10,7 +10,7 @@ from plane_detector.evaluation import peers
 from plane_detector.evaluation.benchmark import runtime
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.evaluation.scenes.rooms import single_wall
-from plane_detector.threads import one_thread
+from plane_detector.process import one_thread
 from plane_detector.types import CameraIntrinsics
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The node's process keeps the memory of a frame for the next one."""
+"""The process keeps the memory of a frame for the next one, and one thread where asked."""
 
 import gc
 import os
@@ -9,16 +9,18 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
-from plane_detector.ros.allocator import freeze_loaded_objects
+from plane_detector.process import freeze_loaded_objects, one_thread
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 FRAMES, ARRAYS = 20, 30
 PROGRAM = f"""
 import resource, sys, threading
 import numpy as np
-from plane_detector.ros.allocator import retain_freed_memory
+from plane_detector.process import retain_freed_memory
 
 def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -33,15 +35,18 @@ def work():
         frame()
     print(kept, (faults() - before) // {FRAMES})
 
-kept = 'keep' in sys.argv and retain_freed_memory()
-thread = threading.Thread(target=work)
-thread.start()
-thread.join()
+kept = retain_freed_memory(one_heap='thread' in sys.argv)
+if 'thread' in sys.argv:
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+else:
+    work()
 """
 
 
 def outcome(*arguments, **variables):
-    """Return whether memory is kept, and the page faults of a frame in a thread."""
+    """Return whether memory is kept, and the page faults of a frame."""
     environment = {name: value for name, value in os.environ.items()
                    if not name.startswith('MALLOC_') and name != 'GLIBC_TUNABLES'}
     printed = subprocess.run([sys.executable, '-c', PROGRAM, *arguments], text=True, check=True,
@@ -50,15 +55,18 @@ def outcome(*arguments, **variables):
     return kept == 'True', int(faults)
 
 
+@pytest.mark.parametrize('arguments', [[], ['thread']])
 @pytest.mark.skipif(platform.libc_ver()[0] != 'glibc', reason='only the GNU C library has this')
-def test_a_frame_is_processed_without_new_memory_pages():
-    kept, faults = outcome('keep')
+def test_a_frame_is_processed_without_new_memory_pages(arguments):
+    kept, faults = outcome(*arguments)
     assert kept
     assert faults < 10
 
 
 def test_settings_of_the_user_are_kept():
-    assert outcome('keep', MALLOC_ARENA_MAX='2')[0] is False
+    kept, faults = outcome('thread', MALLOC_ARENA_MAX='2')
+    assert not kept
+    assert faults > 100
 
 
 def test_loaded_objects_are_excluded_from_garbage_collection():
@@ -69,3 +77,21 @@ def test_loaded_objects_are_excluded_from_garbage_collection():
         assert len(gc.get_objects()) < 1000
     finally:
         gc.unfreeze()
+
+
+@pytest.mark.parametrize('fails', [False, True])
+def test_one_thread_within_as_many_as_before_behind(fails):
+    @one_thread()
+    def count():
+        assert not fails
+        return {cv2.getNumThreads(), *(library['num_threads'] for library in threadpool_info())}
+
+    before = cv2.getNumThreads()
+    with threadpool_limits(2):
+        if fails:
+            with pytest.raises(AssertionError):
+                count()
+        else:
+            assert count() == {1}
+        assert {library['num_threads'] for library in threadpool_info()} == {2}
+    assert cv2.getNumThreads() == before
