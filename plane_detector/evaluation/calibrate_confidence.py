@@ -11,8 +11,9 @@ import numpy as np
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT, reliability
-from plane_detector.evaluation.metrics import overlap
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT
+from plane_detector.evaluation.benchmark.tables import table
+from plane_detector.evaluation.metrics import known_mean, overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
@@ -21,6 +22,7 @@ from plane_detector.planes.measurement import CONFIDENCE_WEIGHTS, MIN_TILT_RAD
 
 SCENES = (random_room, living_room)
 FIT_SEEDS, CHECK_SEEDS = range(200, 250), range(HELD_OUT, HELD_OUT + 50)
+CONFIDENCE_EDGES = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 NOISES = (0.0, 0.002, 0.004, 0.007, 0.01)
 
 
@@ -43,6 +45,17 @@ def samples(make_scene: Callable[[np.random.Generator], Scene],
             features.append(np.stack([np.ones(len(shares)), np.log(shares), np.log(
                 np.maximum(deviations_rad, MIN_TILT_RAD))], axis=1))
     return np.concatenate(features), np.array(matched)
+
+
+def reliability(confidence: np.ndarray, matched: np.ndarray) -> str:
+    """Return a Markdown table: for each range of confidence (n,), the share of true planes."""
+    rows = []
+    for low, high in zip(CONFIDENCE_EDGES[:-1], CONFIDENCE_EDGES[1:], strict=True):
+        inside = (confidence > low) & (confidence <= high)
+        rows.append([f'{low:g} to {high:g}', str(inside.sum()),
+                     *(f'{known_mean(values[inside].astype(float)):.2f}'
+                       for values in (confidence, matched))])
+    return table(('confidence', 'planes', 'mean confidence', 'share that match'), rows)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -156,9 +156,10 @@ class OpenCv(Method):
         return self._normals[1]
 
 
-class Open3dCloud(Method):
-    """Base class of the two methods of Open3D: a point cloud of all valid pixels."""
+class Open3dPatches(Method):
+    """Open3D's detect_planar_patches with the settings of its documentation."""
 
+    name = 'Open3D detect_planar_patches'
     slow = True
 
     def __init__(self) -> None:
@@ -183,11 +184,6 @@ class Open3dCloud(Method):
         return labels, _towards_camera(np.array(planes).reshape(-1, 4))
 
 
-class Open3dPatches(Open3dCloud):
-    """Open3D's detect_planar_patches with the settings of its documentation."""
-
-    name = 'Open3D detect_planar_patches'
-
     def run(self, prepared: Any) -> Any:
         """Estimate the normals, find the patches and the points in them."""
         import open3d
@@ -203,36 +199,9 @@ class Open3dPatches(Open3dCloud):
         return seen, indices, [_through(box.center, box.R[:, 2]) for box in boxes]
 
 
-class Open3dRansac(Open3dCloud):
-    """Open3D's segment_plane, applied repeatedly."""
-
-    def __init__(self, threshold_m: float = 0.02) -> None:
-        super().__init__()
-        self.threshold_m = threshold_m
-        self.name = f'Open3D segment_plane, peeled, {100 * threshold_m:g} cm'
-
-    def run(self, prepared: Any) -> Any:
-        """Remove the best plane from the cloud until the best one is too small."""
-        import open3d
-        open3d.utility.random.seed(0)
-        cloud, seen = prepared
-        left, indices, planes = np.arange(len(cloud.points)), [], []
-        least = MIN_PIXELS * seen.size / (640 * 480)
-        while len(left) > max(least, 3) and len(planes) < SegmentationConfig.max_planes:
-            plane, inliers = cloud.segment_plane(self.threshold_m, 3, 1000)
-            if len(inliers) < least:
-                break
-            planes.append(plane)
-            indices.append(left[inliers])
-            left = np.delete(left, inliers)
-            cloud = cloud.select_by_index(inliers, invert=True)
-        return seen, indices, planes
-
-
 def all_methods() -> list[Method]:
     """Return our method first, then all others, available or not."""
-    return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05), Open3dPatches(),
-            Open3dRansac()]
+    return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05), Open3dPatches()]
 
 
 def relabelled(labels: np.ndarray, kept: np.ndarray) -> np.ndarray:

@@ -3,7 +3,7 @@
 """
 Benchmarks of the package, with results as Markdown. One program, one subcommand per subject.
 
-    python3 -m plane_detector.evaluation.benchmark segmentation --only rooms
+    python3 -m plane_detector.evaluation.benchmark labelled --frames
     python3 -m plane_detector.evaluation.benchmark accuracy --plots docs/figures
     python3 -m plane_detector.evaluation.benchmark SUBCOMMAND --help
 
@@ -28,21 +28,16 @@ COMMANDS = {
     'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
     'labelled': ('benchmark.labelled', 'real frames with planes labelled by hand'),
     'sensors': ('benchmark.sensors', 'errors of planes of real and of simulated sensors'),
-    'segmentation': ('benchmark.segmentation', 'planes in depth, ours and other methods'),
+    'time': ('benchmark.runtime', 'run time on one thread'),
     'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
-    'units': ('benchmark.units', 'one scene as metres, disparity and relative disparity'),
     'orientation': ('benchmark.orientation', 'directions from lines, and planes with them'),
     'depth': ('benchmark.depth_network', 'time of the depth network'),
-    'flicker': ('benchmark.flicker', 'the temporal filter of the depth'),
     'node': ('benchmark.node', 'the node as a process, over DDS'),
     'nyu': ('benchmark.nyu', 'NYU Depth V2, ours and the methods of the paper'),
     'labels': ('benchmark.labels', 'label images of any method, scored like ours'),
-    'structure': ('structure', 'modules, import floors, constants and lines of a checkout'),
     'ablation': ('benchmark.ablation', 'each stage of the segmentation switched off'),
-    'sensitivity': ('benchmark.sensitivity', 'each constant at 0.7 and 1.4 times its value'),
     'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
-    'export': ('export_depth_anything', 'write a depth network with random weights'),
 }
 
 

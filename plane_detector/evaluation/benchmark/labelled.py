@@ -16,17 +16,17 @@ from plane_detector.config import Config
 from plane_detector.drawing import overlay
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.samples import labelled_numbers
 from plane_detector.evaluation.benchmark.tables import emit, table, write_sheet
 from plane_detector.evaluation.datasets import (
     ABW,
     TABLETOPS,
-    UNKNOWN,
     Frame,
     LabelledFrame,
     frames,
     labelled_frames,
 )
-from plane_detector.evaluation.metrics import MIN_PIXELS, hoover_score, known_mean, labelled_score
+from plane_detector.evaluation.metrics import MIN_PIXELS, hoover_score, known_mean
 from plane_detector.evaluation.peers import Method, OpenCv, Ours, Paper
 from plane_detector.pipeline import segment_planes
 
@@ -34,8 +34,6 @@ UNSEEN_SETS = ('kitchen',)
 """Real frames without labels of which --pictures also writes pictures."""
 ABW_MIN_SHARE = 0.001
 """Smallest plane on ABW: its regions are small, and each published method was set for them."""
-SCORES = {'SC': 'segmentation_covering', 'recall': 'recall', 'pieces': 'pieces',
-          'merged': 'merged', 'unlabelled': 'unlabelled'}
 HOOVER = {'true': 'true', 'correct': 'correct', 'over-segmented': 'over_segmented',
           'under-segmented': 'under_segmented', 'missed': 'missed', 'noise': 'noise'}
 _PANEL_WIDTH_PX = 640
@@ -99,13 +97,6 @@ def _with_min_share(share: float) -> Config:
     return replace(config, segmentation=replace(config.segmentation, min_plane_share=share))
 
 
-def labelled_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
-    """Return the numbers of SCORES for predicted labels (H, W)."""
-    mask = (frame.labels != UNKNOWN) & np.isfinite(frame.depth_m)
-    score = asdict(labelled_score(np.maximum(frame.labels, -1), labels, mask))
-    return {name: float(score[field]) for name, field in SCORES.items()}
-
-
 def hoover_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
     """Return the numbers of HOOVER for predicted labels (H, W)."""
     score = asdict(hoover_score(np.maximum(frame.labels, -1), labels,
@@ -144,7 +135,7 @@ def _labels(method: Method, frame: Frame) -> np.ndarray:
 
 
 def _cells(numbers: Mapping[str, float]) -> list[str]:
-    return [f'{value:.3f}' if name in SCORES else f'{value:.1f}'
+    return [f'{value:.1f}' if name in HOOVER else f'{value:.3f}'
             for name, value in numbers.items()]
 
 

@@ -5,8 +5,7 @@ The node as a separate process over DDS: rate, time per stage, time on the cores
 
 Views are published at a constant rate: image, camera_info and, for depth from a topic, depth. They
 are real images with sensor depth, or a rendered room. Three processes share the cores: the camera
-(this program), the node, and a receiver that takes the outputs as bytes. Then the same views are
-processed without DDS, and each part is timed separately.
+(this program), the node, and a receiver that takes the outputs as bytes.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from tqdm import tqdm
 from plane_detector.config import DepthConfig
 from plane_detector.depth.model_zoo import fetch
 from plane_detector.evaluation.benchmark.node_load import HELD_S, CameraLoad, Load, Show
-from plane_detector.evaluation.benchmark.node_parts import report_parts
 from plane_detector.evaluation.benchmark.node_receiver import Receiver
 from plane_detector.evaluation.benchmark.options import add_data
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
@@ -155,6 +153,5 @@ def run(options: argparse.Namespace) -> None:
     rclpy.init()
     try:
         report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
-        report_parts([one for one in found if not one[1].target_rate], views)
     finally:
         rclpy.try_shutdown()

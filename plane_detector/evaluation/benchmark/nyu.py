@@ -22,7 +22,6 @@ from tqdm import tqdm
 
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.label_scores import Numbers, summary
-from plane_detector.evaluation.benchmark.nyu_figure import write_figures
 from plane_detector.evaluation.benchmark.nyu_frames import (
     ANNOTATIONS,
     METHODS,
@@ -50,8 +49,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help=f'depth network, as depth.model; {NO_MODEL}: sensor only')
     parser.add_argument('--outside', type=named_folder, action='append', default=[],
                         metavar='NAME=FOLDER', help='label images of another method')
-    parser.add_argument('--figure', type=_frame_numbers, default=(), metavar='1,5,9',
-                        help='frames to draw as in Figure 2 of the paper')
     parser.add_argument('--write-labels', action='store_true',
                         help='write the labels and planes of every method to OUTPUT/labels')
     parser.add_argument('--restart', action='store_true', help='forget an earlier run')
@@ -79,10 +76,6 @@ def _methods(text: str) -> tuple[str, ...]:
     return wanted
 
 
-def _frame_numbers(text: str) -> tuple[int, ...]:
-    return tuple(int(number) for number in text.split(','))
-
-
 def named_folder(text: str) -> tuple[str, Path]:
     """Split NAME=FOLDER."""
     name, _, folder = text.partition('=')
@@ -92,7 +85,7 @@ def named_folder(text: str) -> tuple[str, Path]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Evaluate the remaining frames, print the tables, draw the figure."""
+    """Evaluate the remaining frames, print the tables."""
     output = options.output
     write_to = (output / 'labels').resolve() if options.write_labels else None
     task = Task(options.file.resolve(), options.depth, resolved(options.truth), options.methods,
@@ -109,8 +102,6 @@ def run(options: argparse.Namespace) -> None:
     if task.truth == SENSOR:
         emit('The truth is our own result on the sensor\'s depth: the row of that method and '
              'source says nothing, and the other rows favour our method.')
-    for path in write_figures(task, options.figure, output):
-        emit(f'Figure: `{path}`')
 
 
 def resolved(truth: str) -> str:

@@ -41,9 +41,3 @@ def scene_counts(options: argparse.Namespace) -> dict[str, int]:
 def add_model(parser: argparse.ArgumentParser) -> None:
     """Add the depth network."""
     parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
-
-
-def add_output(parser: argparse.ArgumentParser) -> None:
-    """Add the output folder."""
-    parser.add_argument('--output', type=Path, default=Path('benchmark_output'),
-                        help='folder of the images that are written')

@@ -10,44 +10,44 @@ depth image to the labels of all pixels and the measured planes.
 
 from __future__ import annotations
 
+import argparse
 import time
 from collections.abc import Sequence
 
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT, noisy_depth, room
+from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
 from plane_detector.evaluation.benchmark.tables import emit, table
-from plane_detector.evaluation.datasets import Frame
-from plane_detector.evaluation.peers import Method, OpenCv, Ours
-from plane_detector.evaluation.scenes.rooms import (
-    VGA,
-    Rectangle,
-    Scene,
-    camera_rotation,
-    random_room,
-    render,
-)
+from plane_detector.evaluation.datasets import Frame, frames
+from plane_detector.evaluation.peers import Method, OpenCv, Ours, all_methods
+from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.process import one_thread
 from plane_detector.types import CameraIntrinsics
 
+REPEATS = 15
 SIZES = ((320, 240), (640, 480), (1280, 720))
-PLANES_A_SIDE = (1, 2, 3, 4, 5)
 SLOW_REPEATS = 3
-_MOSAIC_DISTANCE_M = 3.0
 
 Case = tuple[np.ndarray, CameraIntrinsics]
 
 
-def report_times(methods: Sequence[Method], repeats: int, frames: Sequence[Frame]) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument('--repeats', type=shared.at_least_one, default=REPEATS,
+                        help='runs of everything timed')
+    shared.add_data(parser)
+
+
+def run(options: argparse.Namespace) -> None:
     """Print the tables of times; with real frames one more."""
-    present = [method for method in methods if not method.absent]
+    present = [method for method in all_methods() if not method.absent]
+    found = list(frames(options.data)) if options.data.is_dir() else []
     with one_thread():
-        _report_peers(present, repeats)
-        _report_noise(present, repeats)
-        _report_real(present, repeats, frames)
-        _report_sizes(present, repeats)
-        _report_plane_counts(present, repeats)
+        _report_peers(present, options.repeats)
+        _report_real(present, options.repeats, found)
+        _report_sizes(present, options.repeats)
 
 
 def median_ms(methods: Sequence[Method], cases: Sequence[Case], repeats: int) -> np.ndarray:
@@ -99,16 +99,6 @@ def _quick(methods: Sequence[Method]) -> list[Method]:
     return [Ours(), *peers[:1]]
 
 
-def _report_noise(methods: Sequence[Method], repeats: int) -> None:
-    seeds = range(HELD_OUT, HELD_OUT + 5)
-    rows = []
-    for sigma in (0.0, 0.0001, 0.0003, 0.001, 0.004, 0.01):
-        cases = [(noisy_depth(room(seed), sigma, seed), VGA) for seed in seeds]
-        rows.append([f'{sigma:g}', *_cells(median_ms(_quick(methods), cases, repeats))])
-    emit(f'### Time by noise, 640 x 480, rooms {seeds[0]} to {seeds[-1]}',
-         table(_header('noise (1/m)', methods), rows))
-
-
 def _report_real(methods: Sequence[Method], repeats: int, frames: Sequence[Frame]) -> None:
     rows = []
     for name in dict.fromkeys(frame.set_name for frame in frames):
@@ -137,18 +127,6 @@ def _report_sizes(methods: Sequence[Method], repeats: int) -> None:
     emit('### Time by resolution, clean rooms', table(header, rows))
 
 
-def _report_plane_counts(methods: Sequence[Method], repeats: int) -> None:
-    rows = []
-    for side in PLANES_A_SIDE:
-        scene = mosaic(side)
-        case = (scene.depth_m, scene.intrinsics)
-        found = len(Ours()(*case)[1])
-        rows.append([str(side**2), str(found),
-                     *_cells(median_ms(_quick(methods), [case], repeats))])
-    emit('### Time by number of planes, 640 x 480, a mosaic of tilted tiles',
-         table(['planes', 'found by ours', *_header('', methods)[1:]], rows))
-
-
 def _header(first: str, methods: Sequence[Method]) -> list[str]:
     quick = _quick(methods)
     return [first, *(f'{method.name} (ms)' for method in quick),
@@ -167,18 +145,3 @@ def _sized_room(seed: int, width: int, height: int) -> Scene:
     intrinsics = CameraIntrinsics(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width,
                                   height)
     return random_room(np.random.default_rng(seed), intrinsics)
-
-
-def mosaic(side: int, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return side x side tiles in front of the camera, each with its own tilt."""
-    rng = np.random.default_rng(side)
-    extent_m = _MOSAIC_DISTANCE_M * np.array([intrinsics.width / intrinsics.fx,
-                                              intrinsics.height / intrinsics.fy]) / side
-    tiles = []
-    for i, j in np.ndindex(side, side):
-        across, up = (camera_rotation(*rng.uniform(-20, 20, 3)) @ axis * 1.1 * length
-                      for axis, length in zip(np.eye(3)[:2], extent_m, strict=True))
-        centre = np.array([(i + 0.5 - side / 2) * extent_m[0], _MOSAIC_DISTANCE_M,
-                           (j + 0.5 - side / 2) * extent_m[1]])
-        tiles.append(Rectangle(centre - (across + up) / 2, across, up))
-    return render(tiles, camera_rotation(0, 0, 0), np.zeros(3), intrinsics, rng)

@@ -11,10 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.curved import CURVED, curved_scene, judge_labels
-from plane_detector.evaluation.benchmark.living_rooms import furnished
 from plane_detector.evaluation.benchmark.parallel import mapping
-from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
+from plane_detector.evaluation.benchmark.rooms import (
+    CURVED,
+    curved_scene,
+    furnished,
+    judge_curved,
+    noisy_depth,
+    room,
+)
 from plane_detector.evaluation.datasets import UNKNOWN, Frame, LabelledFrame
 from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
@@ -152,7 +157,7 @@ def _on_scene(method: Method, kind: str, scene: Scene, seed: int, noise: Noise) 
                'precision': result.precision,
                'unlabelled': float((labels[on_planes] < 0).mean())}
     if kind == 'curved':
-        numbers['curved'], numbers['IoU'] = judge_labels(labels, scene)
+        numbers['curved'], numbers['IoU'] = judge_curved(labels, scene)
     shared = overlap(scene.labels, labels, seen)
     pixels = shared.counts[:-1].sum(axis=1)
     large = pixels > MIN_PIXELS
@@ -162,12 +167,16 @@ def _on_scene(method: Method, kind: str, scene: Scene, seed: int, noise: Noise) 
 
 def _on_labels(method: Method, frame: LabelledFrame) -> Sample:
     (labels, _), cpu_ms = timed(method, frame.depth_m, frame.intrinsics)
+    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms,
+                  labelled_numbers(frame, labels), np.zeros(0), np.zeros(0, bool))
+
+
+def labelled_numbers(frame: LabelledFrame, labels: np.ndarray) -> dict[str, float]:
+    """Return the metrics of predicted labels (H, W) on planes labelled by hand."""
     known = (frame.labels != UNKNOWN) & np.isfinite(frame.depth_m)
     score = labelled_score(np.maximum(frame.labels, -1), labels, known)
-    numbers = {'SC': score.segmentation_covering, 'recall': score.recall, 'pieces': score.pieces,
-               'merged': score.merged, 'unlabelled': score.unlabelled}
-    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms, numbers,
-                  np.zeros(0), np.zeros(0, bool))
+    return {'SC': score.segmentation_covering, 'recall': score.recall, 'pieces': score.pieces,
+            'merged': score.merged, 'unlabelled': score.unlabelled}
 
 
 def _on_frame(method: Method, frame: Frame) -> Sample:

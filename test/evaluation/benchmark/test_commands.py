@@ -34,8 +34,7 @@ def test_every_subcommand_has_its_own_help(name, capsys):
 
 @pytest.mark.parametrize(('arguments', 'message'), [
     ([], 'SUBCOMMAND'), (['nothing'], 'nothing'),
-    (['segmentation', '--only', 'rooms,nothing'], 'no section nothing'),
-    (['segmentation', '--seeds', '0'], 'at least 1'), (['flicker', '--keep', '1'], 'below 1'),
+    (['accuracy', '--rooms', '0'], 'at least 1'),
     (['node', '--rate', '0'], 'above 0'), (['node', '--seconds', '1'], 'at least 2')])
 def test_wrong_arguments_are_explained(arguments, message, capsys):
     with pytest.raises(SystemExit, match='2'):

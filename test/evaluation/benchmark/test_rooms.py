@@ -1,74 +1,50 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of rendered rooms, and a perfect score for the truth."""
+"""Rendered scenes: a perfect score for their truth, and what counts on curved surfaces."""
 
-import cv2
 import numpy as np
 import pytest
 
-from plane_detector.evaluation import peers
-from plane_detector.evaluation.benchmark.living_rooms import furnished, report_living
 from plane_detector.evaluation.benchmark.rooms import (
-    HELD_OUT,
-    reliability,
-    report_rooms,
+    CURVED,
+    curved_scene,
+    furnished,
+    judge_curved,
     room,
-    room_score,
 )
-from plane_detector.evaluation.benchmark.tables import table
-
-
-class Truth(peers.Method):
-    """Returns the true labels, and optionally labels curved surfaces as planes."""
-
-    def __init__(self, scene, curved=False):
-        self.scene, self.curved = scene, curved
-
-    def __call__(self, depth_m, intrinsics):
-        labels = self.scene.labels.copy()
-        if self.curved:
-            labels[labels < 0] = len(self.scene.planes)
-        return labels, np.vstack([self.scene.planes, [0, 0, -1, 2]])[:labels.max() + 1]
+from plane_detector.evaluation.calibrate_confidence import reliability
+from plane_detector.evaluation.metrics import score
 
 
 @pytest.mark.parametrize('scene_of', [room, furnished])
 def test_the_truth_has_a_perfect_score(scene_of):
     scene = scene_of(0)
-    best = room_score(Truth(scene), 0, 0.0, scene_of)
+    seen = np.isfinite(scene.depth_m)
+    best = score(scene.labels, scene.planes, scene.labels, scene.planes, seen)
     assert best.segmentation_covering == best.rand_index == best.recall == best.precision == 1
     assert best.normal_error_deg == pytest.approx(0, abs=1e-4)
 
 
 def test_curved_pixels_count_as_no_plane():
     scene = furnished(0)
-    planes = len(scene.planes)
-    called_flat = room_score(Truth(scene, curved=True), 0, 0.0, furnished)
-    assert called_flat.precision == pytest.approx(planes / (planes + 1))
+    planes = np.vstack([scene.planes, [0, 0, -1, 2]])
+    labels = np.where(scene.labels < 0, len(scene.planes), scene.labels)
+    seen = np.isfinite(scene.depth_m)
+    called_flat = score(scene.labels, scene.planes, labels, planes, seen)
+    assert called_flat.precision == pytest.approx(len(scene.planes) / len(planes))
 
 
-def test_rooms_are_reported_with_the_absent_named(capsys):
-    absent = peers.Ours()
-    absent.name, absent.absent = 'nowhere', 'nothing of that name is installed'
-    report_rooms([peers.Ours(), absent], count=1, slow_count=1)
-    text = capsys.readouterr().out
-    assert 'nowhere: absent, nothing of that name is installed.' in text
-    assert text.count('| plane_detector | 0 | 1 |') == 2, 'tuning and held-out'
-    assert 'share that match' in text
-
-
-def test_living_rooms_are_reported_and_drawn(capsys, tmp_path):
-    report_living([peers.Ours()], count=1, slow_count=1, output=tmp_path / 'sheets')
-    text = capsys.readouterr().out
-    assert '### Rendered living rooms, tuning seeds 0 to 0' in text
-    assert f'### Rendered living rooms, held-out seeds {HELD_OUT} to {HELD_OUT}' in text
-    assert text.count('| plane_detector | 0.004 | 1 |') == 2
-    sheet = cv2.imread(str(tmp_path / 'sheets' / 'living_rooms.png'))
-    assert sheet.shape[1] > 6 * 320
-    assert sheet.shape[0] < 2 * 320, 'one row for one room'
-
-
-def test_tables_are_markdown():
-    assert table(('a', 'b'), [(1, 'x')]) == '| a | b |\n| --- | --- |\n| 1 | x |'
+@pytest.mark.parametrize('index', range(0, len(CURVED), 7))
+def test_the_labels_of_a_curved_scene_are_judged(index):
+    scene = curved_scene(index)
+    assert 0.02 < ((scene.labels < 0) & np.isfinite(scene.depth_m)).mean() < 0.9
+    assert judge_curved(scene.labels, scene) == (0, 1)
+    share, least_iou = judge_curved(np.zeros_like(scene.labels), scene)
+    assert share == 1
+    assert least_iou < 0.5 or len(scene.planes) == 1
+    rows = np.indices(scene.labels.shape)[0]
+    half = np.where((scene.labels < 0) & (rows % 2 == 0), len(scene.planes), scene.labels)
+    assert judge_curved(half, scene) == (pytest.approx(0.5, abs=0.01), 1)
 
 
 def test_reliability_by_hand():
