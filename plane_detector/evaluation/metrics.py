@@ -172,8 +172,55 @@ def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.n
     return within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0) / true_pixels
 
 
+LARGE_PLANE_SHARE = 0.02
+"""A plane of the sensor with more than this share of the image is large."""
 PIECE_SHARE = 0.1
 """A predicted plane that covers this share of a true plane is one of its pieces."""
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """
+    Coverage of the sensor's large planes.
+
+    Attributes
+    ----------
+    planes : int
+        Number of planes of the sensor over LARGE_PLANE_SHARE of the image.
+    share : float
+        Share of their pixels covered by a predicted plane with IoU > 0.5; NaN without planes.
+    pieces : float
+        Mean number of predicted planes that each of them is split into.
+
+    """
+
+    planes: int
+    share: float
+    pieces: float
+
+
+def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
+                   seen: np.ndarray) -> Coverage:
+    """
+    Measure how well the large planes of the sensor's depth were found.
+
+    Parameters
+    ----------
+    sensor_labels, labels : (H, W) int
+        Planes of the sensor's depth, and predicted planes; -1 for none.
+    seen : (H, W) bool
+        Pixels with sensor depth; only these count.
+
+    """
+    shared = overlap(sensor_labels, labels, seen)
+    pixels = shared.counts[:-1].sum(1)
+    large = pixels > LARGE_PLANE_SHARE * seen.size
+    if not large.any():
+        return Coverage(0, float('nan'), float('nan'))
+    both = shared.counts[:-1, :-1]
+    covered = (both * (shared.iou > 0.5)).sum(1)[large].sum()
+    pieces = (both > PIECE_SHARE * pixels[:, None]).sum(1)[large]
+    return Coverage(int(large.sum()), float(covered / pixels[large].sum()), float(pieces.mean()))
 
 
 @dataclass(frozen=True)

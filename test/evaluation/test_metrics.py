@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.evaluation.metrics import (
+    coverage,
     depth_recall,
     hoover_score,
     known_mean,
@@ -133,6 +134,25 @@ def test_nothing_found_is_nothing_recalled():
     depth_m = np.ones((1, 8))
     assert not depth_recall(TRUTH, depth_m, nothing, depth_m, ALL)[0].any()
     assert not np.any(normal_recall(TRUTH, PLANES, nothing, PLANES[:0], ALL))
+
+
+def test_coverage_by_hand():
+    """Two large planes of the sensor: one found in two pieces of 3 to 1, one not at all."""
+    sensor, found = np.full((2, 10, 20), -1)
+    sensor[:4], sensor[4:8], sensor[9, :2] = 0, 1, 2
+    found[:3], found[3:4] = 0, 1
+    seen = np.ones(sensor.shape, bool)
+    found_planes = coverage(sensor, found, seen)
+    assert found_planes.planes == 2, 'the third has no more than 2 % of the image'
+    assert found_planes.share == pytest.approx(60 / 160)
+    assert found_planes.pieces == pytest.approx((2 + 0) / 2)
+
+
+def test_without_large_planes_coverage_is_unknown():
+    nothing = np.full((10, 20), -1)
+    found_planes = coverage(nothing, nothing, nothing < 0)
+    assert found_planes.planes == 0
+    assert np.isnan(found_planes.share)
 
 
 def test_the_mean_is_over_what_is_known():

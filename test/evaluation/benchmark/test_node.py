@@ -12,7 +12,6 @@ from frame_files import write_frame
 
 from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark import node as benchmark_node
-from plane_detector.evaluation.benchmark import node_parts
 from plane_detector.evaluation.benchmark.node_load import Show, median_stages, scheduled_ms
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -59,19 +58,6 @@ def test_the_running_node_is_measured(ros, room, monkeypatch, capsys):
     assert on_a_core_ms + waiting_ms > 0.3 * total, 'the threads of the process are found'
     assert camera_ms > 0
     assert receiver_ms > 0
-
-
-def test_each_part_is_measured_without_the_threads_of_the_node(ros, room, monkeypatch, capsys):
-    monkeypatch.setattr(node_parts, 'HELD', 1)
-    node_parts.report_parts(TOPIC, views(room))
-    found = {name: cells for name, *cells in rows(capsys.readouterr().out)}
-    assert {name for name in found if name.startswith('~')} == {f'~/{name}' for name in OUTPUTS}
-    assert float(found['~/points'][2]) == pytest.approx(640 * 480 * 20 / 1e6, rel=0.001)
-    assert float(found['planes'][0]) > float(found['conversion'][0])
-    made = [float(cells[0]) for name, cells in found.items() if name.startswith('~')]
-    assert float(found['all outputs'][0]) == pytest.approx(sum(made), abs=0.1)
-    assert min(made) > 0
-    assert float(found['~/points'][1]) > 0
 
 
 def test_the_camera_shows_a_set_of_the_data_folder(tmp_path):
