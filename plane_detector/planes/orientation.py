@@ -64,6 +64,8 @@ EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
 # tuned: pure regions of fastdepth on frames of a Kinect, NYU and a living room: the median of
 # their errors is 4 times the bend, nine of ten are below this.
 TILT_PER_BEND = 10.0
+# No plane is turned by more than this multiple of the error that its bend and its fit allow.
+MOST_TILTS = 3.0
 # derived: the mean relative error of fastdepth's depth on frames of other cameras.
 DEPTH_ERROR_SHARE = 0.25
 # Sine of the angle to an axis; a closer normal has no usable component perpendicular to it.
@@ -125,6 +127,9 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
     variances, outliers = _variances(planes), _outliers(planes, samples.image_shares)
+    # Whatever its lines: a region without a bend is what it is.
+    most = MOST_TILTS * np.sqrt(_fit_variance(planes) + _tilt_rad(planes) ** 2)
+    lost[hypotheses.angle_rad > most[:, None]] = np.inf
     scores = _log_likelihood(hypotheses, variances, outliers[:, None]) - lost
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     best = int(np.argmax(np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior))
@@ -157,9 +162,13 @@ def _probability(hypotheses: _Hypotheses, scores: np.ndarray, chosen: np.ndarray
 
 def _variances(planes: tuple[Plane, ...]) -> np.ndarray:
     """Return the variance (S, K) of the network's normals, rad^2, for each of SIGMAS_RAD."""
+    return _fit_variance(planes) + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / _tilt_rad(planes) ** 2)
+
+
+def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
+    """Return the variance (K,) of the fitted normals, rad^2."""
     covariances = np.stack([plane.covariance[:3, :3] for plane in planes])
-    fit = np.trace(covariances, axis1=1, axis2=2) / 2
-    return fit + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / _tilt_rad(planes) ** 2)
+    return np.trace(covariances, axis1=1, axis2=2) / 2
 
 
 def _tilt_rad(planes: tuple[Plane, ...]) -> np.ndarray:

@@ -119,7 +119,8 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
                    if frame.kind is DepthKind.MEASURED else None)
     labels, planes = _label(frame, regions, correlation)
     if guide is not None:
-        labels = np.where(image.valid, snap_to_image_edges(labels, guide), -1)
+        snapped = snap_to_image_edges(labels, guide, image.values, planes, frame.noise)
+        labels = np.where(image.valid, snapped, -1)
     correlated_px = correlation.correlated_cells * grid.size_px**2 if correlation else 0.0
     return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px)
 

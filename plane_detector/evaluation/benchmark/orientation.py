@@ -19,7 +19,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plane_detector.config import Config, DirectionsConfig, RansacConfig
+from plane_detector.config import Config, DirectionsConfig, RansacConfig, SegmentationConfig
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark import options as shared
@@ -28,9 +29,10 @@ from plane_detector.evaluation.benchmark.real_images import load_network
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import Frame, frames
-from plane_detector.evaluation.metrics import coverage
+from plane_detector.evaluation.metrics import coverage, overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes import rooms, textures
+from plane_detector.evaluation.scenes import misleading, rooms, textures
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.pipeline import PlaneDetector, segment_planes
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
 from plane_detector.tools.demo.sensor_comparison import JudgedPlane, judge_planes
@@ -39,8 +41,10 @@ from plane_detector.types import PlaneSegmentation
 INDOOR = ('kinect', 'nyu', 'living_room')
 # Held-out frames of the long sequence.
 HELD_OUT_FRAME = 5
-PARTS = ('gravity', 'rendered', 'planes', 'cost')
+PARTS = ('gravity', 'rendered', 'planes', 'misleading', 'cost')
+MISLEADING_NOISE_PER_M, BLUR_PX = (0.0, 0.002, 0.008), 3.0
 PURE = 0.8
+PLAIN = 'doors, planks and tiles'
 COST_ROUNDS = 4
 UPRIGHT_SINE = 0.05
 SCENES: dict[str, Callable] = {
@@ -164,6 +168,55 @@ def report_planes(name: str, found: Sequence[Frame], model: str, seeds: int = 1)
          f'plane of the sensor. Worst frame: {found[worst].name}. Seeds of RANSAC: {seeds}.')
 
 
+def report_misleading(count: int, first_seed: int) -> None:
+    """Print what pictures that contradict good depth do to it."""
+    rows = []
+    for kind in (PLAIN, *misleading.KINDS):
+        for sigma in MISLEADING_NOISE_PER_M:
+            errors = [_misled(kind, sigma, seed)
+                      for seed in range(first_seed, first_seed + count)]
+            rows.append([kind, f'{sigma:g}', *(cell for way in WAYS
+                                               for cell in _misled_cells(errors, way))])
+    columns = ('SC', 'mean angle (deg)', 'worst (deg)')
+    emit('### Good depth with misleading pictures',
+         table(('picture', 'noise (1/m)', *(f'{way}: {one}' for way in WAYS for one in columns)),
+               rows),
+         f'{count} rooms from seed {first_seed}; depth from a function with a stated blur of '
+         f'{BLUR_PX:g} px, as exact or with smooth noise. The angles are those of all planes that '
+         f'have more than {PURE:.0%} of their pixels on one true plane, to that plane. Without: '
+         'neither borders nor planes follow the image.')
+
+
+def _misled(kind: str, sigma: float, seed: int) -> dict[str, tuple[float, np.ndarray]]:
+    """Return SC and the errors of the planes, degrees, with and without the image."""
+    if kind == PLAIN:
+        scene = textures.textured(rooms.random_room, seed)
+        rgb = scene.rgb
+    else:
+        scene = rooms.random_room(np.random.default_rng(seed))
+        rgb = misleading.misleading_image(scene, kind, np.random.default_rng([seed, 3]))
+    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng([seed, 2]))
+    model = DepthFunction(lambda rgb: depth_m, blur_px=BLUR_PX)
+    found = {}
+    for way, directions in WAYS.items():
+        config = Config(segmentation=SegmentationConfig(snap_to_picture=way == 'with'),
+                        directions=directions)
+        seen = PlaneDetector(config, model).detect(rgb, scene.intrinsics)
+        shared = overlap(scene.labels, seen.labels, np.isfinite(scene.depth_m))
+        on_plane = shared.counts[:-1, :-1]
+        cosine = (scene.planes[on_plane.argmax(0), :3] * plane_array(seen)[:, :3]).sum(1)
+        is_pure = on_plane.max(0) > PURE * shared.counts[:, :-1].sum(0)
+        found[way] = (segmentation_covering(shared.counts),
+                      np.degrees(np.arccos(np.clip(cosine[is_pure], -1, 1))))
+    return found
+
+
+def _misled_cells(errors: Sequence[dict[str, tuple[float, np.ndarray]]], way: str) -> list[str]:
+    angles = np.concatenate([one[way][1] for one in errors])
+    return [f'{np.mean([one[way][0] for one in errors]):.4f}', f'{angles.mean():.3f}',
+            f'{angles.max():.2f}']
+
+
 def report_cost(found: Sequence[Frame], model: str) -> None:
     """Print the CPU time of a frame's planes with and without directions."""
     estimate, title = load_network(model)
@@ -252,6 +305,8 @@ def run(options: argparse.Namespace) -> None:
             report_planes(name, found, options.model, options.seeds)
     if 'cost' in parts and options.data.is_dir():
         report_cost(list(frames(options.data, INDOOR)), options.model)
+    if 'misleading' in parts:
+        report_misleading(options.scenes, options.first_seed)
     if 'rendered' in parts:
         report_rendered(options.scenes, options.first_seed)
     if options.figure:
