@@ -3,11 +3,19 @@
 """
 Noise of the disparity, estimated from differences between neighbouring cells.
 
-Noise has two parts. The pixel noise is independent from pixel to pixel; the smooth noise shifts
-and tilts whole cells. Second differences of the means of cells in a row or column, and first
-differences of their slopes, are zero on every plane. Edges and curved surfaces make them large, so
-a low quantile estimates the noise (Donoho and Johnstone 1994 take the median for signals with few
-edges). One estimator serves depth of any noise level, exact or not.
+Noise has three parts. The pixel noise is independent from pixel to pixel; the smooth noise shifts
+and tilts whole cells; the systematic part bends whole planes. Second differences of the means of
+cells in a row or column, and first differences of their slopes, are zero on every plane. Edges and
+curved surfaces make them large, so a low quantile estimates the noise (Donoho and Johnstone 1994
+take the median for signals with few edges). One estimator serves depth of any noise level, exact
+or not.
+
+The systematic part is told from the smooth one by how the errors grow with the distance. What a
+blur has made smooth is a field of one length: up to that length the differences between its values
+grow with the square of the distance, beyond it they do not grow. The errors of real sensors have
+no such length: the variance of their differences grows with about the distance, as that of a
+random walk, over the whole image. What is seen of them about a plane is less than what bends it,
+since the least-squares plane takes the longest waves for itself.
 """
 
 from __future__ import annotations
@@ -81,6 +89,9 @@ class Noise:
         Of each component of a full cell's slope, 1/m per image width.
     pixel_sigma : float
         Of a pixel about its cell's own plane, 1/m.
+    bending : float
+        Ratio of the errors of a plane as a whole to those about its least-squares plane. The
+        deviations of means and slopes contain it.
 
     """
 
@@ -90,6 +101,12 @@ class Noise:
     mean_sigma: float = 0.0
     slope_sigma: float = 0.0
     pixel_sigma: float = 0.0
+    bending: float = 1.0
+
+    @property
+    def systematic_sigma(self) -> float:
+        """The part of ``mean_sigma`` that bends whole planes, 1/m."""
+        return self.mean_sigma * (1 - self.bending**-2) ** 0.5
 
     def variance_floor(self, disparity: np.ndarray) -> np.ndarray:
         """Return the lower bound of the variance of pixels of this disparity."""
@@ -106,6 +123,11 @@ class Noise:
         """Return the noise with these deviations, bounded below by those of the source."""
         return replace(self, mean_sigma=max(float(mean_sigma), self.source_sigma),
                        slope_sigma=max(float(slope_sigma), SLOPE_PER_NOISE * self.source_sigma))
+
+    def with_bending(self, bending: float) -> Noise:
+        """Return the noise of a sensor that bends planes; the noise so far is without."""
+        bent = self.with_smooth_part(bending * self.mean_sigma, bending * self.slope_sigma)
+        return replace(bent, bending=bending)
 
     def from_cells(self, deviations: tuple[float, float, float], sparsity: np.ndarray) -> Noise:
         """
@@ -130,7 +152,7 @@ class Noise:
         """
         return Noise(self.depth_floor_m / scale, *(scale * sigma for sigma in (
             self.disparity_floor, self.source_sigma, self.mean_sigma, self.slope_sigma,
-            self.pixel_sigma)))
+            self.pixel_sigma)), bending=self.bending)
 
     def at_cell_size(self, size_px: int, smaller_px: int) -> Noise:
         """
@@ -204,11 +226,11 @@ def _differences(mean, slope, usable, columns, lag):
 
 def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     """
-    Return the noise floor with the quantisation error of the disparity, if it is quantised.
+    Return the noise floor with the quantisation error of the disparity or of the depth.
 
     Stereo matching by whole pixels quantises disparity: a slanted wall is a staircase, and each
-    step is an exact plane. Depth in millimetres is quantised too, but its disparities are not
-    evenly spaced, and the floor covers it.
+    step is an exact plane. Depth of 8 bit or in whole centimetres is quantised in even steps of
+    depth.
     """
     # Whole rows and columns are sampled, so that no value of a slope is missed. Both must have
     # equal neighbours: along the columns of a vertical wall they are equal without quantisation.
@@ -223,11 +245,18 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     values = values[values != 0]  # invalid pixels
     if len(values) < 2 * ROUNDING_LINES:
         return noise_floor
+    # The quantisation error is uniform over one step.
+    step = _even_step(values)
+    if step / 2 >= 2 * noise_floor.variance_floor(median(values)) ** 0.5:
+        return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
+                       disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
+    return replace(noise_floor, depth_floor_m=max(noise_floor.depth_floor_m,
+                                                  _even_step(1 / values[::-1]) / 12**0.5))
+
+
+def _even_step(values: np.ndarray) -> float:
+    """Return the step between sorted values, 0 if they are not evenly spaced."""
     gaps = np.diff(values)
     step = median(gaps)
-    if (np.count_nonzero(np.abs(gaps - step) < 0.05 * step) < MIN_EVEN_SHARE * len(gaps)
-            or step / 2 < 2 * noise_floor.variance_floor(median(values)) ** 0.5):
-        return noise_floor
-    # The quantisation error is uniform over one step.
-    return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
-                   disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
+    is_even = np.count_nonzero(np.abs(gaps - step) < 0.05 * step) >= MIN_EVEN_SHARE * len(gaps)
+    return step if is_even else 0.0

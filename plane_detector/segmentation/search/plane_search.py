@@ -6,7 +6,8 @@ Search for the planes and the noise together, since each is needed to find the o
 1. the noise is estimated from differences between neighbouring cells;
 2. the largest planes are found, and the noise is estimated from their residuals, which neither
    miss noise that is smooth over several cells nor count clutter as noise;
-3. the remaining planes are found with this noise, or all of them again if it has changed.
+3. the systematic part of the noise is told from how the residuals grow with the distance;
+4. the remaining planes are found with this noise, or all of them again if it has changed.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from plane_detector.segmentation.cells.columns import SLOPE_X, SLOPE_Y
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, residual
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
-from plane_detector.segmentation.cells.noise_correlation import in_large_regions
+from plane_detector.segmentation.cells.noise_correlation import bending_of, in_large_regions
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
@@ -53,13 +54,22 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     noise = noise.with_smooth_part(START_SHARE * noise.mean_sigma, noise.slope_sigma)
     frame, floor = replace(frame, noise=noise), sys.float_info.min
     floor += math.sqrt(noise.variance_floor(grid.typical_disparity))
-    for _ in range(MAX_TRIALS):
+    for trial in range(MAX_TRIALS):
         regions = add_planes(frame, no_planes(grid), min(CALIBRATION_PLANES, most))
         noise = _noise_from_planes(frame, regions)
-        if abs(max(noise.mean_sigma, floor) / max(frame.noise.mean_sigma, floor) - 1) < TOLERANCE:
+        has_settled = not _differs(noise, frame.noise, floor)
+        if has_settled or trial == MAX_TRIALS - 1:
+            bent = noise.with_bending(bending_of(frame.cells, regions, noise))
+            if not has_settled or _differs(bent, noise, floor):
+                frame, regions = replace(frame, noise=bent), no_planes(grid)
             break
-        frame, regions = replace(frame, noise=noise), no_planes(grid)
+        frame = replace(frame, noise=noise)
     return frame, add_planes(frame, regions, most)
+
+
+def _differs(noise: Noise, other: Noise, floor: float) -> bool:
+    """Return whether planes found with one noise and the other may differ."""
+    return abs(max(noise.mean_sigma, floor) / max(other.mean_sigma, floor) - 1) >= TOLERANCE
 
 
 def _noise_from_planes(frame: Frame, regions: PlaneRegions) -> Noise:
