@@ -11,9 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.serialization import deserialize_message
 
@@ -36,8 +35,7 @@ class BagError(ValueError):
     """A bag cannot be read, or lacks required topics."""
 
 
-@dataclass(frozen=True)
-class Topic:
+class Topic(NamedTuple):
     """Name, type as in ``sensor_msgs/msg/Image``, and number of messages."""
 
     name: str
@@ -45,20 +43,8 @@ class Topic:
     count: int
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """
-    A recorded message.
-
-    Attributes
-    ----------
-    topic : str
-    time_ns : int
-        Time of recording.
-    cdr : bytes or memoryview
-        Serialised as in ROS 2.
-
-    """
+class Recorded(NamedTuple):
+    """A recorded message, with the time of its recording, serialised as in ROS 2."""
 
     topic: str
     time_ns: int
@@ -139,14 +125,7 @@ class BagReader:
     def read(self, topics: Collection[str], start_ns: int | None = None,
              stop_ns: int | None = None) -> Iterator[Recorded]:
         """
-        Yield the messages of topics in the order of their recording.
-
-        Parameters
-        ----------
-        topics : collection of str
-            Names of recorded topics.
-        start_ns, stop_ns : int, optional
-            Times of recording: from the first, before the second.
+        Yield the messages of topics in the order of their recording, without damaged sections.
 
         Raises
         ------
@@ -224,15 +203,7 @@ class BagReader:
 
 
 def to_message(recorded: Recorded, message_class: Any) -> Any:
-    """
-    Return the message that a subscription would receive.
-
-    Raises
-    ------
-    BagError
-        The bytes are not a message of this class.
-
-    """
+    """Return the message that a subscription would receive; raise BagError if it is none."""
     try:
         return deserialize_message(bytes(recorded.cdr), message_class)
     except Exception as error:  # the middleware's own error class is not public

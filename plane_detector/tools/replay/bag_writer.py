@@ -45,19 +45,8 @@ class Draft:
     """
     A file or folder that gets its name when it is whole; a context manager.
 
-    TARGET is written as .TARGET.part/TARGET. What a killed process left there is replaced by the
-    next one that writes TARGET.
-
-    Attributes
-    ----------
-    path : Path
-        Path to write it to.
-
-    Raises
-    ------
-    BlockingIOError
-        Another process is writing it.
-
+    TARGET is written to `path`, .TARGET.part/TARGET. What a killed process left there is replaced
+    by the next one that writes TARGET; that a living one writes it, raises BlockingIOError.
     """
 
     def __init__(self, target: Path):
@@ -81,7 +70,7 @@ class Draft:
         self._lock.close()
 
     def publish(self, prefix: str = '') -> Path:
-        """Give it its name; a prefix is for what was interrupted, and replaces an earlier one."""
+        """Give it its name; with a prefix, if it was interrupted, it replaces an earlier one."""
         target = self._target.with_name(prefix + self._target.name)
         if prefix and replay_fields(target):
             shutil.rmtree(target)
@@ -106,16 +95,7 @@ def replay_fields(bag: Path) -> dict[str, str]:
 
 class BagWriter:
     """
-    A new rosbag2; a context manager.
-
-    Parameters
-    ----------
-    path : Path
-        The folder; it must not exist.
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    compressed : bool
-        Whether messages are compressed with zstd.
+    A new rosbag2 of format ``mcap`` or ``sqlite3``, compressed by zstd or not; a context manager.
 
     Raises
     ------
@@ -124,7 +104,7 @@ class BagWriter:
 
     """
 
-    def __init__(self, path: Path, storage: str = 'mcap', compressed: bool = False):
+    def __init__(self, path: Path, storage: str, compressed: bool):
         self._types = get_typestore(Stores.ROS2_JAZZY)
         self._writer = Writer(path, version=_VERSION, storage_plugin=STORAGES[storage])
         if compressed:
@@ -153,16 +133,7 @@ class BagWriter:
                 offered_qos_profiles=[_OUTPUT_QOS])
 
     def add_copies(self, bag: BagReader, topics: tuple[str, ...]) -> None:
-        """
-        Announce topics of another bag.
-
-        Raises
-        ------
-        BagError
-            There is no such topic, or the definition of its type is neither in that bag nor
-            known here.
-
-        """
+        """Announce topics of another bag; raise BagError if there is no such topic or type."""
         recorded = {topic.name for topic in bag.topics}
         for topic in topics:
             if topic not in recorded:

@@ -29,16 +29,15 @@ from plane_detector.tools.replay.bag_writer import Draft
 
 class ReplayFiles:
     """
-    Writes the files of each frame; a context manager, which closes the tables.
+    Writes a figure, a labelled cloud and rows of tables for each frame; a context manager.
 
     Parameters
     ----------
     figures, ply : Path, optional
-        Folders, created if needed, of a figure (.jpg) and of a labelled cloud of each frame.
+        Folders of the figures (.jpg) and of the clouds, created if needed.
     table : Path, optional
-        CSV file of all planes of all frames; replaces an existing one when all frames are done.
-    shapes : bool
-        Whether to write a second table, ``<stem>_shapes.csv``, of all shapes.
+        CSV file of all planes of all frames, and ``<stem>_shapes.csv`` of all shapes if these are
+        wanted; they get their names by :meth:`publish`.
 
     Raises
     ------
@@ -50,30 +49,28 @@ class ReplayFiles:
     def __init__(self, figures: Path | None = None, ply: Path | None = None,
                  table: Path | None = None, shapes: bool = False):
         self._figures, self._ply = figures, ply
-        self._drafts: list[Draft] = []
         self._tables: dict[str, tuple[Path, np.dtype]] = {}
         if table is not None:
             self._tables['planes'] = table, PLANE_DTYPE
             if shapes:
                 beside = table.with_name(f'{table.stem}_shapes.csv')
                 self._tables['shapes'] = beside, SHAPE_DTYPE
-        self._opened = ExitStack()
         self._files: dict[str, TextIO] = {}
+        self._drafts: list[Draft] = []
+        self._opened = ExitStack()
 
     def __enter__(self) -> ReplayFiles:
-        with ExitStack() as opened:
-            for folder in (self._figures, self._ply):
-                if folder is not None:  # checked now: the first frame comes much later
-                    folder.mkdir(parents=True, exist_ok=True)
-                    with NamedTemporaryFile(dir=folder):
-                        pass
-            for name, (table, dtype) in self._tables.items():
-                draft = opened.enter_context(Draft(table))
-                self._drafts.append(draft)
-                file = self._files[name] = opened.enter_context(
-                    open(draft.path, 'w', newline='', encoding='utf-8'))
-                csv.writer(file).writerow(['frame', 'stamp', *dtype.names])
-            self._opened = opened.pop_all()
+        for folder in filter(None, (self._figures, self._ply)):
+            folder.mkdir(parents=True, exist_ok=True)
+            with NamedTemporaryFile(dir=folder):  # checked now: the first frame comes much later
+                pass
+        for name, (table, dtype) in self._tables.items():
+            draft = self._opened.enter_context(Draft(table))
+            file = self._opened.enter_context(
+                open(draft.path, 'w', newline='', encoding='utf-8'))
+            csv.writer(file).writerow(['frame', 'stamp', *dtype.names])
+            self._drafts.append(draft)
+            self._files[name] = file
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -26,23 +26,9 @@ _TRANSFORM_TYPES = ('tf2_msgs/msg/TFMessage', 'tf/msg/tfMessage')
 
 class FrameReader:
     """
-    Reads the messages of a bag and assembles frames.
+    Reads messages recorded from one time up to another, and assembles frames.
 
-    Parameters
-    ----------
-    bag : BagReader
-    topics : InputTopics
-        Topics of the frames.
-    times_ns : (int, int)
-        Times of recording: start, and end, which is excluded.
-    synchronizer : FrameSynchronizer
-        Combines messages that belong together.
-
-    Attributes
-    ----------
-    damaged : int
-        Number of messages that could not be decoded and were skipped.
-
+    Messages that cannot be decoded are skipped and counted in ``damaged``.
     """
 
     def __init__(self, bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
@@ -73,7 +59,7 @@ class FrameReader:
         yield from ((time_ns, frame) for frame in synchronizer.finish())
 
     def take_dropped(self) -> int:
-        """Return the number of images without calibration or depth since the last call."""
+        """Return the number of images without calibration or depth."""
         return self._synchronizer.take_dropped()
 
     def expected_frames(self, every: int) -> int:
@@ -93,18 +79,10 @@ class FrameReader:
 
 class CopiedMessages:
     """
-    Copies messages of the input bag: all of them, or only those of the processed frames.
+    Copies messages of some topics into the new bag.
 
-    Parameters
-    ----------
-    writer : BagWriter
-    topics : tuple of str
-        Topics to copy.
-    inputs : InputTopics
-        Image, calibration and depth belong to frames; other topics are copied completely.
-    every : int
-        One frame in this many is copied.
-
+    If only one frame of ``every`` is processed, only its image, calibration and depth are copied,
+    but all messages of other topics.
     """
 
     def __init__(self, writer: BagWriter, topics: tuple[str, ...], inputs: InputTopics,

@@ -27,14 +27,7 @@ _RECTIFIED_WORD = 'rect'
 
 @dataclass(frozen=True)
 class InputTopics:
-    """
-    Names of the input topics; empty if not used.
-
-    Attributes
-    ----------
-    image, camera_info, depth, imu : str
-
-    """
+    """Names of the input topics; empty if not used."""
 
     image: str
     camera_info: str
@@ -54,14 +47,13 @@ def input_class(bag: BagReader, topic: str) -> Any:
 
 def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     """
-    Choose image and calibration.
+    Choose image and calibration, by default among all images, and the calibration beside it.
 
     Parameters
     ----------
     bag : BagReader
     wanted : mapping of str to str
-        Requested topics, by ``image``, ``camera_info``, ``depth`` and ``imu``. By default all
-        image topics are considered, and the ``camera_info`` in the namespace of the image.
+        Requested topics, by ``image``, ``camera_info``, ``depth`` and ``imu``.
 
     Raises
     ------
@@ -77,19 +69,7 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
 
 @dataclass(frozen=True)
 class DepthChoice:
-    """
-    Source of depth.
-
-    Attributes
-    ----------
-    config : Config
-        With this source set.
-    topic : str
-        Topic of measured depth if one was found, else empty.
-    why : str
-        Readable reason.
-
-    """
+    """Settings with the source of depth, its topic if one was found in the bag, and why."""
 
     config: Config
     topic: str
@@ -147,17 +127,9 @@ def with_companions(bag: BagReader, camera: InputTopics, choice: DepthChoice, ou
     """
     Add the topics of depth and IMU, if they are used.
 
-    Parameters
-    ----------
-    bag : BagReader
-    camera : InputTopics
-        Image and calibration.
-    choice : DepthChoice
-        Its topic, or the requested one; else it is chosen from the images with the frame_id of
-        the image, because others are not registered to it.
-    output : str
-        Kind of depth that the network returns; see :func:`depth_use`.
-    options : ReplayOptions
+    Depth is the requested or the chosen topic; else it is found among the images with the frame_id
+    of the image, because others are not registered to it. ``output`` is the kind of depth that the
+    network returns, see :func:`depth_use`.
 
     Raises
     ------

@@ -56,20 +56,11 @@ def is_collection(text: str) -> bool:
 
 def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, Path]:
     """
-    Return the bags to process, by the names of the new ones.
+    Return the bags to process, by the names of the new ones, in a fixed order.
 
-    Parameters
-    ----------
-    inputs : sequence of str
-        Bags; folders, which are searched recursively; patterns.
-    left_out : Path, optional
-        A folder that is not searched: that of the new bags.
-
-    Returns
-    -------
-    dict of str to Path
-        In a fixed order. A bag given as such keeps its name; one found in a folder is named by its
-        path in the folder: ``monday_walk`` for ``monday/walk``.
+    The inputs are bags, folders, which are searched recursively (but not ``left_out``, that of
+    the new bags), and patterns. A bag given as such keeps its name; one found in a folder is named
+    by its path in the folder: ``monday_walk`` for ``monday/walk``.
 
     Raises
     ------
@@ -159,6 +150,8 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
         try:
             summaries = joblib.Parallel(batch_size=1, verbose=11)(
                 joblib.delayed(replay_one)(one) for one in each)
+        except OSError:  # the cluster does not answer
+            raise
         except Exception as error:  # each backend has its own class for a worker that died
             begun = [one.target.name for one in each if part_folder(one.target).exists()]
             raise OSError(

@@ -80,7 +80,7 @@ def replay(options: ReplayOptions, depth_model: ModelOrFunction | None = None,
         reader = FrameReader(bag, topics, times_ns, FrameSynchronizer(
             depth_use(config, processor.output), options.settings.stamp_slop,
             config.scale.imu_to_camera))
-        tally = Tally(depth=choice.describe(processor.detector.source.facts))
+        tally = Tally(choice.describe(processor.detector.source.facts))
         tell(f'Reading {", ".join(topics.names)} of {options.source}\nDepth: {tally.depth}')
         load_kernels(config, tell)
         with ReplayFiles(options.figures, options.ply, options.table,

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -25,79 +25,22 @@ REPLAY_NAME = 'replay'
 
 
 @dataclass
-class Examples:
-    """
-    Counts by kind, with the first text of each: the texts may differ from frame to frame.
-
-    Examples
-    --------
-    >>> floors = Examples()
-    >>> floors.add('floor', 'floor 1.2 m below')
-    >>> floors.add('floor', 'floor 1.3 m below')
-    >>> floors.lines()
-    ['2 frames: floor 1.2 m below (in the first of them)']
-
-    """
-
-    counts: Counter[str] = field(default_factory=Counter)
-    texts: dict[str, str] = field(default_factory=dict)
-    varying: set[str] = field(default_factory=set)
-
-    def add(self, kind: str, text: str) -> None:
-        """Count a frame."""
-        self.counts[kind] += 1
-        if self.texts.setdefault(kind, text) != text:
-            self.varying.add(kind)
-
-    def lines(self) -> list[str]:
-        """Return a line for each kind."""
-        return [f'{count} frames: {self.texts[kind]}'
-                + (' (in the first of them)' if kind in self.varying else '')
-                for kind, count in self.counts.items()]
-
-
-@dataclass
 class Tally:
-    """
-    Counts and results so far.
+    """Counts and results of a replay so far."""
 
-    Attributes
-    ----------
-    processed, without_partner : int
-        Frames that gave planes, images without calibration or depth.
-    planes : int
-        In all frames together.
-    damaged : int
-        Messages, or sections of the bag, that could not be read and were skipped.
-    errors : Counter of str
-        Why frames were skipped.
-    scales, gaps : Examples
-        Where the unit of depth came from; why planes have no class or obstacles are missing.
-    depth : str
-        The depth or network that was used, and why.
-    stage_seconds : Counter of str
-        Total time of each stage.
-    interrupted : bool
-        Whether it was stopped before the end.
-    target : Path or None
-        The new bag.
-    unread : str
-        Why the bag could not be read to its end.
-
-    """
-
-    processed: int = 0
-    without_partner: int = 0
-    planes: int = 0
-    damaged: int = 0
-    errors: Counter[str] = field(default_factory=Counter)
-    scales: Examples = field(default_factory=Examples)
-    gaps: Examples = field(default_factory=Examples)
-    depth: str = ''
+    depth: str  # the depth or network that was used, and why
+    processed: int = 0  # frames that gave planes
+    planes: int = 0  # in all frames together
+    errors: Counter[str] = field(default_factory=Counter)  # why frames were skipped
+    without_partner: int = 0  # images without calibration or depth
+    damaged: int = 0  # messages, or sections of the bag, that could not be read
+    unread: str = ''  # why the bag could not be read to its end
+    interrupted: bool = False  # stopped before the end
+    target: Path | None = None  # the new bag
     stage_seconds: Counter[str] = field(default_factory=Counter)
-    interrupted: bool = False
-    target: Path | None = None
-    unread: str = ''
+    # Where the unit of depth came from, and why planes have no class, of each frame by kind.
+    scales: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    gaps: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
 
     @property
     def skipped(self) -> int:
@@ -131,9 +74,9 @@ class Tally:
         self.processed += 1
         self.planes += len(detection.planes)
         scale = _scale_of(config.depth.source, detection)
-        self.scales.add(detection.scale_method, scale)
+        self.scales[detection.scale_method].append(scale)
         if gap := gap_of(detection, outputs):
-            self.gaps.add(gap.partition(':')[0], gap)
+            self.gaps[gap.partition(':')[0]].append(gap)
         return {'scale': scale, 'gravity': detection.gravity_source,
                 'gravity_note': detection.gravity_note}
 
@@ -146,8 +89,8 @@ class Tally:
         lines = [f'{self.processed} frames in {seconds:.1f} s: '
                  f'{self.processed / max(seconds, 1e-9):.1f} frames per second',
                  f'ms per frame: {stages}']
-        lines += [f'Scale of {line}' for line in self.scales.lines()]
-        return '\n'.join([*lines, *self.gaps.lines(), *self.losses()])
+        lines += [f'Scale of {line}' for line in _counted(self.scales)]
+        return '\n'.join([*lines, *_counted(self.gaps), *self.losses()])
 
     def losses(self) -> list[str]:
         """Return a line for each kind of loss: frames and messages that were not used."""
@@ -167,6 +110,13 @@ class Tally:
                 'replay.depth': self.depth}
 
 
+def _counted(texts: Mapping[str, list[str]]) -> list[str]:
+    """Return a line for each kind, with the first of its texts, which may differ by frame."""
+    return [f'{len(of_kind)} frames: {of_kind[0]}'
+            + (' (in the first of them)' if len(set(of_kind)) > 1 else '')
+            for of_kind in texts.values()]
+
+
 def _scale_of(depth_source: str, detection: Detection) -> str:
     """Return the source of the unit of depth, with the note of the method."""
     if depth_source == 'topic':
@@ -179,25 +129,7 @@ def _scale_of(depth_source: str, detection: Detection) -> str:
 
 def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],
                     stage_seconds: Mapping[str, float], error: str = '') -> DiagnosticArray:
-    """
-    Return the diagnostics of one frame, as the node publishes them once a second.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    index : int
-        Number of the frame in the bag.
-    tally : Tally
-        With this frame.
-    facts : mapping of str to str
-        Further keys and values.
-    stage_seconds : mapping of str to float
-        Empty for a frame that was skipped.
-    error : str
-        Why it was.
-
-    """
+    """Return the diagnostics of a frame, with the tally up to it; an error says it was skipped."""
     total_s = sum(stage_seconds.values())
     report = Report(tally.processed, tally.without_partner, tally.skipped,
                     1 / total_s if total_s else 0.0, stage_seconds,
