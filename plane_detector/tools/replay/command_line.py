@@ -89,10 +89,12 @@ def _report(tally: Tally) -> int:
 def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
     from plane_detector.tools.replay import many_bags
     bags = many_bags.find_bags(inputs, folder.resolve())
-    if signal.getsignal(signal.SIGTERM) is not signal.SIG_IGN:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
-    summaries = many_bags.replay_many(bags, _options(arguments, Path(), folder),
-                                      arguments.backend, arguments.jobs)
+    options = _options(arguments, Path(), folder)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # as SIGINT, for joblib
+    try:
+        summaries = many_bags.replay_many(bags, options, arguments.backend, arguments.jobs)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     print(many_bags.describe(summaries))
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):
