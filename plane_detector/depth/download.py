@@ -48,6 +48,10 @@ _CHUNK_BYTES = 1 << 20
 _MOST_BYTES = 1 << 30  # of a file of unknown size, so that no server can fill the disk
 
 
+class _WrongFileError(OSError):
+    """The host answers, but the file there is not the one wanted."""
+
+
 def sha256_of(path: Path) -> str:
     """Return the SHA-256 of a file, 64 hexadecimal digits."""
     digest = hashlib.sha256()
@@ -138,13 +142,20 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
     host = urllib.parse.urlsplit(url).netloc
     if host in unreachable:
         raise ConnectionError(f'{host} was unreachable a moment ago')
+    received_bytes, most_bytes = 0, size_bytes or _MOST_BYTES
     try:
         with _answer(url) as response:
             total = size_bytes or int(response.headers.get('Content-Length') or 0)
             with _progress(url.rsplit('/', 1)[-1], total) as bar:
-                for chunk in _bounded(response, size_bytes or _MOST_BYTES):
+                for chunk in _fast_enough(response):
                     bar.update(len(chunk))
+                    received_bytes += len(chunk)
+                    if received_bytes > most_bytes:
+                        raise _WrongFileError(f'{host} sends more than the {most_bytes} bytes '
+                                              'that the file has')
                     yield chunk
+    except _WrongFileError:
+        raise
     except urllib.error.HTTPError as error:
         raise OSError(f'{host} answered {error.code} {error.reason}') from error
     except (OSError, http.client.HTTPException) as error:
@@ -152,15 +163,12 @@ def url_chunks(url: str, size_bytes: int, unreachable: set[str]) -> Iterator[byt
         raise ConnectionError(f'{host} is unreachable ({_cause(error)})') from error
 
 
-def _bounded(response: http.client.HTTPResponse, most_bytes: int) -> Iterator[bytes]:
-    """Yield the data as it arrives; raise if there is too much or the rate is too low."""
-    start_s = time.monotonic()
-    received_bytes = 0
+def _fast_enough(response: http.client.HTTPResponse) -> Iterator[bytes]:
+    """Yield the data as it arrives; raise if the rate is too low."""
+    start_s, received_bytes = time.monotonic(), 0
     while chunk := response.read1(_CHUNK_BYTES):  # `read` would wait for a full chunk
         raise_if_stopped()
         received_bytes += len(chunk)
-        if received_bytes > most_bytes:
-            raise OSError('it sends more than the file has')
         elapsed_s = time.monotonic() - start_s
         if elapsed_s > GRACE_S + received_bytes / MIN_BYTES_PER_S:
             raise TimeoutError(f'it sent {received_bytes} bytes in {elapsed_s:.0f} s, too slow')

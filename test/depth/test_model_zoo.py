@@ -51,7 +51,7 @@ def test_a_fetched_file_is_whole_verified_and_then_cached(server, tmp_path, monk
 @pytest.mark.parametrize(('file', 'said'), [
     ('/other.onnx', f'has SHA-256 [0-9a-f]{{64}} .1280000 bytes., not {SHA256}'),
     ('/broken.onnx', r'\(1000 bytes\).*incomplete|is unreachable'),
-    ('/longer.onnx', 'sends more than the file has'),
+    ('/longer.onnx', r'sends more than the \d+ bytes that the file has'),
     ('/stalled.onnx', 'is unreachable .*timed out'),
     ('/missing.onnx', '404')])
 def test_a_wrong_download_leaves_no_file(
@@ -162,6 +162,15 @@ def test_auto_can_be_limited_to_one_kind_of_output(tmp_path, monkeypatch, server
     assert network.output == 'relative_disparity'
     with pytest.raises(ValueError, match='no network of the zoo gives disparity'):
         choose(tmp_path, 'disparity')
+
+
+def test_a_host_with_a_wrong_file_is_asked_for_the_next_network(tmp_path, monkeypatch, server):
+    first, second = AUTO_ORDER[:2]
+    put(monkeypatch, first, UrlSource(server.url + '/longer.onnx'))
+    put(monkeypatch, second, UrlSource(server.url + '/good.onnx'))
+    network, _, reason = choose(tmp_path)
+    assert network.name == second
+    assert 'unreachable' not in reason
 
 
 def test_auto_contacts_a_silent_host_once_and_says_what_to_do(tmp_path, monkeypatch, silent_url):

@@ -12,6 +12,7 @@ import pytest
 from bags import FORMATS, ROS1, messages_of, read_bag, write_bag
 from onnx_models import millimetres_as_rgb, write_depth_network
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from replay_helpers import (
     CAMERA,
     DEPTH,
@@ -166,6 +167,24 @@ def test_a_calibration_that_comes_once_serves_all_images(tmp_path, scenes, repla
     assert stamps_of(planes_of(target)) == [0.3]
 
 
+def test_a_late_start_decodes_no_calibration_but_the_last_one(tmp_path, scenes, replay,
+                                                              monkeypatch):
+    decoded = []
+
+    def counted(data, message_class):
+        decoded.append(message_class.__name__)
+        return deserialize_message(data, message_class)
+
+    monkeypatch.setattr('plane_detector.tools.replay.bag_reader.deserialize_message', counted)
+    early = [(INFO, time_ns(index), camera_info_msg(CAMERA, stamp_s(index)))
+             for index in range(-50, 0)]
+    source = write_bag(tmp_path / 'walk', early + camera_messages(scenes))
+    code, target, text = replay(source, '--start', 5)
+    assert code == 0, text
+    assert_true(target, scenes)
+    assert decoded.count('CameraInfo') <= len(scenes) + 2
+
+
 def test_figures_clouds_and_table(bag, scenes, replay, tmp_path):
     code, target, _ = replay(bag, '--figures', tmp_path / 'figures', '--ply', tmp_path / 'ply',
                              '--csv', tmp_path / 'planes.csv', '--outputs', 'labels')
@@ -190,6 +209,11 @@ def test_parameters_from_a_file(bag, replay, tmp_path):
                     '      max_planes: 1\nother_node:\n  ros__parameters:\n    speed: 3\n')
     _, target, _ = replay(bag, '--params-file', file)
     assert all(msg.width == 1 for msg in planes_of(target))
+    file.write_text('other_node:\n  ros__parameters:\n    speed: 3\n')
+    shutil.rmtree(target)
+    code, _, text = replay(bag, '--params-file', file)
+    assert code == 1
+    assert f'{file} has no section for /plane_detector; it has: other_node' in text
 
 
 def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
