@@ -1,0 +1,207 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Plant errors, one at a time, in a copy of the tree, and name the test that catches each.
+
+    python -m plane_detector.evaluation.plant_errors --only planes
+
+The tests of a part run in order, those of the whole pipeline first, and stop at the first failure.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+# Part: the tests that concern it.
+TESTS = {
+    'segmentation': ('test/test_cameras.py', 'test/test_scores.py', 'test/segmentation'),
+    'planes': ('test/test_cameras.py', 'test/planes'),
+    'geometry': ('test/test_cameras.py', 'test/geometry'),
+    'scale': ('test/test_cameras.py', 'test/scale'),
+    'directions': ('test/directions', 'test/test_pipeline_directions.py'),
+    'depth': ('test/depth',),
+    'tracking': ('test/tracking',),
+    'inputs': ('test/ros/inputs', 'test/ros/test_calibration.py'),
+    'outputs': ('test/ros/outputs',)}
+# Part, file in the package, exact text that stands there once, what replaces it, what is wrong.
+ERRORS = (
+    ('geometry', 'geometry/projection.py',
+     'ray_x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx',
+     'ray_x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fy', 'fy for fx'),
+    ('geometry', 'geometry/projection.py',
+     'u_px = points_m[..., 0] / z_m * intrinsics.fx + intrinsics.cx',
+     'u_px = points_m[..., 0] / z_m * intrinsics.fx + intrinsics.cx + 1', 'a pixel off'),
+    ('segmentation', 'segmentation/cells/grid.py',
+     'return (float(width), (part[1].start - (width - 1) / 2) / width,',
+     'return (float(width), (part[1].start - width / 2) / width,', 'half a pixel off'),
+    ('segmentation', 'segmentation/cells/grid.py',
+     'y = frame[2] + (row * size + (size - 1) / 2) * pixel',
+     'y = frame[2] + (row * size + size + (size - 1) / 2) * pixel', 'rows off by one cell'),
+    ('segmentation', 'segmentation/cells/grid.py', 'xy += sums[1, u] * x', 'xy -= sums[1, u] * x',
+     'sign of a mixed moment'),
+    ('segmentation', 'segmentation/cells/grid.py',
+     'out[XX] = xx * pixel**2 + x * (of_x + sum_x)', 'out[XX] = xx * pixel + x * (of_x + sum_x)',
+     'dropped factor of a moment'),
+    ('segmentation', 'segmentation/cells/grid.py', 'out[DD] = dd + d * (2 * of_d + n * d)',
+     'out[DD] = dd + d * (of_d + n * d)', 'dropped factor of the squared disparity'),
+    ('segmentation', 'segmentation/cells/plane_fit.py',
+     'a, b = (yy * xd - xy * yd) * inverse', 'a, b = (yy * xd + xy * yd) * inverse',
+     'sign in the plane fit'),
+    ('segmentation', 'segmentation/cells/plane_fit.py',
+     'work[i, j] -= factor * work[k, j]', 'work[i, j] += factor * work[k, j]',
+     'sign in an elimination'),
+    ('segmentation', 'segmentation/pixels/labelling.py',
+     'local[k, 2] = a * corner[1] + b * corner[0] + planes[label, 2]',
+     'local[k, 2] = a * corner[0] + b * corner[1] + planes[label, 2]', 'swapped axes of pixels'),
+    ('segmentation', 'segmentation/pixels/labelling.py',
+     'pixels[3, p] = pixels[4, p] = of_noise + of_depth * square * square',
+     'pixels[3, p] = pixels[4, p] = of_noise + of_depth * square',
+     'dropped factor in the tolerance of a pixel'),
+    ('segmentation', 'segmentation/pixels/labelling.py',
+     'mean = (total[u - 1] + total[u] + total[u + 1]) * np.float32(1 / 9)',
+     'mean = (total[u - 1] + total[u] + total[u + 1]) * np.float32(1 / 8)',
+     'wrong factor of a mean of nine'),
+    ('planes', 'planes/measurement.py',
+     'x_z = width * sums[k, XZ] + ((width - 1) / 2 - cx) * sums[k, Z]',
+     'x_z = width * sums[k, XZ]', 'centroid without the principal point'),
+    ('planes', 'planes/measurement.py',
+     'row[AREA] = sums[k, ZZZ] / (fx * fy * offset_m)',
+     'row[AREA] = sums[k, ZZZ] / (fx * fx * offset_m)', 'area with fx twice'),
+    ('planes', 'planes/measurement.py',
+     'row[RMS] = offset_m * np.sqrt(sums[k, SQUARE] / pixels)',
+     'row[RMS] = np.sqrt(sums[k, SQUARE] / pixels)', 'rms without the distance'),
+    ('planes', 'planes/measurement.py', 'row[i] -= jacobian[i, j] * planes[k, j]',
+     'row[i] += jacobian[i, j] * planes[k, j]', 'normals look away'),
+    ('planes', 'planes/measurement.py', 'row[CENTROID + i] -= off_plane * row[i]',
+     'row[CENTROID + i] += off_plane * row[i]', 'centroid beside its plane'),
+    ('planes', 'planes/measurement.py', 'fit[0, 1] -= scale * xy', 'fit[0, 1] += scale * xy',
+     'sign of a covariance'),
+    ('planes', 'planes/measurement.py', 'fit[0, 0] += scale * s_yy', 'fit[0, 0] += scale * s_xx',
+     'swapped variances'),
+    ('planes', 'planes/measurement.py',
+     'chain[i, j] += offset_m * by_ray * jacobian[k, j]',
+     'chain[i, j] += by_ray * jacobian[k, j]', 'derivatives without the distance'),
+    ('planes', 'planes/measurement.py',
+     '[0, intrinsics.fy / width, 0]', '[0, intrinsics.fx / width, 0]', 'fx for fy'),
+    ('planes', 'planes/classification.py', 'for side, extreme in ((facing_down <= -level',
+     'for side, extreme in ((facing_down >= level', 'floor and ceiling swapped'),
+    ('planes', 'planes/classification.py', 'classes[np.abs(facing_down) <= upright]',
+     'classes[np.abs(facing_down) <= level]', 'sine and cosine swapped'),
+    ('scale', 'scale/floor.py', 'return 1.0 / alpha, -beta / alpha, jacobian',
+     'return 1.0 / alpha, beta / alpha, jacobian', 'sign of the shift from the floor'),
+    ('scale', 'scale/floor.py',
+     'design = np.stack([gravity_camera / height_m, [0.0, 0.0, 1.0]], axis=1)',
+     'design = np.stack([gravity_camera * height_m, [0.0, 0.0, 1.0]], axis=1)',
+     'height multiplied'),
+    ('scale', 'scale/sensor_depth.py', 'return DepthFit(1.0 / alpha, -beta / alpha,',
+     'return DepthFit(1.0 / alpha, -beta,', 'shift from measured depth without its scale'),
+    ('scale', 'scale/manhattan.py', 'middle = -0.5 * (first[:, 2] + second[:, 2])',
+     'middle = 0.5 * (first[:, 2] + second[:, 2])', 'sign of the shift from right angles'),
+    ('scale', 'scale/disparity_planes.py',
+     'return scale * self.coefficients + [0.0, 0.0, shift]',
+     'return scale * (self.coefficients + [0.0, 0.0, shift])', 'shift in the wrong unit'),
+    ('directions', 'directions/vanishing.py',
+     'downs = frames[every, vertical] * np.sign(cosine[every, vertical])[:, None]',
+     'downs = frames[every, vertical]', 'gravity may point up'),
+    ('directions', 'directions/vanishing.py',
+     'candidates = (axes[0] + x * axes[1] + y * axes[2]).reshape(-1, 3)',
+     'candidates = (axes[0] + x * axes[1] + x * axes[2]).reshape(-1, 3)', 'swapped axes'),
+    ('directions', 'directions/gravity_choice.py', "source = 'parameter' if measured is None",
+     "source = 'parameter' if measured is not None", 'wrong source of gravity'),
+    ('depth', 'depth/preprocessing.py', 'planes[channel] -= np.float32(mean / std)',
+     'planes[channel] -= np.float32(mean)', 'mean without its deviation'),
+    ('depth', 'depth/preprocessing.py',
+     "disparity = 1 / values if output == 'metric_depth' else values", 'disparity = values',
+     'depth resized as depth, then inverted'),
+    ('depth', 'depth/readers.py',
+     'depth_m = raw * np.float32(framing.focal_px(intrinsics) / self.canonical_focal_px)',
+     'depth_m = raw * np.float32(self.canonical_focal_px / framing.focal_px(intrinsics))',
+     'lens inverted'),
+    ('tracking', 'tracking/tracker.py',
+     'return found, tuple(track.label for track in self._known.tracks[:len(planes)])',
+     'return found, tuple(range(1, len(planes) + 1))', 'labels are not those of the tracks'),
+    ('inputs', 'ros/inputs/image_decoding.py',
+     "depth_m = _pixels(msg, 'u2', 1)[..., 0] * np.float32(0.001)",
+     "depth_m = _pixels(msg, 'u2', 1)[..., 0] * np.float32(0.01)", 'centimetres for millimetres'),
+    ('inputs', 'ros/inputs/image_decoding.py',
+     "'>' if msg.is_bigendian else '<'", "'<' if msg.is_bigendian else '>'", 'byte order'),
+    ('inputs', 'ros/calibration.py', 'sent[0, 2] -= msg.roi.x_offset',
+     'sent[0, 2] -= msg.roi.y_offset', 'swapped offsets of a cut image'),
+    ('inputs', 'ros/calibration.py', 'sent[1] /= binning[1]', 'sent[1] /= binning[0]',
+     'binning of the other axis'),
+    ('inputs', 'ros/inputs/transforms.py',
+     'return CameraPose(-to_base.rotation.T @ up_base,',
+     'return CameraPose(-to_base.rotation @ up_base,', 'gravity in the wrong frame'),
+    ('outputs', 'ros/outputs/plane_table.py',
+     "('normal_x', 'normal_y', 'normal_z'), [plane.normal for plane in planes]",
+     "('normal_y', 'normal_x', 'normal_z'), [plane.normal for plane in planes]",
+     'swapped fields of ~/planes'),
+    ('outputs', 'ros/outputs/plane_table.py',
+     'return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))',
+     'return cloud_msg(frame.header, PLANE_DTYPE, table, 1, len(table))',
+     '~/planes in the frame of the camera'),
+    ('outputs', 'ros/outputs/plane_table.py',
+     'closed_m += polygon.corners_m, polygon.corners_m[:1]',
+     'closed_m += polygon.corners_m, polygon.corners_m[-1:]', 'outlines that do not close'),
+    ('outputs', 'ros/outputs/clouds.py', 'numbers[v, u, 1] = e * x + f * y + g * z + h',
+     'numbers[v, u, 1] = e * x + f * y + g * z + d', 'shift of the other axis in ~/points'),
+    ('outputs', 'ros/outputs/clouds.py', 'np.array(found.classes) != PlaneClass.FLOOR',
+     'np.array(found.classes) == PlaneClass.FLOOR', 'the floor as obstacle'),
+    ('outputs', 'ros/outputs/messages.py', 'np.cross(z_axes, x_axes)', 'np.cross(x_axes, z_axes)',
+     'poses are mirrored'))
+
+
+def main() -> None:
+    """Plant the chosen errors and print a Markdown table, a row as soon as it is known."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[1])
+    parser.add_argument('--only', default='', metavar='PART', help=f'one of {", ".join(TESTS)}')
+    chosen = [one for one in ERRORS if parser.parse_args().only in ('', one[0])]
+    gone = [f'{file}: {old}' for _, file, old, _, _ in chosen
+            if (ROOT / 'plane_detector' / file).read_text(encoding='utf-8').count(old) != 1]
+    if gone:
+        sys.exit('these texts do not stand exactly once in their files:\n' + '\n'.join(gone))
+    print('| part | error | file | caught by | s |\n|---|---|---|---|---|', flush=True)
+    caught, failing = 0, []
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder, 'tree')
+        shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns('.git', '.venv', '__pycache__'))
+        for part, file, old, new, wrong in chosen:
+            path, start_s = tree / 'plane_detector' / file, time.monotonic()
+            right = path.read_text(encoding='utf-8')
+            path.write_text(right.replace(old, new), encoding='utf-8')
+            test = first_failure(tree, TESTS[part], failing)
+            path.write_text(right, encoding='utf-8')
+            if test and first_failure(tree, (test,)):
+                failing.append(test)
+                test = f'nothing, but {test} fails without an error too'
+            caught += bool(test) and not test.startswith('nothing')
+            print(f'| {part} | {wrong} | {file} | {test or "**nothing**"} '
+                  f'| {time.monotonic() - start_s:.0f} |', flush=True)
+    print(f'\n{caught} of {len(chosen)} were caught.')
+
+
+def first_failure(tree: Path, tests: tuple[str, ...], left_out: list[str] | None = None) -> str:
+    """Return the first test that fails in a tree, some left out; empty if none does."""
+    data = os.environ.get('PLANE_DETECTOR_DATA', str(ROOT.parent / 'shared' / 'data'))
+    for path in tests:
+        done = subprocess.run(
+            [sys.executable, '-m', 'pytest', '-x', '-q', '-rfE', path,
+             *(f'--deselect={test}' for test in left_out or ())], cwd=tree, text=True,
+            capture_output=True, check=False, env={**os.environ, 'PLANE_DETECTOR_DATA': data})
+        if done.returncode:
+            names = re.findall(r'^(?:FAILED|ERROR) (.+?)(?: - |$)', done.stdout, re.MULTILINE)
+            return names[0] if names else f'{path}: exit code {done.returncode}'
+    return ''
+
+
+if __name__ == '__main__':
+    main()
