@@ -255,7 +255,8 @@ def _sum_over_pixels(labels, disparity, seen, cells, frame):
                 error = squared_error(plane[0], plane[1], plane[2], moments[cell])
                 _add_cell(moments[cell], middle, plane, lowest[label], pixels_here, sums[label])
                 sums[label, ZZZ] += pixels_here * _cube_of_depth(
-                    plane, lowest[label], (top, left, size), frame)
+                    plane, lowest[label], (top, left, min(size, height - top),
+                                           min(size, width - left)), frame)
                 sums[label, SQUARE] += max(error, 0.0) / max(middle[2], TINY_DISPARITY) ** 2
                 for j in range(SUMS - WHOLE):
                     sums[label, WHOLE + j] += moments[cell, j]
@@ -317,21 +318,21 @@ def _sum_parts(own, pixels, cell, place, frame, sums):
         label = np.int64(below)
 
 
-@kernel('float64(float64[::1], float64, UniTuple(int64, 3), float64[::1])')
-def _cube_of_depth(plane, least, corner, frame):
+@kernel('float64(float64[::1], float64, UniTuple(int64, 4), float64[::1])')
+def _cube_of_depth(plane, least, cell, frame):
     """
     Return the mean of z**3 of a plane over the pixels of a cell.
 
     A triangle of T pixels, whose corners see the plane at depths z_i, covers T z_1 z_2 z_3 /
     (fx fy offset) of it: the volume of the tetrahedron with the camera. A cell is two of them.
     """
-    top, left, size = corner
+    top, left, rows, columns = cell
     a, b = plane[0] / frame[0], plane[1] / frame[0]
     first = (plane[0] * frame[1] + plane[1] * frame[2] + plane[2] + a * (left - 0.5)
              + b * (top - 0.5))
-    right, below = 1 / max(first + a * size, least), 1 / max(first + b * size, least)
+    right, below = 1 / max(first + a * columns, least), 1 / max(first + b * rows, least)
     return (right * below / 2
-            * (1 / max(first, least) + 1 / max(first + (a + b) * size, least)))
+            * (1 / max(first, least) + 1 / max(first + a * columns + b * rows, least)))
 
 
 @kernel('void(float64[::1], float64[::1], float64[::1], float64, float64, float64[::1])')

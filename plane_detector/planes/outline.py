@@ -1,10 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Outlines of planes, projected onto the plane, and their enclosing rectangles."""
+"""
+Outlines of planes and their enclosing rectangles.
+
+Their corners are where the rays of pixels meet the plane, which the noise of the depth of a single
+pixel does not move.
+"""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,6 +17,7 @@ import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.types import CameraIntrinsics, Plane
 
 _TOLERANCE_PX = 2.0
@@ -20,16 +25,7 @@ _TOLERANCE_PX = 2.0
 
 @dataclass(frozen=True)
 class Polygon:
-    """
-    One outline of a plane.
-
-    Attributes
-    ----------
-    corners_m : (N, 3) float64
-        In order, on the plane; the first corner is not repeated.
-    is_hole : bool
-
-    """
+    """One outline: corners (N, 3) on the plane, in order, the first one not repeated."""
 
     corners_m: np.ndarray
     is_hole: bool
@@ -37,86 +33,101 @@ class Polygon:
 
 @dataclass(frozen=True)
 class Rectangle:
-    """
-    A rectangle in space.
-
-    Attributes
-    ----------
-    centre_m : (3,) float64
-    rotation : (3, 3) float64
-        Its columns are the directions of width, height and normal.
-    width_m, height_m : float
-        The width is at least the height.
-
-    """
+    """A rectangle; the columns of its rotation are the directions of width, height and normal."""
 
     centre_m: np.ndarray
     rotation: np.ndarray
-    width_m: float
+    width_m: float  # at least the height
     height_m: float
 
 
-def all_polygons(labels: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+def all_polygons(labels: np.ndarray, intrinsics: CameraIntrinsics,
                  planes: Sequence[Plane]) -> tuple[tuple[Polygon, ...], ...]:
     """
-    Return :func:`plane_polygons` of all planes of an image.
+    Return the outlines of each plane: of all its connected parts, and of the holes in them.
+
+    A border is traced in the image and simplified there to 2 pixels (Douglas and Peucker). Unlike
+    a convex hull, this preserves the shape of an L-shaped floor.
 
     Parameters
     ----------
     labels : (H, W) int32
         Index into ``planes``; -1, or another index, for no plane.
-    depth_m : (H, W) float32
-        Depth.
     intrinsics : CameraIntrinsics
         Of the image.
     planes : sequence of Plane
-        Planes that the outlines are projected onto.
-
-    """
-    labels = np.ascontiguousarray(labels, np.int32)
-    boxes = _bounding_boxes(labels, len(planes)).tolist()
-    outlines = [_simple_outlines(labels[top:bottom, left:right] == index, (top, left))
-                if bottom > top else []
-                for index, (top, bottom, left, right) in enumerate(boxes)]
-    return _laid_onto(planes, outlines, depth_m, intrinsics)
-
-
-def plane_polygons(mask: np.ndarray, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                   plane: Plane, first_pixel: tuple[int, int] = (0, 0)) -> tuple[Polygon, ...]:
-    """
-    Return the outlines of all connected parts of a plane, and of the holes in them.
-
-    A border is traced in the image and simplified there to 2 pixels (Douglas and Peucker); the
-    points of its corners are then projected onto the plane along the normal. Unlike a convex hull,
-    this preserves the shape of an L-shaped floor.
-
-    Parameters
-    ----------
-    mask : (h, w) bool
-        Pixels of the plane, at least one, in a part of the image; their depth is valid.
-    depth_m, intrinsics, plane
-        As for :func:`all_polygons`.
-    first_pixel : (int, int)
-        Row and column of the image of the first pixel of the mask.
 
     Returns
     -------
-    tuple of Polygon
-        The largest part first, each followed by its holes. Outlines with fewer than three corners
-        after simplification are dropped.
+    tuple of tuple of Polygon
+        Of each plane the largest part first, each followed by its holes. Outlines with fewer than
+        three corners after simplification are dropped.
 
     Examples
     --------
     >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
     >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
-    >>> mask = np.ones((51, 101), bool)
-    >>> (polygon,) = plane_polygons(mask, 2.0 * mask, camera, wall)
+    >>> ((polygon,),) = all_polygons(np.zeros((51, 101), np.int32), camera, [wall])
     >>> polygon.corners_m[2]
     array([2., 1., 2.])
 
     """
-    outlines = _simple_outlines(mask, first_pixel)
-    return _laid_onto([plane], [outlines], depth_m, intrinsics)[0]
+    labels = np.ascontiguousarray(labels, np.int32)
+    outlines = []
+    for index, ends in enumerate(_row_ends(labels, len(planes))):
+        rows = np.flatnonzero(ends[:, 1] >= 0)
+        if not len(rows):
+            outlines.append([])
+            continue
+        top, bottom, left = int(rows[0]), rows[-1] + 1, int(ends[rows, 0].min())
+        mask = labels[top:bottom, left:ends[rows, 1].max() + 1] == index
+        outlines.append(_simple_outlines(mask, (top, left)))
+    flat = [(corners_px, plane) for of_plane, plane in zip(outlines, planes, strict=True)
+            for corners_px, _ in of_plane]
+    corners_m = iter(_on_planes([corners_px for corners_px, _ in flat],
+                                [plane for _, plane in flat], intrinsics))
+    return tuple(tuple(Polygon(next(corners_m), is_hole) for _, is_hole in of_plane)
+                 for of_plane in outlines)
+
+
+def hulls(labels: np.ndarray, intrinsics: CameraIntrinsics,
+          planes: Sequence[Plane]) -> list[np.ndarray]:
+    """
+    Return the corners (N, 3) of the convex hull of the pixels of each plane, with their borders.
+
+    Parameters
+    ----------
+    labels, intrinsics, planes
+        As for :func:`all_polygons`.
+
+    """
+    ends = _row_ends(np.ascontiguousarray(labels, np.int32), len(planes))
+    index, row = np.nonzero(ends[:, :, 1] >= 0)
+    corners_px = np.empty((len(row), 2, 2, 2), np.float32)
+    corners_px[..., 0] = (ends[index, row] + [-0.5, 0.5])[:, None]
+    corners_px[..., 1] = (row[:, None] + [-0.5, 0.5])[:, :, None]
+    parts = np.split(corners_px.reshape(-1, 2),
+                     4 * np.searchsorted(index, np.arange(1, len(planes))))
+    return _on_planes([cv2.convexHull(part)[:, 0] if len(part) else part for part in parts],
+                      planes, intrinsics) if len(planes) else []
+
+
+def _on_planes(pixels: Sequence[np.ndarray], planes: Sequence[Plane],
+               intrinsics: CameraIntrinsics) -> list[np.ndarray]:
+    """Return where the rays of pixels (N, 2), column and row, meet the plane of each, (N, 3)."""
+    if not pixels:
+        return []
+    counts = [len(one) for one in pixels]
+    normals = np.repeat([plane.normal for plane in planes], counts, axis=0)
+    offsets_m = np.repeat([plane.offset_m for plane in planes], counts)
+    rays = np.ones((len(normals), 3))
+    rays[:, :2] = ((np.concatenate(pixels) - [intrinsics.cx, intrinsics.cy])
+                   / [intrinsics.fx, intrinsics.fy])
+    facing = -(rays * normals).sum(axis=1)
+    points_m = (offsets_m / np.maximum(facing, MIN_COSINE))[:, None] * rays
+    # No change but for rays that see the plane edge-on.
+    points_m -= ((points_m * normals).sum(axis=1) + offsets_m)[:, None] * normals
+    return np.split(points_m, np.cumsum(counts)[:-1])
 
 
 def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
@@ -145,13 +156,11 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
                      max(width_m, height_m), min(width_m, height_m))
 
 
-@kernel("int64[:, ::1](Array(int32, 2, 'C', readonly=True), int64)")
-def _bounding_boxes(labels, count):
-    """Return first row, row after the last, and the same of columns, of 0 to count - 1."""
+@kernel("int32[:, :, ::1](Array(int32, 2, 'C', readonly=True), int64)")
+def _row_ends(labels, count):
+    """Return the first and the last pixel of each label 0 to count - 1 in each row, -1: none."""
     height, width = labels.shape
-    boxes = np.zeros((count, 4), np.int64)
-    for label in range(count):
-        boxes[label, 0], boxes[label, 2] = height, width
+    ends = np.full((count, height, 2), np.int32(-1))
     for v in range(height):
         first = 0  # of a run of equal labels
         for u in range(width):
@@ -159,11 +168,11 @@ def _bounding_boxes(labels, count):
             if u + 1 < width and labels[v, u + 1] == label:
                 continue
             if 0 <= label < count:
-                box = boxes[label]
-                box[0], box[1] = min(box[0], v), v + 1
-                box[2], box[3] = min(box[2], first), max(box[3], u + 1)
+                if ends[label, v, 0] < 0:
+                    ends[label, v, 0] = first
+                ends[label, v, 1] = u
             first = u + 1
-    return boxes
+    return ends
 
 
 def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]
@@ -198,25 +207,3 @@ def _cross(first: list[float], second: list[float]) -> list[float]:
     """Return the cross product of two vectors (3,); faster than numpy.cross."""
     (a, b, c), (d, e, f) = first, second
     return [b * f - c * e, c * d - a * f, a * e - b * d]
-
-
-def _laid_onto(planes: Sequence[Plane], outlines: Sequence[Sequence[tuple[np.ndarray, bool]]],
-               depth_m: np.ndarray, intrinsics: CameraIntrinsics
-               ) -> tuple[tuple[Polygon, ...], ...]:
-    """Return the outlines of each plane in pixels, columns and rows, as polygons on the plane."""
-    flat = [corners_px for of_plane in outlines for corners_px, _ in of_plane]
-    if not flat:
-        return ((),) * len(planes)
-    counts = [sum(len(corners_px) for corners_px, _ in of_plane) for of_plane in outlines]
-    column, row = np.concatenate(flat).T
-    z_m = depth_m[row, column].astype(float)
-    points_m = np.stack([(column - intrinsics.cx) / intrinsics.fx * z_m,
-                         (row - intrinsics.cy) / intrinsics.fy * z_m, z_m], axis=-1)
-    normals = np.repeat([plane.normal for plane in planes], counts, axis=0)
-    offsets_m = np.repeat([plane.offset_m for plane in planes], counts)
-    distances_m = (points_m * normals).sum(axis=1) + offsets_m
-    laid_m = points_m - distances_m[:, None] * normals
-    ends = itertools.accumulate(map(len, flat))
-    corners_m = iter([laid_m[end - len(one):end] for one, end in zip(flat, ends, strict=True)])
-    return tuple(tuple(Polygon(next(corners_m), is_hole) for _, is_hole in of_plane)
-                 for of_plane in outlines)

@@ -19,6 +19,7 @@ from plane_detector.planes.outline import (
     Rectangle,
     all_polygons,
     enclosing_rectangle,
+    hulls,
 )
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
@@ -85,7 +86,7 @@ class ProcessedFrame:
     def camera_polygons(self) -> tuple[tuple[Polygon, ...], ...]:
         """Outlines of each plane in the frame of the image."""
         found = self.detection
-        return all_polygons(found.labels, found.depth_m, self.intrinsics, found.planes)
+        return all_polygons(found.labels, self.intrinsics, found.planes)
 
     @cached_property
     def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
@@ -95,11 +96,13 @@ class ProcessedFrame:
 
     @cached_property
     def rectangles(self) -> tuple[Rectangle, ...]:
-        """Smallest rectangle around each plane in the target frame."""
+        """Smallest rectangle around the pixels of each plane in the target frame."""
+        around = hulls(self.detection.labels, self.intrinsics, self.detection.planes)
         return tuple(enclosing_rectangle(
-            np.concatenate([plane.centroid_m[None], *(polygon.corners_m for polygon in polygons)]),
-            plane.normal, plane.centroid_m)
-            for plane, polygons in zip(self.target_detection.planes, self.polygons, strict=True))
+            self.in_target(np.vstack([corners_m, plane.centroid_m])),
+            turned.normal, turned.centroid_m)
+            for plane, turned, corners_m in zip(
+                self.detection.planes, self.target_detection.planes, around, strict=True))
 
     @cached_property
     def labels(self) -> np.ndarray:
