@@ -7,13 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from plane_detector import segment_planes
+from plane_detector import CameraIntrinsics, segment_planes
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.planes.measurement import (
     CONFIDENCE_WEIGHTS,
+    SUMS,
     planes_from_sums,
     ray_plane_jacobian,
 )
@@ -63,6 +65,36 @@ def test_centroid_lies_on_the_plane_among_its_points(seed, sigma):
         own_m = points_m[found.labels == k]
         assert (own_m.min(axis=0) - 0.05 <= plane.centroid_m).all()
         assert (own_m.max(axis=0) + 0.05 >= plane.centroid_m).all()
+
+
+@pytest.mark.parametrize('camera', [
+    CameraIntrinsics(210.0, 305.0, 125.0, 150.0, 320, 240),
+    CameraIntrinsics(96.0, 130.0, 190.0, 100.0, 318, 239),
+    CameraIntrinsics(640.0, 500.0, 100.0, 119.5, 320, 240)])
+@pytest.mark.parametrize('sigma', [0.0, 0.003])
+def test_measurements_are_those_of_the_pixels(camera, sigma):
+    """Normal, distance, centroid, rms and count of labels, by plain numpy from the points."""
+    for seed in (0, 1):
+        rng = np.random.default_rng(seed)
+        depth_m = with_disparity_noise(random_room(rng, camera).depth_m, sigma, rng)
+        points_m = depth_to_points(depth_m, camera).astype(float)
+        found = segment_planes(depth_m, camera)
+        assert len(found.planes) >= 3
+        for k, plane in enumerate(found.planes):
+            own_m = points_m[found.labels == k]
+            rays = own_m / own_m[:, 2:]
+            on_plane_m = plane.offset_m / -(rays @ plane.normal)[:, None] * rays
+            assert plane.inlier_count == len(own_m)
+            assert plane.offset_m > 0 > plane.normal @ plane.centroid_m
+            size_m = np.linalg.norm(np.ptp(on_plane_m, axis=0))
+            assert np.linalg.norm(plane.centroid_m - on_plane_m.mean(axis=0)) < 0.02 * size_m
+            assert plane.rms_m == pytest.approx(rms_of_points_m(own_m, plane), rel=0.1, abs=1e-5)
+            x, y = ((own_m[:, i] / own_m[:, 2]) for i in (0, 1))
+            fit = np.linalg.lstsq(np.stack([x, y, np.ones_like(x)], axis=1), 1 / own_m[:, 2],
+                                  rcond=None)[0]
+            fit_normal = -fit / np.linalg.norm(fit)
+            error_rad = np.sqrt(np.trace(plane.covariance[:3, :3])) + 1e-4
+            assert np.arccos(min(fit_normal @ plane.normal, 1.0)) < 6 * error_rad
 
 
 def counted(labels, size, count):
@@ -115,23 +147,26 @@ def test_renumber_more_labels_than_a_byte_holds():
         np.testing.assert_array_equal(found, expected)
 
 
-def test_covariance_and_confidence_follow_from_the_fit():
+@pytest.mark.parametrize('camera', [
+    CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480),
+    CameraIntrinsics(210.0, 305.0, 125.0, 150.0, 320, 240)])
+def test_covariance_and_confidence_follow_from_the_fit(camera):
     """The noise of (a, b, c) by the normal equations, carried on by numerical derivatives."""
-    scene, moments = room(0), np.zeros(15)
-    plane = np.array([0.1, -0.3, 0.5])
+    sums, plane = np.zeros(SUMS), np.array([0.1, -0.3, 0.5])
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.1, 0.2, 30),
                                                  np.linspace(0.05, 0.3, 20)))
     design = np.stack([x, y, np.ones(600)])
     d = plane @ design
-    moments[:10] = [600, x.sum(), y.sum(), x @ x, x @ y, y @ y, d.sum(), x @ d, y @ d, d @ d]
-    moments[10:] = [(x / d).sum(), (y / d).sum(), (1 / d).sum(), (1 / d**3).sum(), 600 * 0.01]
-    grid = build_cell_grid(DisparityImage(np.ones((48, 64), np.float32), np.ones((48, 64), bool)))
+    sums[:10] = [600, x.sum(), y.sum(), x @ x, x @ y, y @ y, d.sum(), x @ d, y @ d, d @ d]
+    sums[10:15] = [(x / d).sum(), (y / d).sum(), (1 / d).sum(), (1 / d**3).sum(), 600 * 0.01]
+    shape = camera.height, camera.width
+    grid = build_cell_grid(DisparityImage(np.ones(shape, np.float32), np.ones(shape, bool)))
     regions = PixelRegions(np.ones((1, 1)), np.zeros((1, 1), np.int32), plane[None], grid,
                            Noise(0.0, pixel_sigma=0.02))
-    measured, = planes_from_sums(regions, moments[None], plane[None], scene.intrinsics)
+    measured, = planes_from_sums(regions, sums[None], plane[None], camera)
 
     def equation(coefficients):
-        ray = ray_plane_jacobian(scene.intrinsics) @ coefficients
+        ray = ray_plane_jacobian(camera) @ coefficients
         return np.append(-ray, 1) / np.linalg.norm(ray)
 
     steps = 1e-6 * np.eye(3)
@@ -140,7 +175,7 @@ def test_covariance_and_confidence_follow_from_the_fit():
     np.testing.assert_allclose(measured.covariance, expected, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose([*measured.normal, measured.offset_m], equation(plane))
     assert measured.rms_m == pytest.approx(0.1 * measured.offset_m)
-    pixels = scene.intrinsics.width * scene.intrinsics.height
+    pixels = camera.width * camera.height
     logit = [1, np.log(600 / pixels), np.log(np.trace(expected[:3, :3])) / 2] @ np.array(
         CONFIDENCE_WEIGHTS)
     assert measured.confidence == pytest.approx(1 / (1 + np.exp(-logit)), rel=1e-4)
