@@ -164,7 +164,7 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
     wanted = [one for one in _KERNELS if one.subject in subjects and not one.is_ready]
     if not wanted:
         return
-    with _one_process(cache_folder()):
+    with _one_process(cache_folder() / wanted[0].digest):
         missing = [one for one in wanted if not one.is_cached]
         if missing:
             tell(f'compiling {what} for this machine, once; this takes half a minute or more')
@@ -223,6 +223,7 @@ def help_parent() -> None:
 @contextmanager
 def _one_process(folder: Path) -> Iterator[None]:
     """Let one process at a time compile; workers started with it load its machine code."""
+    folder.mkdir(exist_ok=True)
     with open(folder / 'lock', 'a', encoding='ascii') as file:
         # Without such locks, as on Windows and some network file systems, each process compiles.
         with suppress(ImportError, OSError):
@@ -233,8 +234,8 @@ def _one_process(folder: Path) -> Iterator[None]:
 
 @cache
 def _digest_of_file(path: str) -> Any:
-    # Numba compiles again if its version, Python's or the time of the file has changed.
-    versions = f'{version("numba")} {sys.version} {os.stat(path).st_mtime_ns}\n'
+    # Numba compiles again if its version, Python's or place or time of the file has changed.
+    versions = f'{version("numba")} {sys.version} {path} {os.stat(path).st_mtime_ns}\n'
     return hashlib.sha256(versions.encode() + Path(path).read_bytes())
 
 

@@ -154,7 +154,9 @@ def test_kernels_are_compiled_here_if_the_other_processes_fail(body, folder, ker
 
 def test_another_process_that_compiles_is_waited_for(folder, kernels):
     """Else every worker of many bags compiles all kernels, at the same time."""
-    with open(compilation.cache_folder() / 'lock', 'w', encoding='ascii') as other:
+    own = compilation.cache_folder() / kernels[0].digest
+    own.mkdir()
+    with open(own / 'lock', 'w', encoding='ascii') as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         thread = threading.Thread(target=compilation.compile_kernels, args=(['test_compilation'],))
         thread.start()
