@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
-LAYERS = (('stopping', 'process'), ('compilation',), ('settings', 'stage_timer'),
+LAYERS = (('stopping', 'process', 'dependencies'), ('compilation',), ('settings', 'stage_timer'),
           ('node_config',), ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('stages',), ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
@@ -32,14 +32,14 @@ TESTS = sorted((ROOT / 'test').rglob('*.py'))
 # Third-party imports of the package, and the rosdep key that brings each.
 ROSDEP_KEYS = {
     'cv2': 'python3-opencv',
-    'joblib': 'python3-sklearn',  # which depends on it
+    'joblib': 'python3-joblib',
     'numba': 'python3-numba', 'numpy': 'python3-numpy',
     'onnxruntime': 'python3-onnxruntime-pip', 'rosbags': 'python3-rosbags-pip',
-    'scipy': 'python3-scipy', 'skimage': 'python3-skimage', 'sklearn': 'python3-sklearn',
+    'scipy': 'python3-scipy', 'sklearn': 'python3-sklearn',
     'tf2_ros': 'tf2_ros_py', 'threadpoolctl': 'python3-sklearn',  # which depends on it
     'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
-EXTRAS = {'dask', 'h5py', 'matplotlib', 'onnx', 'open3d', 'pyransac3d', 'ray', 'torch',
+EXTRAS = {'dask', 'h5py', 'matplotlib', 'onnx', 'open3d', 'pyransac3d', 'ray', 'skimage', 'torch',
           'transformers'}
 
 

@@ -1,12 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Declared, pinned and locked packages agree, and every locked file has its hash."""
+"""Declared, pinned and locked packages agree; one that is missing or too old is named."""
 
 import ast
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+
+from plane_detector.dependencies import PACKAGES
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -57,3 +62,35 @@ def test_security_bounds_are_kept():
     setup = (ROOT / 'setup.py').read_text()
     assert 'opencv-python-headless>=4.8.1.78' in setup
     assert "'threadpoolctl>=" in setup
+
+
+def test_oldest_versions_are_those_of_the_installation():
+    setup = (ROOT / 'setup.py').read_text()
+    bounds = dict(re.findall(r"'([\w-]+)>=([\d.]+)'", setup))
+    for package in PACKAGES.values():
+        if package.oldest != '0':
+            assert bounds[package.distribution] == package.oldest
+
+
+MISSING = "raise ModuleNotFoundError(\"No module named 'numba'\", name='numba')"
+NOT_INSTALLED = "numba is not installed: .* install --upgrade 'numba>=0.58'"
+
+
+@pytest.mark.parametrize('module, name, text, told', [
+    ('ros.node', 'numba', MISSING, NOT_INSTALLED),
+    ('tools.replay', 'numba', MISSING, NOT_INSTALLED),
+    ('tools.demo', 'numba', MISSING, NOT_INSTALLED),
+    ('ros.node', 'numba', "raise ImportError('Numba needs NumPy 1.26 or less')",
+     r'numba [0-9.]+ cannot be imported \(Numba needs NumPy 1.26 or less; .*: .* install '),
+    ('ros.node', 'numba', "__version__ = '0.56.4'",
+     'numba 0.56.4 is too old, 0.58 is needed: .* install '),
+    ('ros.node', 'onnxruntime', "raise ImportError('libonnxruntime.so: no such file')",
+     '.*onnxruntime [0-9.]+ cannot be imported .* install ')])
+def test_a_broken_package_ends_the_program_with_the_remedy(module, name, text, told, tmp_path):
+    (tmp_path / f'{name}.py').write_text(text)
+    done = subprocess.run(
+        [sys.executable, '-m', f'plane_detector.{module}'], cwd=ROOT, capture_output=True,
+        text=True, env={**os.environ, 'PYTHONPATH': str(tmp_path)}, check=False)
+    assert done.returncode == 1, done.stderr
+    assert re.match(told, done.stderr)
+    assert done.stderr.count('\n') == 1

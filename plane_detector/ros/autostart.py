@@ -10,6 +10,7 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
 
+from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Transitions
 
 # derived: an unreachable host is tried again as often as a user would, then less and less often.
@@ -53,7 +54,7 @@ class Autostart:
 
         Raises
         ------
-        ValueError
+        CannotRunError
             It failed and ``exits`` is true; this ends the spinning of the executor.
 
         """
@@ -64,7 +65,7 @@ class Autostart:
                 and self._node.trigger_activate() == TransitionCallbackReturn.SUCCESS):
             return
         if self._exits:
-            raise ValueError('it failed, for the reason logged, and exit_on_failure is true')
+            raise CannotRunError('it failed, for the reason logged, and exit_on_failure is true')
         if self._node.state == 'unconfigured' and self._may_pass():
             self._node.get_logger().info(f'trying again in {self._pause_s:.0f} s')
             self._wait(self._pause_s)

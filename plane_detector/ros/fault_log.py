@@ -60,13 +60,21 @@ class FaultLog:
         """Log the reason and where it arose, at limited intervals; return the reason alone."""
         reason = plain(str(error) if isinstance(error, ValueError)
                        else f'{type(error).__name__}: {error}')
+        # Another exception than ValueError is a bug, or a part that is missing.
+        self._log(error, reason + (where and f' ({where})'), not isinstance(error, ValueError))
+        return reason
+
+    def tell_bug(self, error: Exception) -> None:
+        """Log an exception that no code expects, with its traceback, at limited intervals."""
+        self._log(error, plain(f'{type(error).__name__}: {error}'), with_traceback=True)
+
+    def _log(self, error: Exception, text: str, with_traceback: bool) -> None:
         raised_at = traceback.extract_tb(error.__traceback__)
         last = raised_at[-1] if raised_at else traceback.FrameSummary('', 0, '')
         if self._is_due((type(error), last.filename, last.lineno)):
-            self._logger.warning(f'{self._what}: {reason}' + (where and f' ({where})'))
-            if not isinstance(error, ValueError):  # a bug, or a part that is missing
+            self._logger.warning(f'{self._what}: {text}')
+            if with_traceback:
                 self._logger.warning('raised at\n' + ''.join(traceback.format_list(raised_at)))
-        return reason
 
     def _is_due(self, kind: tuple[type, str, int]) -> bool:
         now_s = time.monotonic()

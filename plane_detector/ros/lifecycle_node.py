@@ -18,6 +18,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_srvs.srv import Trigger
 
+from plane_detector.dependencies import explanation
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.process import freeze_loaded_objects
@@ -39,6 +40,7 @@ from plane_detector.ros.network_pace import fit_to_rate, slow_network
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.reloading import ReloadableNode
+from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Transitions
 from plane_detector.stopping import raise_if_stopped
 
@@ -127,6 +129,8 @@ class PlaneDetectorNode(ReloadableNode):
             if self._given_transforms is None and (self._live.settings.base_frame
                                                    or self._live.settings.target_frame):
                 self._listening = listen_to_tf(self)
+        except ImportError as error:
+            raise CannotRunError(explanation(error)) from error
         except Exception as error:  # whatever a model file may cause, the node keeps running
             self._release()
             return self._fail(f'cannot be configured: {error}', isinstance(error, OSError))

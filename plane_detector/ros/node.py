@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 
+from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import quiet_interrupt
 
 USAGE = """\
@@ -31,7 +32,7 @@ def main(args: list[str] | None = None) -> int:
         stream = sys.stdout if is_asked else sys.stderr
         print(USAGE, end='' if is_asked else f'\nnot understood: {" ".join(own)}\n', file=stream)
         return 0 if is_asked else 2
-    with quiet_interrupt():
+    with quiet_interrupt(), explained_imports('numba'):
         from plane_detector.ros.lifecycle_node import PlaneDetectorNode
         from plane_detector.ros.spinning import run
     return run(PlaneDetectorNode, args)

@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from plane_detector.process import retain_freed_memory, use_one_thread
+from plane_detector.ros.fault_log import FaultLog
 from plane_detector.stopping import end_process
 
 _SPIN_TIMEOUT_S = 0.2
@@ -74,12 +75,17 @@ class _Ending:
         os._exit(128 + number)
 
 
+class CannotRunError(Exception):
+    """Raised in a callback, it ends the node with exit code 1 and this reason."""
+
+
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoReturn:
     """
     Run a node until SIGINT or SIGTERM; once per process.
 
     Python handles both signals instead of rclpy. After the first one the node has `MOST_ENDING_S`
-    to end; a second one ends the process at once.
+    to end; a second one ends the process at once. An exception of a callback is logged with its
+    traceback, and the node goes on.
 
     Parameters
     ----------
@@ -91,8 +97,8 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoRetur
     Notes
     -----
     This function does not return: the process exits with code 1 if the node cannot be made with
-    these arguments, otherwise 0. The regular exit of the interpreter would take a second or more
-    to unload all libraries, and crash if one of them is still running.
+    these arguments or raises `CannotRunError`, otherwise 0. The regular exit of the interpreter
+    would take a second or more to unload all libraries, and crash if one of them is still running.
 
     """
     ending, exit_code = _Ending(), 0
@@ -100,10 +106,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoRetur
     try:
         prepare_process()
         _init(args)
-        _spin(make_node(), ending)
+        _spin(_made(make_node), ending)
     except ExternalShutdownException:
         pass
-    except (ValueError, ParameterException) as error:
+    except CannotRunError as error:
         print(f'the node cannot start: {error}', file=sys.stderr)
         exit_code = 1
     finally:
@@ -122,11 +128,17 @@ def prepare_process() -> None:
 
 
 def _init(args: list[str] | None) -> None:
-    """Initialise rclpy; raises ValueError for an invalid command line."""
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # base class of rclpy's exception, which it does not export
-        raise ValueError(f'rclpy refuses the arguments: {error}') from error
+        raise CannotRunError(f'rclpy refuses the arguments: {error}') from error
+
+
+def _made(make_node: Callable[[], Node]) -> Node:
+    try:
+        return make_node()
+    except (ValueError, ParameterException) as error:
+        raise CannotRunError(str(error)) from error
 
 
 def _close_middleware() -> None:
@@ -139,11 +151,16 @@ def _close_middleware() -> None:
 
 def _spin(node: Node, ending: _Ending) -> None:
     """Spin until a signal, in short waits: Python handles signals only between them."""
-    executor = SingleThreadedExecutor()
+    executor, faults = SingleThreadedExecutor(), FaultLog(node.get_logger(), 'error in a callback')
     executor.add_node(node)
     try:
         while rclpy.ok() and not ending.is_asked:
-            executor.spin_once(timeout_sec=_SPIN_TIMEOUT_S)
+            try:
+                executor.spin_once(timeout_sec=_SPIN_TIMEOUT_S)
+            except (CannotRunError, ExternalShutdownException):
+                raise
+            except Exception as error:
+                faults.tell_bug(error)
     finally:
         node.destroy_node()
         executor.shutdown()

@@ -9,6 +9,7 @@ from node_helpers import change_state, start
 from plane_detector.depth.observation import SensorDepth
 from plane_detector.ros import autostart, lifecycle_node
 from plane_detector.ros.diagnostics import introduction
+from plane_detector.ros.spinning import CannotRunError
 
 
 @pytest.fixture
@@ -54,7 +55,7 @@ def test_configuring_by_hand_ends_the_retries(robot, tries):
 
 def test_with_exit_on_failure_the_spinning_ends_after_the_reason(robot, tries):
     start(robot, lambda rgb: None, wait=False, exit_on_failure=True)
-    with pytest.raises(ValueError, match='exit_on_failure is true'):
+    with pytest.raises(CannotRunError, match='exit_on_failure is true'):
         robot.spin(timeout_s=5.0)
     assert robot.is_logged('cannot be configured: unreachable')
 

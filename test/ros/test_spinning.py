@@ -38,6 +38,8 @@ class Told(ValueError):
         end()
         return 'too large'
 
+calls = []
+
 def work():
 {work}
 
@@ -102,6 +104,22 @@ def test_wrong_settings_are_reported_whenever_a_signal_comes(making):
     assert ended(making=making) == (1, 'the node cannot start: too large\n')
 
 
+BUG = """
+calls.append(1)
+if len(calls) == 3:
+    end()
+raise ValueError("a bug")
+"""
+
+
+def test_an_exception_of_a_callback_is_logged_and_the_node_goes_on():
+    code, text = ended(BUG)
+    assert code == 0
+    assert text.count('error in a callback: ValueError: a bug') == 1  # of three, in an instant
+    assert 'in work' in text  # the traceback
+    assert 'cannot start' not in text
+
+
 def test_other_errors_keep_their_traceback():
     code, text = ended(making='raise RuntimeError("a bug")')
     assert code == 1
@@ -135,7 +153,7 @@ def test_the_shared_memory_of_the_middleware_is_released():
 
 
 def test_stages_of_the_node_share_the_interpreter_and_the_cores(monkeypatch):
-    monkeypatch.setattr(spinning, 'retain_freed_memory', lambda: True)
+    monkeypatch.setattr(spinning, 'retain_freed_memory', lambda one_heap: True)
     before_s, threads = sys.getswitchinterval(), cv2.getNumThreads()
     with threadpool_limits(2):
         try:
