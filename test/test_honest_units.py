@@ -14,9 +14,9 @@ from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.evaluation.scenes.rooms import attic, random_room
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
-from plane_detector.tools.demo.node_client import Received, Timing
 from plane_detector.tools.demo.photographs import Photograph
 from plane_detector.tools.demo.report import Outcome, print_outcome, write_files
+from plane_detector.tools.demo.session import Received
 from plane_detector.tools.ply import write_ply
 from plane_detector.types import CameraIntrinsics
 
@@ -25,8 +25,7 @@ GRAVITY = [0.0, 1.0, 0.0]
 LENGTH = re.compile(r'\d\s*(mm|cm|m|m2|met(re|er)s?)\b')
 WORD = re.compile(r'\b(met(re|er)s?|metric)\b', re.IGNORECASE)
 DENIALS = ('neither metres nor gravity are known',
-           'metric: the network does not give metres', 'the network does not give metres',
-           'the depth has no known scale: it is not compared with the truth in metres')
+           'metric: the network does not give metres', 'the network does not give metres')
 ROOM = random_room(np.random.default_rng(3), CAMERA)
 ATTIC = attic(np.random.default_rng(1), CAMERA)  # without right angles but those of the gable
 
@@ -144,23 +143,23 @@ def test_a_cloud_file_says_whether_its_unit_is_known(tmp_path, in_metres):
     assert ('unit of length not known' in header) != in_metres
 
 
-@pytest.mark.parametrize('scale', ['relative', 'fixed'])
-def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, scale):
+@pytest.mark.parametrize('unit', ['units', 'm'])
+def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, unit):
     points = np.zeros((240, 320), [(name, 'f4') for name in 'xyz'] + [('label', 'u4')])
     points['z'] = ROOM.depth_m
     planes = np.ones(2, [(name, 'f4') for name in (
         'normal_x', 'normal_y', 'normal_z', 'd', 'rms', 'area')]
         + [('label', 'u4'), ('num_inliers', 'u4'), ('class', 'u1')])
     photograph = Photograph('room', ROOM.rgb, CAMERA, 'calibration as given', ROOM.depth_m)
-    outcome = Outcome(photograph, 'a network', Received(points, planes, ROOM.depth_m, ROOM.rgb),
-                      Timing(1, 1.0, [{'scale': scale}]), points['label'])
+    received = Received(points, planes, ROOM.depth_m, unit, 1.0)
+    outcome = Outcome(photograph, 'room', 'depth from a network', received, points['label'])
     paths = write_files(outcome, tmp_path)
     print_outcome(outcome, [])
     printed = capsys.readouterr().out
     cloud = next(path for path in paths if path.suffix == '.ply').read_bytes()
     said = [*printed.splitlines(), *drawn, cloud.split(b'end_header')[0].decode()]
-    assert any(claims(text) for text in said) == (scale == 'fixed')
-    assert ('[m]' in printed) == (scale == 'fixed')
+    assert any(claims(text) for text in said) == (unit == 'm')
+    assert ('[m]' in printed) == (unit == 'm')
 
 
 def test_classes_are_reported_without_a_unit(robot):

@@ -14,8 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from plane_detector.evaluation.sensor_comparison import TOLERANCE_M, TOLERANCE_SHARE, best_plane
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.tools.demo.sensor_comparison import TOLERANCE_M, TOLERANCE_SHARE, best_plane
 from plane_detector.types import CameraIntrinsics
 
 MIN_PIXELS = 1500

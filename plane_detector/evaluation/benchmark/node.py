@@ -22,6 +22,7 @@ from tqdm import tqdm
 from plane_detector.config import DepthConfig
 from plane_detector.depth.model_zoo import fetch
 from plane_detector.evaluation.benchmark.node_load import HELD_S, CameraLoad, Load, Show
+from plane_detector.evaluation.benchmark.node_process import NodeProcess, use_private_domain
 from plane_detector.evaluation.benchmark.node_receiver import Receiver
 from plane_detector.evaluation.benchmark.options import add_data
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
@@ -29,7 +30,6 @@ from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.process import retain_freed_memory
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.tools.demo.node_process import NodeProcess, use_private_domain
 
 SUBSCRIPTIONS = {'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}

@@ -17,11 +17,11 @@ from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CameraInfo, Image
 from std_msgs.msg import Header
 
+from plane_detector.evaluation.benchmark.node_process import FRAME_ID, NODE
 from plane_detector.evaluation.benchmark.node_receiver import RELIABLE, Receiver
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.outputs import messages
-from plane_detector.tools.demo.node_client import FRAME_ID, NODE
 
 HELD_S = 0.5
 """Each view is shown for this long, as by a slowly moving camera, so that labels are tracked."""

@@ -14,9 +14,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 
+from plane_detector.evaluation.benchmark.node_process import NODE
 from plane_detector.process import retain_freed_memory
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.tools.demo.node_client import NODE
 
 RELIABLE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 _SPIN_S = 0.05

@@ -33,9 +33,9 @@ from plane_detector.evaluation.metrics import coverage, overlap, segmentation_co
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes import misleading, rooms, textures
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.sensor_comparison import JudgedPlane, judge_planes
 from plane_detector.pipeline import PlaneDetector, segment_planes
 from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
-from plane_detector.tools.demo.sensor_comparison import JudgedPlane, judge_planes
 from plane_detector.types import PlaneSegmentation
 
 INDOOR = ('kinect', 'nyu', 'living_room')

@@ -24,7 +24,7 @@ from plane_detector.evaluation.datasets import UNKNOWN, Frame, LabelledFrame
 from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
 from plane_detector.evaluation.scenes.rooms import Scene
-from plane_detector.tools.demo.sensor_comparison import judge_planes
+from plane_detector.evaluation.sensor_comparison import judge_planes
 from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)

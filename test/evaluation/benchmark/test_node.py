@@ -13,9 +13,9 @@ from frame_files import write_frame
 from plane_detector.config import DepthConfig
 from plane_detector.evaluation.benchmark import node as benchmark_node
 from plane_detector.evaluation.benchmark.node_load import Show, median_stages, scheduled_ms
+from plane_detector.evaluation.benchmark.node_process import use_private_domain
 from plane_detector.evaluation.datasets import Frame
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.tools.demo.node_process import use_private_domain
 
 TOPIC = [('depth topic', DepthConfig(source='topic'))]
 

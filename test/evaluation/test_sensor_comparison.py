@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
+from plane_detector.evaluation.sensor_comparison import best_plane, depth_error, judge_planes
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.tools.demo.sensor_comparison import best_plane, depth_error, judge_planes
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)

@@ -11,6 +11,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
+NODE, FRAME_ID = 'plane_detector', 'camera_optical_frame'
 _STOP_TIMEOUT_S = 10.0
 _LOG_LINES_SHOWN = 15
 # Lets Linux send SIGTERM to the node when its parent, the first argument, ends. Not a preexec_fn:
