@@ -10,60 +10,16 @@ from types import ModuleType, SimpleNamespace
 import pytest
 
 from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.launching import ARGUMENTS, check_command_line, node_arguments
 from plane_detector.settings import parameters_of
 
 ROOT = Path(__file__).resolve().parents[2]
 YAML = str(ROOT / 'config' / 'plane_detector.yaml')
-DEFAULTS = {name: default for name, (default, _) in ARGUMENTS.items()}
-
-
-def arguments(**values):
-    return node_arguments({**DEFAULTS, **values}, YAML)
-
-
-def test_without_arguments_the_file_is_used():
-    assert arguments() == ([YAML, {}], [], False, False)
-
-
-def test_arguments_become_parameters_and_remaps():
-    given = arguments(image='/cam/image', depth_source='topic', use_imu='True', model='a.onnx',
-                      imu='/imu/data', autostart='false', respawn='true', mode='on_demand')
-    assert given.remappings == [('image', '/cam/image'), ('imu', '/imu/data')]
-    assert given.parameters == [YAML, {
-        'depth.source': 'topic', 'depth.model': 'a.onnx', 'use_imu': True, 'mode': 'on_demand',
-        'autostart': False, 'exit_on_failure': True}]
-    assert given.respawn
-
-
-def test_every_parameter_of_an_argument_exists():
-    names = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
-    given = arguments(**{name: 'true' for name in ARGUMENTS if name != 'params_file'})
-    assert set(given.parameters[1]) <= names | {'use_sim_time'}
-
-
-@pytest.mark.parametrize('name', ['use_imu', 'respawn', 'use_sim_time', 'autostart', 'rviz'])
-def test_values_that_are_not_boolean_are_an_error(name):
-    with pytest.raises(ValueError, match=f"{name} must be true or false, not 'maybe'"):
-        arguments(**{name: 'maybe'})
-
-
-def test_a_missing_file_is_an_error():
-    with pytest.raises(FileNotFoundError, match=r'/nowhere\.yaml'):
-        arguments(params_file='/nowhere.yaml')
-
-
-def test_an_unknown_argument_is_an_error_unless_it_is_of_an_including_file():
-    program = ['ros2', 'launch', 'plane_detector', 'plane_detector.launch.py', 'imgae:=/cam']
-    with pytest.raises(ValueError, match=r'no argument imgae \(meant: image\?\)'):
-        check_command_line(['imgae:=/cam'], program)
-    check_command_line(['image:=/cam'], program)
-    check_command_line(['imgae:=/cam'], ['ros2', 'launch', 'robot', 'robot.launch.py'])
+PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 @pytest.fixture
-def launched(monkeypatch):
-    """Return a function: values -> the keyword arguments of the nodes that are started."""
+def file(monkeypatch):
+    """Return the global names of the launch file."""
     modules = {name: ModuleType(name) for name in (
         'launch', 'launch.actions', 'launch_ros', 'launch_ros.actions',
         'ament_index_python.packages')}
@@ -75,25 +31,62 @@ def launched(monkeypatch):
     modules['ament_index_python.packages'].get_package_share_directory = lambda _: str(ROOT)
     for name, module in modules.items():
         monkeypatch.setitem(sys.modules, name, module)
+    monkeypatch.delenv(PROFILE, raising=False)
+    return runpy.run_path(str(ROOT / 'launch' / 'plane_detector.launch.py'))
 
+
+@pytest.fixture
+def launched(file):
+    """Return a function: values -> the keyword arguments of the nodes that are started."""
     def launch(**values):
-        file = runpy.run_path(str(ROOT / 'launch' / 'plane_detector.launch.py'))
         *declared, start = file['generate_launch_description']()
-        assert [name for name, _ in declared] == list(ARGUMENTS)
-        context = SimpleNamespace(argv=[], launch_configurations={**DEFAULTS, **values})
-        return start(context)
+        defaults = {name: rest['default_value'] for name, rest in declared}
+        assert set(values) <= set(defaults)
+        return start(SimpleNamespace(launch_configurations={**defaults, **values}))
     return launch
 
 
-def test_the_launch_file_starts_the_node(launched):
-    (node,) = launched(node_name='planes', namespace='front', image='/cam/image')
-    assert node['package'] == 'plane_detector'
+def test_without_arguments_the_installed_file_is_used(launched):
+    (node,) = launched()
+    assert node['parameters'] == [YAML, {}]
+    assert node['remappings'] == []
+    assert node['additional_env'] == {
+        PROFILE: str(ROOT / 'config' / 'fastdds_large_messages.xml')}
+
+
+def test_arguments_become_parameters_and_remaps(launched):
+    node, rviz = launched(
+        image='/cam/image', depth_source='topic', use_imu='true', model='a.onnx', rviz='true',
+        imu='/imu/data', autostart='false', respawn='true', mode='on_demand', namespace='front',
+        node_name='planes')
     assert (node['executable'], node['name'], node['namespace']) == ('node', 'planes', 'front')
-    assert node['remappings'] == [('image', '/cam/image')]
-    assert node['respawn'] is False
+    assert node['remappings'] == [('image', '/cam/image'), ('imu', '/imu/data')]
+    assert node['parameters'] == [YAML, {
+        'depth.source': 'topic', 'depth.model': 'a.onnx', 'use_imu': True, 'mode': 'on_demand',
+        'autostart': False, 'exit_on_failure': True}]
+    assert node['respawn']
+    assert (rviz['executable'], rviz['remappings']) == ('rviz', node['remappings'])
 
 
-def test_rviz_is_started_on_request(launched):
-    _, rviz = launched(rviz='true', image='/cam/image')
-    assert rviz['executable'] == 'rviz'
-    assert rviz['remappings'] == [('image', '/cam/image')]
+def test_every_parameter_of_an_argument_exists(launched, file):
+    names = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
+    node, _ = launched(**{name: 'true' for name in file['ARGUMENTS'] if name != 'params_file'})
+    assert set(node['parameters'][1]) <= names | {'use_sim_time'}
+    assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1
+
+
+def test_switches_are_true_or_false(file):
+    choices = {name: rest['choices'] for name, rest in file['generate_launch_description']()[:-1]}
+    assert choices['use_imu'] == ['', 'true', 'false']
+    assert choices['rviz'] == ['false', 'true']
+    assert choices['image'] is None
+
+
+def test_a_profile_of_the_user_is_kept(launched, monkeypatch):
+    monkeypatch.setenv(PROFILE, '/own.xml')
+    assert launched()[0]['additional_env'] == {}
+
+
+def test_a_missing_file_is_an_error(launched):
+    with pytest.raises(FileNotFoundError, match=r'/nowhere\.yaml'):
+        launched(params_file='/nowhere.yaml')
