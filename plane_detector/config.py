@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Every setting of the pipeline: one frozen dataclass per stage.
+Every setting: one frozen dataclass per stage of the pipeline, and one for the node.
 
 A default is written here and nowhere else. The ROS parameters, the yaml file and the table in
 docs/parameters.md are made from these fields. The metadata of a field holds its description,
@@ -12,11 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from plane_detector.node_config import NodeConfig
 from plane_detector.settings import Settings, fixed_setting, setting
-
-__all__ = ['Config', 'DbscanConfig', 'DepthConfig', 'NodeConfig', 'PaperConfig', 'RansacConfig',
-           'ScaleConfig', 'SegmentationConfig', 'ShapesConfig', 'TrackingConfig']
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,7 @@ class DepthConfig(Settings, section='depth'):
         80.0, 'depth beyond this is invalid', 'm', 0.01, 1e4)
     damping: float = setting(
         0.8, 'weight of earlier images in the disparity while nothing moves, to reduce the '
-        'flicker of the network; 0: off', '', 0.0, 0.99)
+        'flicker of the network; 0: off', '', 0.0, 0.99, inner=True)
     providers: tuple[str, ...] = fixed_setting(
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
         'runs is used')
@@ -119,16 +115,17 @@ class ScaleConfig(Settings, section='scale'):
         (0.0, 0.0, 0.0, 1.0), 'quaternion x y z w that turns vectors of the IMU\'s frame into '
         'the optical frame', '', -1.0, 1.0)
     smoothing: float = setting(
-        0.8, 'weight of the previous scale and shift in each frame; 0: none', '', 0.0, 0.999)
+        0.8, 'weight of the previous scale and shift in each frame; 0: none', '', 0.0, 0.999,
+        inner=True)
     max_jump: float = setting(
         0.15, 'a frame whose scale and shift would change depth by more than this share is an '
-        'outlier', '', 0.001, 10.0)
+        'outlier', '', 0.001, 10.0, inner=True)
     reset_after: int = setting(
         3, 'this many consecutive outlier frames that agree with each other start a new scene',
-        'frames', 1, 1000)
+        'frames', 1, 1000, inner=True)
     hold_frames: int = setting(
         90, 'the last scale and shift are kept for this long while they cannot be estimated',
-        'frames', 0, 1000000)
+        'frames', 0, 1000000, inner=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -152,7 +149,7 @@ class DirectionsConfig(Settings, section='directions'):
     hold_time: float = setting(
         0.1, 'the lines of an image are kept for the images of this time after it, by their '
         'stamps, with measured depth, where they only tell gravity, and with a network while '
-        'nothing moves; 0: lines are found in every image', 's', 0.0, 1.0)
+        'nothing moves; 0: lines are found in every image', 's', 0.0, 1.0, inner=True)
 
 
 @dataclass(frozen=True)
@@ -174,10 +171,11 @@ class SegmentationConfig(Settings, section='segmentation'):
         'most flatness_angle, unless there is a step between them; 0: only the noise decides', 'm',
         0.0, 1.0)
     flatness_angle: float = setting(
-        4.0, 'largest angle between planes that flatness_distance merges', 'deg', 0.0, 45.0)
+        4.0, 'largest angle between planes that flatness_distance merges', 'deg', 0.0, 45.0,
+        inner=True)
     snap_to_picture: bool = setting(
         True, 'with the depth of a network, borders of planes move to image edges within about '
-        '3 pixels of the network input')
+        '3 pixels of the network input', inner=True)
 
 
 @dataclass(frozen=True)
@@ -186,22 +184,25 @@ class RansacConfig(Settings, section='ransac'):
 
     inlier_threshold: float = setting(
         3.0, 'a pixel within this many standard deviations of a plane is an inlier', '', 0.1,
-        100.0)
+        100.0, inner=True)
     noise_floor: float = setting(
-        0.0005, 'lower bound of the depth noise', 'm', 1e-6, 1.0)
+        0.0005, 'lower bound of the depth noise', 'm', 1e-6, 1.0, inner=True)
     confidence: float = setting(
         0.99, 'the search stops early when the largest plane has been sampled with this '
-        'probability', '', 0.0, 0.999999)
-    max_iterations: int = setting(1000, 'maximum number of hypotheses per search', '', 1, 1000000)
-    seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1)
+        'probability', '', 0.0, 0.999999, inner=True)
+    max_iterations: int = setting(
+        1000, 'maximum number of hypotheses per search', '', 1, 1000000, inner=True)
+    seed: int = setting(0, 'seed of the random generator', '', 0, 2**31 - 1, inner=True)
 
 
 @dataclass(frozen=True)
 class DbscanConfig(Settings, section='dbscan'):
     """Density clustering of the cells of one plane, in the grid of the image."""
 
-    eps: float = setting(1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0)
-    min_samples: int = setting(3, 'neighbours of a core cell, including itself', '', 1, 1000)
+    eps: float = setting(
+        1.5, 'radius of the neighbourhood', 'cells', 1.0, 20.0, inner=True)
+    min_samples: int = setting(
+        3, 'neighbours of a core cell, including itself', '', 1, 1000, inner=True)
 
 
 @dataclass(frozen=True)
@@ -211,16 +212,17 @@ class TrackingConfig(Settings, section='tracking'):
     enabled: bool = setting(
         True, 'a plane keeps its label from image to image; off: labels by size in each image')
     keep_frames: int = setting(
-        30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250)
+        30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250,
+        inner=True)
     angle_tolerance: float = setting(
         10.0, 'standard deviation of the angle between normals of the same plane in two images, '
-        'apart from the motion of the camera', 'deg', 0.01, 45.0)
+        'apart from the motion of the camera', 'deg', 0.01, 45.0, inner=True)
     offset_tolerance: float = setting(
         0.03, 'standard deviation of the distance from the plane, as a share of the distance from '
-        'the camera', '', 1e-4, 1.0)
+        'the camera', '', 1e-4, 1.0, inner=True)
     smoothing: float = setting(
         0.0, 'weight of the previous coefficients while the change is within their noise; '
-        '0: none', '', 0.0, 0.999)
+        '0: none', '', 0.0, 0.999, inner=True)
 
 
 SHAPE_TYPES = ('sphere', 'cylinder', 'cone')
@@ -233,12 +235,14 @@ class ShapesConfig(Settings, section='shapes'):
     types: str = setting(
         'none', 'shapes to search for in metric depth where there is no plane: none, all, or some '
         'of sphere, cylinder, cone, separated by commas')
-    min_radius: float = setting(0.02, 'radius of the smallest sphere or cylinder', 'm', 1e-3, 10.0)
+    min_radius: float = setting(
+        0.02, 'radius of the smallest sphere or cylinder', 'm', 1e-3, 10.0, inner=True)
     max_radius: float = setting(
-        1.5, 'radius of the largest sphere, cylinder or visible part of a cone', 'm', 1e-3, 100.0)
+        1.5, 'radius of the largest sphere, cylinder or visible part of a cone', 'm', 1e-3, 100.0,
+        inner=True)
     min_share: float = setting(
-        0.001, 'size of the smallest shape, as a share of the pixels', '', 0.0, 1.0)
-    max_shapes: int = setting(16, 'maximum number of shapes', '', 1, 255)
+        0.001, 'size of the smallest shape, as a share of the pixels', '', 0.0, 1.0, inner=True)
+    max_shapes: int = setting(16, 'maximum number of shapes', '', 1, 255, inner=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -259,12 +263,13 @@ class PaperConfig(Settings, section='paper'):
     """Metric thresholds of the paper's method, the baseline."""
 
     distance_threshold: float = setting(0.05, 'RANSAC inlier distance', 'm', 1e-4, 10.0)
-    max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 10000)
+    max_iterations: int = setting(1000, 'RANSAC iterations per plane', '', 1, 10000, inner=True)
     dbscan_eps: float = setting(0.1, 'DBSCAN radius', 'm', 1e-4, 1.0)
-    dbscan_min_samples: int = setting(10, 'DBSCAN neighbours of a core point', '', 1, 10000)
+    dbscan_min_samples: int = setting(
+        10, 'DBSCAN neighbours of a core point', '', 1, 10000, inner=True)
     max_points: int = setting(
         20000, 'points are reduced to this number before the search; the time grows with its '
-        'square if all of them are within dbscan_eps', '', 100, 50000)
+        'square if all of them are within dbscan_eps', '', 100, 50000, inner=True)
 
 
 @dataclass(frozen=True)
@@ -297,3 +302,61 @@ class Config(Settings):
         if height_m is None:
             return self
         return replace(self, scale=replace(self.scale, camera_height=height_m))
+
+
+@dataclass(frozen=True)
+class NodeConfig(Settings):
+    """Settings of the ROS node only."""
+
+    autostart: bool = fixed_setting(
+        True, 'configure and activate at start, without a lifecycle manager')
+    exit_on_failure: bool = fixed_setting(
+        False, 'with autostart: exit with code 1 if the node cannot be configured or activated, '
+        'for supervisors; false: keep running, and retry if that can help')
+    input_reliability: str = fixed_setting(
+        'auto', 'reliability of the inputs; auto: as offered by their publishers',
+        choices=('auto', 'reliable', 'best_effort'))
+    image_transport: str = fixed_setting(
+        'raw', 'raw: sensor_msgs/Image on image; compressed: sensor_msgs/CompressedImage on '
+        'image/compressed', choices=('raw', 'compressed'))
+    max_image_pixels: int = setting(
+        50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
+        2**30)
+    rectify: str = setting(
+        'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
+        'not named as rectified', choices=('auto', 'true', 'false'))
+    stamp_slop: float = setting(
+        0.02, 'largest difference between the stamps of an image and its depth image, if no depth '
+        'image has the same stamp', 's', 0.0, 10.0)
+    use_imu: bool = fixed_setting(
+        False, 'use the direction of gravity from sensor_msgs/Imu on imu; its mounting is '
+        'scale.imu_to_camera')
+    max_side: int = setting(
+        0, 'images whose longer side is larger are first reduced to this, to save time; all '
+        'outputs have the reduced size; 0: off', 'px', 0, 65536)
+    base_frame: str = fixed_setting(
+        '', 'frame of the robot with its origin on the floor, such as base_footprint: direction '
+        'of gravity and height of the camera come from TF; empty: off')
+    base_up: tuple[float, ...] = setting(
+        (0.0, 0.0, 1.0), 'direction up in base_frame', '', -1e6, 1e6, inner=True)
+    target_frame: str = fixed_setting(
+        '', 'frame of the clouds, planes, poses and markers, such as base_link, odom or map, by '
+        'TF; empty: that of the image')
+    tf_timeout: float = setting(
+        0.2, 'longest time to wait for a transform; then the frame is skipped', 's', 0.0, 10.0)
+    points_color: str = setting(
+        'image', 'colours of ~/points: those of the image, one per plane as in the markers '
+        '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))
+    mode: str = setting(
+        'continuous', 'continuous: process the newest frame repeatedly; on_demand: one frame per '
+        'call of ~/detect', choices=('continuous', 'on_demand'))
+    points_decimation: int = setting(
+        1, 'the clouds contain every n-th row and column; 1: all', '', 1, 64)
+    marker_lifetime: float = setting(
+        0.0, 'markers disappear after this time without new ones; 0: never', 's', 0.0, 1e6,
+        inner=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.base_up) != 3 or not any(self.base_up):
+            raise ValueError(f'base_up must be 3 numbers, not all zeros, not {self.base_up!r}')

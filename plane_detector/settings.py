@@ -10,9 +10,11 @@ from typing import Any
 
 
 def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
-            high: float | None = None, choices: tuple[str, ...] = ()) -> Any:
+            high: float | None = None, choices: tuple[str, ...] = (), inner: bool = False) -> Any:
     """
     Declare a field with its description, unit, range and choices.
+
+    An inner one is for programs and studies: the node has no parameter for it.
 
     Examples
     --------
@@ -27,8 +29,9 @@ def setting(default: Any, doc: str, unit: str = '', low: float | None = None,
     ValueError: speed.limit must be in [0.0, 10.0], not -1.0
 
     """
-    return field(default=default, metadata={'doc': doc, 'unit': unit, 'low': low, 'high': high,
-                                            'choices': choices, 'read_only': False})
+    return field(default=default, metadata={
+        'doc': doc, 'unit': unit, 'low': low, 'high': high, 'choices': choices,
+        'read_only': False, 'inner': inner})
 
 
 def fixed_setting(*args: Any, **kwargs: Any) -> Any:
@@ -80,10 +83,10 @@ def _same_type(value: Any, default: Any) -> bool:
 
 
 def parameters_of(settings: Settings, prefix: str = '') -> Iterator[tuple[str, Field, Any]]:
-    """Yield name, field and value of every setting; nested names have dots: ``depth.model``."""
+    """Yield name (nested: ``depth.model``), field and value of each setting but inner ones."""
     for f in fields(settings):
         value = getattr(settings, f.name)
         if isinstance(value, Settings):
             yield from parameters_of(value, f'{prefix}{f.name}.')
-        else:
+        elif not f.metadata['inner']:
             yield prefix + f.name, f, value

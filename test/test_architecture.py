@@ -18,7 +18,7 @@ PACKAGE = ROOT / 'plane_detector'
 SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
 LAYERS = (('stopping', 'process', 'dependencies'), ('compilation',), ('settings', 'stage_timer'),
-          ('node_config',), ('config', 'types'), ('geometry',),
+          ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
           ('stages',), ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.

@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import re
 import shlex
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -115,9 +116,9 @@ def test_launch_file_and_its_arguments_exist():
 
 
 def test_parameters_that_are_named_exist():
-    from plane_detector.config import Config, NodeConfig
-    from plane_detector.settings import parameters_of
-    known = {name for part in (NodeConfig(), Config()) for name, _, _ in parameters_of(part)}
+    from plane_detector.config import Config
+    known = {f'{part.name}.{setting.name}' for part in fields(Config)
+             for setting in fields(getattr(Config(), part.name))}
     groups = {name.split('.')[0] for name in known if '.' in name}
     for page in PAGES:
         for name in re.findall(r'`([a-z_]+\.[a-z_]+)(?::[^`]*)?`', text_of(page)):

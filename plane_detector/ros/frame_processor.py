@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from plane_detector.node_config import NodeConfig
+from plane_detector.config import NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.inputs.frame_conversion import FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame

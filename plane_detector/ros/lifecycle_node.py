@@ -57,9 +57,7 @@ class PlaneDetectorNode(ReloadableNode):
     ~/planes, ~/boundaries, ~/plane_poses, ~/markers, ~/shapes, ~/labels, ~/depth, ~/overlay,
     ~/overlay/compressed, ~/camera_info, ~/clicked_plane and /diagnostics. See
     :mod:`~plane_detector.ros.outputs.topics`. Services: ~/detect, ~/reset_tracking and those of a
-    lifecycle node. Parameters: those of :mod:`~plane_detector.node_config`, and the groups depth,
-    scale, directions, segmentation, ransac, dbscan, tracking, shapes and paper of
-    :mod:`~plane_detector.config`.
+    lifecycle node. Parameters: docs/parameters.md, made from :mod:`~plane_detector.config`.
 
     Parameters
     ----------

@@ -10,8 +10,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from plane_detector.config import Config
-from plane_detector.node_config import NodeConfig
+from plane_detector.config import Config, NodeConfig
 from plane_detector.ros import parameters
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.kernels import LateKernels

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from std_msgs.msg import Header
 
+from plane_detector.config import NodeConfig
 from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.input_rate import median_seconds
 from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
 from plane_detector.geometry.disparity import to_depth, to_disparity
-from plane_detector.node_config import NodeConfig
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.diagnostics import Report

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage
 
+from plane_detector.config import NodeConfig
 from plane_detector.geometry.depth_resizing import resize_depth
 from plane_detector.geometry.rectification import Rectification, make_rectification
 from plane_detector.geometry.reduction import Reduction
-from plane_detector.node_config import NodeConfig
 from plane_detector.ros.calibration import (
     NO_DISTORTION,
     Distortion,

@@ -11,8 +11,7 @@ from typing import Any
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
-from plane_detector.config import Config
-from plane_detector.node_config import NodeConfig
+from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.inputs.image_loss import Arrivals, ImageLoss
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
 from plane_detector.ros.inputs.topic_names import input_topics

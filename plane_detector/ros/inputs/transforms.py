@@ -15,9 +15,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
+from plane_detector.config import NodeConfig
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.node_config import NodeConfig
 from plane_detector.ros.inputs.transform_buffer import transform_from_msg
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from plane_detector.node_config import NodeConfig
+from plane_detector.config import NodeConfig
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import FrameTransforms

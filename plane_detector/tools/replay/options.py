@@ -13,8 +13,7 @@ import yaml
 from rclpy.parameter import Parameter, get_parameter_value, parameter_dict_from_yaml_file
 from rclpy.parameter import parameter_value_to_python as value_to_python
 
-from plane_detector.config import Config
-from plane_detector.node_config import NodeConfig
+from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.health import FLOORLESS
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.parameters import no_such_parameter, updated
