@@ -5,14 +5,15 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Collection
 from typing import NamedTuple
 
 from plane_detector.ros.diagnostics import Statistics
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
 from plane_detector.ros.frame_requests import FrameRequests, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
-from plane_detector.ros.health import Health
+from plane_detector.ros.health import LARGE_PX, REDUCED_PX, Health
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.publishers import OutputPublishers
@@ -76,6 +77,14 @@ class FrameFlow:
         self.worker.stop()
         self._processor = None
 
+    def _reduced_time(self, frame: Frame, wanted: Collection[str], whole: FrameOutputs) -> str:
+        """Return how long a large frame took, and how long it takes when it is reduced first."""
+        (height, width), whole_s = (whole.result.detection.labels.shape,
+                                    sum(whole.stage_seconds.values()))
+        reduced_s = self._processor.seconds_with(REDUCED_PX, frame, wanted)
+        return (f'an image of {width} x {height} takes {1e3 * whole_s:.0f} ms, with max_side '
+                f'{REDUCED_PX} {1e3 * reduced_s:.0f} ms')
+
     def _is_wanted(self) -> bool:
         """Whether the next frame is requested, or all are and an output has subscribers."""
         if self._records.requests.are_waiting or self._query.is_waiting:
@@ -98,6 +107,8 @@ class FrameFlow:
                 statistics.add_processed({**processed.stage_seconds, 'publish': publish_s},
                                          processed.result)
                 requests.finish(frame, True, describe_frame(processed.result))
+            if max(processed.result.detection.labels.shape) > LARGE_PX and not health.advice:
+                health.advice = self._reduced_time(frame, wanted, processed)
         except Exception as error:
             with current_stop().uncut():
                 reason = faults.tell(error, f'image of {stamp_text(frame.image)}')

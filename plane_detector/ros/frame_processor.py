@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from plane_detector.config import NodeConfig
+from plane_detector.depth.input_rate import median_seconds
+from plane_detector.depth.observation import ModelDepth
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.inputs.frame_conversion import FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -54,7 +56,7 @@ class FrameProcessor:
                  transforms: FrameTransforms | None = None):
         self.detector = detector
         self.settings = settings
-        self._converter = FrameConverter(image_topic)
+        self._image_topic, self._converter = image_topic, FrameConverter(image_topic)
         self._transforms = transforms or FrameTransforms(TransformBuffer())
         self._before: Detection | None = None
         self._lines_s = -math.inf
@@ -108,6 +110,15 @@ class FrameProcessor:
             made = {name: msg for name in wanted
                     if (msg := OUTPUTS[name].make(result)) is not None}
         return FrameOutputs(made, result, _sum(detection.stage_seconds, stages.seconds))
+
+    def seconds_with(self, max_side: int, frame: Frame, wanted: Collection[str]) -> float:
+        """Return the time that a frame would take if its image were reduced to this side first."""
+        source = self.detector.source
+        model = source.model if isinstance(source, ModelDepth) else None
+        other = FrameProcessor(PlaneDetector(self.detector.config, model),
+                               replace(self.settings, max_side=max_side), self._image_topic,
+                               self._transforms)
+        return median_seconds(lambda: other.process(frame, wanted))
 
     def reset(self) -> None:
         """Discard the history before the next frame; thread-safe."""

@@ -15,7 +15,9 @@ from plane_detector.types import Detection
 
 # derived: a network uses at most about 500 pixels on its short side; more than four times that
 # only costs time in the other stages.
-_LARGE_PX = 2500
+LARGE_PX = 2500
+REDUCED_PX = 1280
+"""Longer side that is advised for larger images."""
 FLOORLESS = 'points_without_floor'
 GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
@@ -34,6 +36,8 @@ class Health:
 
     Attributes
     ----------
+    advice : str
+        How frames would take less time, from a measurement; empty: not measured.
     failure : str
         Why the node could not be configured or activated; empty if it could.
     may_pass : bool
@@ -53,16 +57,17 @@ class Health:
         self._told: set[str] = set()
         self._last_told: dict[str, str] = {}
         self._facts: dict[str, str] = {}
+        self.advice = ''
 
     @property
     def facts(self) -> dict[str, str]:
         """Facts from the last frame: source of the unit, source of gravity, and advice."""
-        return self._facts
+        return {**self._facts, 'advice': self.advice} if self.advice else self._facts
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
         """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
         facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
-                 'gravity': detection.gravity_source, **_advice(max(detection.labels.shape))}
+                 'gravity': detection.gravity_source}
         if detection.gravity_note:
             facts['gravity_note'] = detection.gravity_note
         self._facts = facts
@@ -107,12 +112,6 @@ class Health:
         if self._gap:
             return DiagnosticStatus.WARN, self._gap
         return DiagnosticStatus.OK, 'active'
-
-
-def _advice(longer_side_px: int) -> dict[str, str]:
-    if longer_side_px < _LARGE_PX:
-        return {}
-    return {'advice': f'images of {longer_side_px} pixels take long: max_side reduces them'}
 
 
 def gap_of(detection: Detection, wanted: Collection[str]) -> str:

@@ -210,9 +210,10 @@ class PlaneDetectorNode(ReloadableNode):
         if self._processor is not None:
             detector = self._processor.detector
             facts.update(detector.source.facts)
-            if pace := slow_network(report, detector.source.advise):
+            advice = self._health.advice
+            if pace := slow_network(report, lambda share: advice or detector.source.advise(share)):
                 facts['network_pace'] = pace
-                self._health.tell_once('network_pace', pace)
+                self._health.tell_once(f'network_pace {advice}', pace)
         if self._health.failure:
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
