@@ -29,9 +29,9 @@ _TOLERANCE = 1.1
 
 
 def fit_to_rate(detector: PlaneDetector) -> None:
-    """Choose the largest network input that keeps ``depth.target_rate``, if that is given."""
+    """Choose the largest network input that keeps ``depth.target_rate``, if both are given."""
     rate_hz = detector.config.depth.target_rate
-    if rate_hz > 0:
+    if rate_hz > 0 and detector.config.depth.source == 'model':
         detector.source.fit_to_rate(rate_hz, _seconds_beside_the_network(detector))
 
 

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import gc
 import os
+import select
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable
 from typing import Any, NoReturn
 
@@ -52,7 +52,8 @@ class _Ending:
         """Install the handlers; Python's C code also writes each signal to a pipe at once."""
         signal.set_wakeup_fd(self._written, warn_on_full_buffer=False)
         for number in _SIGNALS:
-            signal.signal(number, self._note)
+            if signal.getsignal(number) is not signal.SIG_IGN:  # as SIGINT under nohup
+                signal.signal(number, self._note)
         threading.Thread(target=self._watch, name='ending', daemon=True).start()
 
     def finish(self) -> None:
@@ -65,13 +66,8 @@ class _Ending:
 
     def _watch(self) -> None:
         """End the process some time after the first signal, or at the second one."""
-        (first,) = os.read(self._watched, 1)
-        threading.Thread(target=self._end_later, args=(first,), daemon=True).start()
-        (second,) = os.read(self._watched, 1)
-        os._exit(128 + second)
-
-    def _end_later(self, number: int) -> None:
-        time.sleep(MOST_ENDING_S)
+        (number,) = os.read(self._watched, 1)
+        select.select([self._watched], [], [], MOST_ENDING_S)
         os._exit(128 + number)
 
 

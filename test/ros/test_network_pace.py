@@ -58,13 +58,13 @@ def test_the_warning_is_logged_once():
     assert logger == ['takes 200 ms']
 
 
-def fitted(monkeypatch, rate_hz):
+def fitted(monkeypatch, rate_hz, source='model'):
     """Return what a detector is asked to fit to, and the frames that were processed for it."""
     asked, made = [], []
     process = network_pace.FrameProcessor.process
     monkeypatch.setattr(network_pace.FrameProcessor, 'process',
                         lambda self, frame: made.append(process(self, frame)))
-    detector = PlaneDetector(Config(depth=DepthConfig(target_rate=rate_hz)),
+    detector = PlaneDetector(Config(depth=DepthConfig(source=source, target_rate=rate_hz)),
                              lambda rgb: small_room().depth_m)
     detector.source.fit_to_rate = lambda *given: asked.append(given)
     fit_to_rate(detector)
@@ -82,8 +82,9 @@ def test_all_that_a_frame_needs_beside_the_network_is_timed(monkeypatch):
     assert found.disparity_noise > 0.001
 
 
-def test_without_a_rate_nothing_is_timed(monkeypatch):
-    assert fitted(monkeypatch, 0.0) == ([], [])
+@pytest.mark.parametrize('rate_hz, source', [(0.0, 'model'), (5.0, 'topic')])
+def test_without_a_rate_or_a_network_nothing_is_timed(monkeypatch, rate_hz, source):
+    assert fitted(monkeypatch, rate_hz, source) == ([], [])
 
 
 def test_log_and_diagnostics_name_the_choice(robot, tmp_path):

@@ -62,7 +62,7 @@ STUCK = 'end(); time.sleep(1000)'
 FAILING = '\nraise ValueError("too large")'
 
 
-def ended(work='pass', making='pass', name='SIGTERM'):
+def ended(work='pass', making='pass', name='SIGTERM', with_output=False):
     """Return exit code and output of a program that does this in a callback and at its start."""
     from ros_helpers import random_domain
     program = PROGRAM.format(name=name, work=textwrap.indent(work, '    '),
@@ -70,7 +70,7 @@ def ended(work='pass', making='pass', name='SIGTERM'):
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain())}
     done = subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
                           text=True, timeout=STUCK_S, check=False)
-    return done.returncode, done.stderr
+    return done.returncode, done.stdout + done.stderr if with_output else done.stderr
 
 
 @pytest.mark.parametrize('name', ['SIGINT', 'SIGTERM'])
@@ -102,6 +102,18 @@ def test_a_second_signal_ends_the_node_at_once():
     ids=['no signal', 'before', 'while told', 'shutdown'])
 def test_wrong_settings_are_reported_whenever_a_signal_comes(making):
     assert ended(making=making) == (1, 'the node cannot start: too large\n')
+
+
+def test_an_ignored_interrupt_stays_ignored():
+    """As under nohup, or of a program that a shell starts in the background."""
+    work = ('calls.append(1)\nsignal.raise_signal(signal.SIGINT)\n'
+            'if len(calls) == 3:\n    end()')
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the child too
+    try:
+        assert ended(f'print(len(calls) + 1, flush=True)\n{work}', with_output=True) == (
+            0, '1\n2\n3\n')
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 BUG = """
