@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.tracking.plane_arrays import PlaneArrays
+from plane_detector.tracking.matching import PlaneArrays
 
 # derived: a change of a millionth changes no label; a camera that stands still needs two rounds.
 _MOST_ROUNDS, _CONVERGED = 8, 1e-6

@@ -7,8 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.config import TrackingConfig
-from plane_detector.tracking.matching import squared_deviation
-from plane_detector.tracking.plane_arrays import PlaneArrays
+from plane_detector.tracking.matching import PlaneArrays, squared_deviation
 from plane_detector.types import Detection
 
 # derived: more than half of the pixels, so that a plane can be merged into only one other.

@@ -25,11 +25,11 @@ from plane_detector.config import TrackingConfig
 from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
+    PlaneArrays,
     likeness,
     measure_overlap,
     squared_deviation,
 )
-from plane_detector.tracking.plane_arrays import PlaneArrays
 from plane_detector.types import Plane, PlaneSegmentation
 
 # The overlap is measured on about this many rows.

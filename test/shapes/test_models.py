@@ -17,8 +17,8 @@ from plane_detector.shapes.fitting import (
     shape_misfit,
     solved,
 )
-from plane_detector.shapes.hypotheses import shape_through
 from plane_detector.shapes.models import CONE, CYLINDER, SPHERE, surface_of
+from plane_detector.shapes.search import shape_through
 from plane_detector.shapes.surface import (
     depth_on_ray,
     frame_of,

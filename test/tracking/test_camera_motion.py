@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from plane_detector.tracking.camera_motion import NO_MOTION, PlaneMotion, estimate_motion
-from plane_detector.tracking.plane_arrays import PlaneArrays
+from plane_detector.tracking.matching import PlaneArrays
 
 
 def planes(*normals_and_offsets):

@@ -13,7 +13,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
 from plane_detector.pipeline import segment_planes
 from plane_detector.tracking.camera_motion import PlaneMotion
-from plane_detector.tracking.plane_arrays import PlaneArrays
+from plane_detector.tracking.matching import PlaneArrays
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
 
