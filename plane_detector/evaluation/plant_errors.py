@@ -170,7 +170,7 @@ def main() -> None:
     if gone:
         sys.exit('these texts do not stand exactly once in their files:\n' + '\n'.join(gone))
     print('| part | error | file | caught by | s |\n|---|---|---|---|---|', flush=True)
-    caught, failing = 0, []
+    caught, failing, passing = 0, [], set()
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder, 'tree')
         shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns('.git', '.venv', '__pycache__'))
@@ -180,9 +180,10 @@ def main() -> None:
             path.write_text(right.replace(old, new), encoding='utf-8')
             test = first_failure(tree, TESTS[part], failing)
             path.write_text(right, encoding='utf-8')
-            if test and first_failure(tree, (test,)):
+            if test and test not in passing and first_failure(tree, (test,)):
                 failing.append(test)
                 test = f'nothing, but {test} fails without an error too'
+            passing.add(test)
             caught += bool(test) and not test.startswith('nothing')
             print(f'| {part} | {wrong} | {file} | {test or "**nothing**"} '
                   f'| {time.monotonic() - start_s:.0f} |', flush=True)
