@@ -17,6 +17,7 @@ from plane_detector.scale.estimate import ScaleEstimate, apply_scale
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
 from plane_detector.scale.temporal_filter import ScaleState, update_scale
 from plane_detector.segmentation.baselines import segment_by_paper
+from plane_detector.segmentation.cells.grid import lens_of
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.normal_slopes import NormalMap
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
@@ -55,7 +56,7 @@ def find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     load_once('geometry', 'segmentation', 'planes')
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, floor, config, rng)
-    return segment(disparity, floor, config, rng, **hinted)
+    return segment(disparity, floor, config, rng, lens=lens_of(intrinsics), **hinted)
 
 
 def next_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,

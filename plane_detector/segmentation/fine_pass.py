@@ -15,7 +15,6 @@ from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
-from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 from plane_detector.segmentation.search.ransac import add_planes, no_planes
 
 # derived: the minimum for a slope and its error.
@@ -68,7 +67,8 @@ def _unlabelled_part(frame: Frame, labels: np.ndarray, part: tuple[slice, slice]
     """Return the unlabelled pixels of a part of the image, in small cells where wanted."""
     image, size = frame.image, frame.grid.size_px // 2
     left = DisparityImage(image.values[part].copy(), image.valid[part] & (labels[part] < 0))
-    grid = build_cell_grid(left, size, wanted.ravel(), pixel_frame(image.valid.shape, part))
+    grid = build_cell_grid(left, size, wanted.ravel(), pixel_frame(image.valid.shape, part),
+                           frame.grid.lens)
     noise = frame.noise.at_cell_size(frame.grid.size_px, size)
     return replace(frame, image=left, grid=grid, noise=noise)
 
@@ -85,7 +85,7 @@ def _flat_regions(frame: Frame, most: int, min_turn_deg: float) -> RegionGraph:
 def _sees_width(frame: Frame) -> bool:
     """Return whether an object as deep as a smaller cell is wide stands out from the noise."""
     grid = frame.grid
-    width = grid.size_px / 2 / (TYPICAL_FOCAL_SHARE * grid.width_px)
+    width = grid.size_px / 2 / (grid.lens[0] * grid.width_px)
     return frame.noise.mean_sigma < width * grid.typical_disparity
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.process import retain_freed_memory
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
@@ -80,7 +80,8 @@ def unitless_noise_floor(disparity: np.ndarray, disparity_noise: float = 0.0) ->
 
 def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
             rng: np.random.Generator | None = None,
-            guide: GuideImage | None = None, normals: NormalMap | None = None) -> PixelRegions:
+            guide: GuideImage | None = None, normals: NormalMap | None = None,
+            lens: np.ndarray = TYPICAL_LENS) -> PixelRegions:
     """
     Find the regions of a disparity image that are planes.
 
@@ -98,6 +99,9 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
         The colour image, given if the source of the disparity blurs edges.
     normals : NormalMap, optional
         Of the same image, by a network; the disparity is 1/z then, without a shift.
+    lens : (4,) float64
+        See :func:`~plane_detector.segmentation.cells.grid.lens_of`; angles are approximate
+        without it.
 
     Returns
     -------
@@ -108,7 +112,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     retain_freed_memory()
     rng = rng or np.random.default_rng(config.ransac.seed)
     image = DisparityImage(*zero_filled(disparity))
-    grid = build_cell_grid(image)
+    grid = build_cell_grid(image, lens=lens)
     if normals is not None:
         grid = with_normals(grid, normals, noise_floor.source_sigma)
     min_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * image.values.size

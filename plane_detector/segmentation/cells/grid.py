@@ -19,6 +19,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.columns import DD, XD, XX, XY, YD, YY, D, N, X, Y
 from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
+from plane_detector.types import CameraIntrinsics
 
 # The number of cells hardly depends on the image size: the cells grow with the image.
 # tuned: benchmark sensitivity; not flat: precision -0.044 at 0.7 times, -0.013 at 1.4 times.
@@ -26,6 +27,12 @@ CELLS_PER_IMAGE = 4800
 # tuned: rooms and lived-in rooms of seeds below 9000: flat from 0.05 to 0.5; of lidar frames 0.05
 # of the pixels lose their label at 0.3, 0.27 at 0.5, and none gains one at 0.05.
 MIN_VALID_SHARE = 0.15
+# derived: a cell needs two pixels a side to have a slope.
+MIN_CELL_SIDE_PX = 2
+# Focal lengths over the image width, and x and y of the principal point, if the camera is not
+# known.
+# derived: 64 degrees, which most cameras of robots and phones have within a third.
+TYPICAL_LENS = np.array([0.8, 0.8, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -68,6 +75,8 @@ class CellGrid:
         the variance of a pixel; 0 for full cells.
     normal_slope : (R * C, 2) float64
         dd/dx and dd/dy by the normals of a network; NaN where it gives none.
+    lens : (4,) float64
+        Focal lengths along x and y, and x and y of the principal point.
 
     """
 
@@ -82,6 +91,7 @@ class CellGrid:
     usable: np.ndarray
     sparsity: np.ndarray
     normal_slope: np.ndarray
+    lens: np.ndarray
 
     @cached_property
     def typical_disparity(self) -> float:
@@ -97,7 +107,14 @@ class CellGrid:
 
 def cell_size(shape: tuple[int, int]) -> int:
     """Return the side of the cells of an image in pixels."""
-    return max(1, round((shape[0] * shape[1] / CELLS_PER_IMAGE) ** 0.5))
+    return max(MIN_CELL_SIDE_PX, round((shape[0] * shape[1] / CELLS_PER_IMAGE) ** 0.5))
+
+
+def lens_of(intrinsics: CameraIntrinsics) -> np.ndarray:
+    """Return the lens (4,) in the coordinates of the cells: f_x, f_y, x and y of its centre."""
+    width, height = intrinsics.width, intrinsics.height
+    return np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx - (width - 1) / 2,
+                     intrinsics.cy - (height - 1) / 2]) / width
 
 
 def pixel_frame(shape: tuple[int, int],
@@ -109,7 +126,8 @@ def pixel_frame(shape: tuple[int, int],
 
 
 def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | None = None,
-                    frame: tuple[float, float, float] | None = None) -> CellGrid:
+                    frame: tuple[float, float, float] | None = None,
+                    lens: np.ndarray = TYPICAL_LENS) -> CellGrid:
     """
     Build the grid of cells of a disparity image.
 
@@ -122,6 +140,8 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
         Cells to fill; the others stay empty. Default: all.
     frame : (float, float, float), optional
         If the image is a part of another one: the :func:`pixel_frame` of this part.
+    lens : (4,) float64
+        See :func:`lens_of`.
 
     """
     height, width = image.valid.shape
@@ -133,7 +153,7 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     moments = _sum_up(image.values, image.valid, size, frame, wanted)
     no_slopes = np.full((len(wanted), 2), np.nan)
     return CellGrid(size, int(frame[0]), frame[1:], shape, moments,
-                    *_fit_cells(moments, size, int(frame[0])), no_slopes)
+                    *_fit_cells(moments, size, int(frame[0])), no_slopes, lens)
 
 
 @kernel('float64[:, ::1](float32[:, ::1], boolean[:, ::1], int64, UniTuple(float64, 3), '
@@ -165,17 +185,21 @@ def _sum_up_columns(disparity, valid, band, reference, sums):
     Sum up the columns of some cells of a row, ``band``: its top, their side, its left and right.
 
     Writes the sums of n, y, yy, d, yd and dd of each column, with y in pixels from the centre of
-    the cells and d relative to ``reference``, a value in the middle row of each cell.
+    the cells and d relative to ``reference``, the valid value nearest to the middle of each cell.
     """
     top, size, begin, end = band
     bottom, right = min(top + size, disparity.shape[0]), min(end, disparity.shape[1])
     n, d = np.zeros(end - begin, np.float32), np.zeros(end - begin, np.float32)
     for left in range(begin, right, size):
-        u, middle = left, (top + bottom) // 2
-        while u < min(left + size, right) - 1 and not valid[middle, u]:
+        u, v, last = left, (top + bottom) // 2, min(left + size, right) - 1
+        for _ in range((bottom - top) * (last + 1 - left)):
+            if valid[v, u]:
+                break
             u += 1
+            if u > last:  # the next row, after the last one the first
+                u, v = left, v + 1 if v + 1 < bottom else top
         for k in range(left, left + size):
-            reference[k] = disparity[middle, u]
+            reference[k] = disparity[v, u]
     sums[:, begin:end] = 0
     here = reference[begin:end]
     for v in range(top, bottom):

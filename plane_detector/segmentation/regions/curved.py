@@ -27,7 +27,6 @@ from plane_detector.segmentation.regions.region_graph import (
     RegionGraph,
     fold,
 )
-from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
 # The coefficients of a quadric over the image.
 QUADRIC_TERMS = len(PRODUCTS) - 1
@@ -107,22 +106,22 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -
         Their indices.
 
     """
-    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders,
+    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders, graph.lens,
                                            (noise_density, min_turn_deg))))
 
 
-@kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
+@kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
         'UniTuple(float64, 2))', is_short=True)
-def _bends(planes, sums, borders, limits):
+def _bends(planes, sums, borders, lens, limits):
     """Return 2 for regions and pairs that are clearly bent, 1 for weak bends, 0 for others."""
     (noise_density, min_deg), count = limits, len(planes)
     bends = np.zeros((count, count), np.int8)
     for i in range(count):
-        bends[i, i] = 2 * _is_curved(sums[i], noise_density, min_deg)
+        bends[i, i] = 2 * _is_curved(sums[i], lens, noise_density, min_deg)
         for j in range(i + 1, count):
             if borders[i, j, 0] == 0:
                 continue
-            fold_deg, gap = fold(planes, sums, borders, i, j)
+            fold_deg, gap = fold(planes, sums, borders, lens, i, j)
             if gap >= MAX_DEVIATIONS or not min_deg < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
@@ -134,8 +133,8 @@ def _bends(planes, sums, borders, limits):
     return bends
 
 
-@kernel('boolean(float64[::1], float64, float64)')
-def _is_curved(sums, noise_density, min_deg):
+@kernel('boolean(float64[::1], float64[::1], float64, float64)')
+def _is_curved(sums, lens, noise_density, min_deg):
     """Return whether a quadric fits far better than a plane and turns by more than the angle."""
     count, mean, quadric, products = sums[N], sums[D] / sums[N], np.zeros(7), _products(sums)
     of_plane = solve_least_squares(products, PLANE_TERMS, quadric)
@@ -145,10 +144,11 @@ def _is_curved(sums, noise_density, min_deg):
     # the width squared: its squares have this trace.
     xx, xy, yy = 2 * quadric[3], quadric[4], 2 * quadric[5]
     x, y = sums[X] / count, sums[Y] / count
-    change = ((xx * xx + xy * xy) * (sums[XX] / count - x * x)
-              + (xy * xy + yy * yy) * (sums[YY] / count - y * y)
-              + 2 * xy * (xx + yy) * (sums[XY] / count - x * y))
-    slope = np.sqrt(max(12 * change, 0.0)) * TYPICAL_FOCAL_SHARE
+    of_x, of_y = sums[XX] / count - x * x, sums[YY] / count - y * y
+    of_xy = sums[XY] / count - x * y
+    change = (lens[0]**2 * (xx * xx * of_x + xy * xy * of_y + 2 * xx * xy * of_xy)
+              + lens[1]**2 * (xy * xy * of_x + yy * yy * of_y + 2 * xy * yy * of_xy))
+    slope = np.sqrt(max(12 * change, 0.0))
     return (of_plane - of_quadric > MIN_F * (QUADRIC_TERMS - PLANE_TERMS) * variance
             and np.degrees(np.arctan2(slope, mean)) > min_deg)
 

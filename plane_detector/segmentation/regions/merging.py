@@ -49,7 +49,7 @@ from plane_detector.segmentation.regions.region_graph import (
     fold,
     merge_pairs,
 )
-from plane_detector.segmentation.search.plane_search import MIN_CREASE_DEG, TYPICAL_FOCAL_SHARE
+from plane_detector.segmentation.search.plane_search import MIN_CREASE_DEG
 
 # What is fitted to a pair, and the unit of its misfit: a joint plane (to a bulge, that of the
 # larger region), variances; a joint plane, metres; a quadric, errors of the regions' own planes.
@@ -91,6 +91,8 @@ MAX_BULGE_VARIANCES = 3.5**2
 MAX_BOW_RATIO = 3.0
 # derived: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
+# derived: one normal deviate in 740 is below -3 deviations; cells next to each other share theirs.
+MAX_FARTHER_SHARE = 0.01
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
@@ -162,7 +164,7 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
     def is_apart(graph: RegionGraph, i: int, j: int) -> bool:
         if i in removed or j in removed:
             return True
-        _, gap = fold(graph.planes, graph.sums, graph.borders, i, j)
+        _, gap = fold(graph.planes, graph.sums, graph.borders, graph.lens, i, j)
         # The difference of two cells has this deviation: a smaller gap is a dip, not a step.
         return gap > 2**0.5 and prefer_two_planes(cells, graph.labels, correlation, i, j)
 
@@ -174,24 +176,24 @@ def join_nearly_flat(cells: WeightedCells, graph: RegionGraph, removed: np.ndarr
 
 def misfits(graph: RegionGraph, test: OnePlane) -> np.ndarray:
     """Return the misfit (K, K) of pairs i < j, up to 1 for one plane; infinity elsewhere."""
-    return _misfits(graph.planes, graph.sums, graph.borders, tuple(test))
+    return _misfits(graph.planes, graph.sums, graph.borders, graph.lens, tuple(test))
 
 
-@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], '
+@kernel('float64[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
         'Tuple((int64, float64, float64, float64, int64)))', is_short=True)
-def _misfits(planes, sums, borders, test):
+def _misfits(planes, sums, borders, lens, test):
     surface, tolerance, max_gap, max_fold_deg, min_pairs = test
     misfit, joint = np.full((len(planes), len(planes)), np.inf), np.empty(10)
     for i in range(len(planes)):
         for j in range(i + 1, len(planes)):
             if (borders[i, j, 0] < min_pairs or sums[i, N] == 0 or sums[j, N] == 0
-                    or normals_differ(sums, i, j)):
+                    or normals_differ(sums, lens, i, j)):
                 continue
             fold_deg, gap = 0.0, 0.0
             if np.isfinite(max_fold_deg):
-                fold_deg, gap = fold(planes, sums, borders, i, j)
+                fold_deg, gap = fold(planes, sums, borders, lens, i, j)
             if gap < max_gap and fold_deg <= max_fold_deg:
-                misfit[i, j] = _joint_misfit(sums, i, j, joint, surface) / tolerance
+                misfit[i, j] = _joint_misfit(sums, lens, i, j, joint, surface) / tolerance
             if surface == PLANE:
                 large, small = (i, j) if sums[i, N] >= sums[j, N] else (j, i)
                 bulge = squared_error(planes[large, 0], planes[large, 1], planes[large, 2],
@@ -200,8 +202,8 @@ def _misfits(planes, sums, borders, test):
     return misfit
 
 
-@kernel('float64(float64[:, ::1], int64, int64, float64[::1], int64)')
-def _joint_misfit(sums, i, j, joint, surface):
+@kernel('float64(float64[:, ::1], float64[::1], int64, int64, float64[::1], int64)')
+def _joint_misfit(sums, lens, i, j, joint, surface):
     """Return the misfit of a surface to the worse of two regions; ``joint`` is overwritten."""
     if surface == QUADRIC:
         return fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)[2]
@@ -210,7 +212,8 @@ def _joint_misfit(sums, i, j, joint, surface):
     a, b, c = fit_plane(joint)
     if np.isnan(a):
         return np.inf
-    worst, offset_m = -np.inf, 1 / np.sqrt(TYPICAL_FOCAL_SHARE**2 * (a * a + b * b) + c * c)
+    worst, towards = -np.inf, a * lens[2] + b * lens[3] + c
+    offset_m = 1 / np.sqrt((a * lens[0])**2 + (b * lens[1])**2 + towards**2)
     for k in (i, j):
         square = squared_error(a, b, c, sums[k])
         if surface == PLANE:
@@ -220,8 +223,8 @@ def _joint_misfit(sums, i, j, joint, surface):
     return worst
 
 
-@kernel('boolean(float64[:, ::1], int64, int64)')
-def normals_differ(sums, i, j):
+@kernel('boolean(float64[:, ::1], float64[::1], int64, int64)')
+def normals_differ(sums, lens, i, j):
     """
     Return whether normals show that two regions lie on two planes.
 
@@ -235,7 +238,7 @@ def normals_differ(sums, i, j):
         apart += (sums[i, slope] / sums[i, NORMALS] - sums[j, slope] / sums[j, NORMALS]) ** 2
     for k in (i, j):
         n = sums[k, NORMALS]
-        min_slope = np.radians(MIN_NORMAL_ERROR_DEG) * sums[k, NORMALS_D] / n / TYPICAL_FOCAL_SHARE
+        min_slope = np.radians(MIN_NORMAL_ERROR_DEG) * sums[k, NORMALS_D] / n / lens[0]
         spread = (sums[k, NORMAL_SQUARES] / n - (sums[k, NORMAL_X] / n) ** 2
                   - (sums[k, NORMAL_Y] / n) ** 2)
         variance += max(spread, 0.0) / 2 + min_slope**2
@@ -257,7 +260,7 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
                 side = int(labels[row, column] == second)
                 at[side, count[side], 0], at[side, count[side], 1] = row, column
                 count[side] += 1
-    farther, last = 0, SIGHT_LINES - 1
+    farther, seen, last = 0, 0, SIGHT_LINES - 1
     for line in range(SIGHT_LINES):
         start = at[0, (count[0] - 1) * line // last]
         end, nearest = start, np.inf
@@ -271,6 +274,7 @@ def _is_hidden_between(labels, table, is_planar, sums, pair):
             i, label = row * columns + column, labels[row, column]
             # A cell that straddles an edge is neither nearer nor farther.
             if label != first and label != second and is_planar[i]:
+                seen += 1
                 sigma = 1 / np.sqrt(table[i, MEAN_WEIGHT])
                 farther += residual(table, i, a, b, c) < -MAX_DEVIATIONS * sigma
-    return farther == 0
+    return farther <= MAX_FARTHER_SHARE * seen

@@ -19,7 +19,6 @@ from plane_detector.segmentation.cells.columns import MEAN_D, MEAN_WEIGHT, MEAN_
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
 from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
-from plane_detector.segmentation.search.plane_search import TYPICAL_FOCAL_SHARE
 
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
 # them.
@@ -57,6 +56,8 @@ class RegionGraph:
         normals: their number, two slopes, the squares of these, and disparity.
     borders : (K, K, 4) float64
         Entry i, j: pairs of cells along the border of i and j, sums of x, y, d of those in i.
+    lens : (4,) float64
+        As in the grid of the cells.
 
     """
 
@@ -66,6 +67,7 @@ class RegionGraph:
     pixels: np.ndarray
     sums: np.ndarray
     borders: np.ndarray
+    lens: np.ndarray
 
     @classmethod
     def of(cls, cells: WeightedCells, regions: PlaneRegions) -> RegionGraph:
@@ -73,7 +75,7 @@ class RegionGraph:
         labels, count = np.ascontiguousarray(regions.labels), len(regions.coefficients)
         sums = _sum_up(labels, cells.table, cells.grid.moments, cells.grid.normal_slope,
                        cells.is_planar, count)
-        return cls(labels, np.arange(count), regions.coefficients, *sums)
+        return cls(labels, np.arange(count), regions.coefficients, *sums, cells.grid.lens)
 
     def intersections(self) -> np.ndarray:
         """
@@ -99,7 +101,7 @@ class RegionGraph:
         kept = np.flatnonzero(is_kept)
         return RegionGraph(relabel_sequential(self.labels, kept, len(self.planes)),
                            np.arange(len(kept)), self.planes[kept], self.pixels[kept],
-                           self.sums[kept], self.borders.take(kept, 0).take(kept, 1))
+                           self.sums[kept], self.borders.take(kept, 0).take(kept, 1), self.lens)
 
 
 def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
@@ -232,16 +234,26 @@ def _intersections(planes, borders):
     return signs
 
 
-@kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], int64, int64)')
-def fold(planes, sums, borders, i, j):
+@kernel('UniTuple(float64, 3)(float64[:, ::1], float64[::1], int64)')
+def normal_of(planes, lens, k):
+    """Return a normal of plane k in the optical frame, as long as 1 over its distance."""
+    a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
+    return a * lens[0], b * lens[1], a * lens[2] + b * lens[3] + c
+
+
+@kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
+        'int64, int64)')
+def fold(planes, sums, borders, lens, i, j):
     """Return the dihedral angle of two planes, degrees, and the gap at their border, in sigma."""
     here, there = _gaps(planes, borders, i, j)
     gap = abs(here + there) / (2 * borders[i, j, 0])
-    variance = max(sums[i, VARIANCE] / max(sums[i, N], 1.0), MIN_VARIANCE)
-    scale = TYPICAL_FOCAL_SHARE**2
-    dot = scale * (planes[i, 0] * planes[j, 0] + planes[i, 1] * planes[j, 1])
-    norm = 1.0
-    for k in (i, j):
-        norm *= np.sqrt(scale * (planes[k, 0] ** 2 + planes[k, 1] ** 2) + planes[k, 2] ** 2)
-    cosine = (dot + planes[i, 2] * planes[j, 2]) / norm
+    variance = max(sums[i, VARIANCE] / max(sums[i, N], 1.0),
+                   sums[j, VARIANCE] / max(sums[j, N], 1.0), MIN_VARIANCE)
+    one, other = normal_of(planes, lens, i), normal_of(planes, lens, j)
+    dot, square, of_other = 0.0, 0.0, 0.0
+    for k in range(3):
+        dot += one[k] * other[k]
+        square += one[k] * one[k]
+        of_other += other[k] * other[k]
+    cosine = dot / np.sqrt(square * of_other)
     return np.degrees(np.arccos(min(max(cosine, -1.0), 1.0))), gap / np.sqrt(variance)

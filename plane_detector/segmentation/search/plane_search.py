@@ -36,8 +36,6 @@ START_SHARE = 0.7
 CALIBRATION_PLANES = 3
 # derived: planes are the same when the noise changes by less.
 TOLERANCE = 0.1
-# derived: focal length over image width for 64 degrees, for angles if the camera is unknown.
-TYPICAL_FOCAL_SHARE = 0.8
 # Neighbours on planes at this angle must not link; walls that a network bends by less are one.
 # tuned: 14 real frames through FastDepth: SC -0.009 at 20 and at 70; for links flat from 20 to 45.
 MIN_CREASE_DEG = 35.0
@@ -98,6 +96,6 @@ def _deviations(labels, planes, table, cells):
 
 def sees_creases(grid: CellGrid, noise: Noise, threshold: float) -> bool:
     """Return whether neighbouring cells on two planes differ by more than this many deviations."""
-    tolerance = threshold * 2**0.5 * noise.slope_sigma * TYPICAL_FOCAL_SHARE
+    tolerance = threshold * 2**0.5 * noise.slope_sigma * grid.lens[:2].max()
     crease = math.tan(math.radians(MIN_CREASE_DEG)) * grid.typical_disparity
     return noise.source_sigma == 0 and tolerance < crease
