@@ -42,7 +42,7 @@ def output_profile() -> QoSProfile:
 
 class InputSubscription:
     """
-    A subscription that keeps the last message only and can adapt to its publishers.
+    A subscription that keeps the last two messages and can adapt to its publishers.
 
     With reliability ``auto`` it starts compatible with every publisher: best effort if none is
     known, reliable if all of them are. When they change, a second subscription with the other

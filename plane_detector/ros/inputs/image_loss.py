@@ -13,6 +13,9 @@ import numpy as np
 # changes its rate.
 _WINDOW_NS = 5_000_000_000
 _MOST_STAMPS = 1000
+# derived: of half of the images lost at random, ten in a row are one in a thousand; a longer gap
+# is a pause of the camera.
+_LONGEST_GAP = 10
 _FEWEST_IMPLIED = 20
 WARNED_SHARE = 0.2
 """From this share of lost images on, the node warns."""
@@ -68,4 +71,6 @@ class ImageLoss:
             return Arrivals(len(images), len(images))
         # The shortest intervals are one period, the others several; stamps may jitter.
         period = np.median(intervals[intervals < 1.5 * np.quantile(intervals, 0.2)])
-        return Arrivals(len(images), max(round((last_ns - images[0]) / period) + 1, len(images)))
+        steps = np.rint(intervals / period)
+        implied = 1 + int(np.where(steps <= _LONGEST_GAP, steps, 1).sum())
+        return Arrivals(len(images), max(implied, len(images)))
