@@ -225,6 +225,21 @@ class TrackingConfig(Settings, section='tracking'):
         '0: none', '', 0.0, 0.999, inner=True)
 
 
+@dataclass(frozen=True)
+class GroundConfig(Settings, section='ground'):
+    """What a robot may roll on, what is an obstacle and what a drop."""
+
+    max_step: float = setting(
+        0.03, 'highest step, up or down, that the robot rolls over', 'm', 0.0, 1.0)
+    max_slope: float = setting(15.0, 'steepest ramp that the robot drives on', 'deg', 0.0, 45.0)
+    min_height: float = setting(
+        0.05, 'a point that stands off the ground by more, and by more than its error, is an '
+        'obstacle', 'm', 0.0, 1.0)
+    min_drop: float = setting(
+        0.08, 'where the next surface behind the end of the ground is lower by more, there is a '
+        'drop', 'm', 0.01, 10.0)
+
+
 SHAPE_TYPES = ('sphere', 'cylinder', 'cone')
 
 
@@ -295,6 +310,7 @@ class Config(Settings):
     dbscan: DbscanConfig = field(default_factory=DbscanConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     shapes: ShapesConfig = field(default_factory=ShapesConfig)
+    ground: GroundConfig = field(default_factory=GroundConfig)
     paper: PaperConfig = field(default_factory=PaperConfig)
 
     def with_camera_height(self, height_m: float | None) -> Config:

@@ -11,9 +11,10 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
 from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
+from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
-from plane_detector.planes.classification import classify_by_gravity
+from plane_detector.ground.ground import find_ground
 from plane_detector.scale.temporal_filter import ScaleState
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.shapes.detector import ShapeDetector
@@ -154,18 +155,24 @@ class PlaneDetector:
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
             planes, shapes, shape_labels = self._shapes.detect(
                 depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
-            # 5. Floor, ceiling and walls, if angles are true and gravity is known.
-            classes = classify_by_gravity(planes.planes, around.gravity, scale.has_true_angles)
+        with stages('ground'):
+            # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
+            gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
+            ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config,
+                                 is_metric=scale.is_metric)
         with stages('tracking'):
             # 6. Labels that are stable from image to image.
             planes, track_labels = self._tracker.update(planes, config.tracking)
         return Detection(planes.planes, planes.labels, planes.disparity_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
-                         scale_event=self._scale.event, classes=classes, shapes=shapes,
+                         scale_event=self._scale.event, classes=ground.classes, shapes=shapes,
                          track_labels=track_labels, shape_labels=shape_labels,
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
-                         horizontal_axes=around.level_axes, stage_seconds=stages.seconds)
+                         horizontal_axes=around.level_axes, ground=ground.mask,
+                         drops_m=ground.drops_m, drop_depths_m=ground.drop_depths_m,
+                         drop_note=ground.note, camera_height_m=ground.camera_height_m,
+                         tilt_deg=ground.tilt_deg, stage_seconds=stages.seconds)
 
     def reset(self) -> None:
         """Discard what is kept from earlier images: averages, scale and labels."""

@@ -53,7 +53,7 @@ def find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Co
                  floor: Noise, rng: np.random.Generator | None = None,
                  **hinted: GuideImage | NormalMap | None) -> PixelRegions:
     """Segment by ``segmentation.method``."""
-    load_once('geometry', 'segmentation', 'planes')
+    load_once('geometry', 'segmentation', 'planes', 'ground')
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, floor, config, rng)
     return segment(disparity, floor, config, rng, lens=lens_of(intrinsics), **hinted)

@@ -282,6 +282,17 @@ class Detection(PlaneSegmentation):
         Why the image does not give the direction of gravity, if it was tried.
     horizontal_axes : (A, 3) float64
         Perpendicular horizontal axes of the scene, from the lines of the image; none: (0, 3).
+    ground : (H, W) bool
+        Pixels that a robot may roll on, and lower levels; nowhere if gravity, the unit or the own
+        floor are not known.
+    drops_m : (N, 3) float64
+        Points along the edges where the ground ends and the next surface is lower.
+    drop_depths_m : (N,) float64
+        By how much it is lower; NaN where nothing is seen behind the edge.
+    drop_note : str
+        Why there are no drops; empty if they are searched for.
+    camera_height_m, tilt_deg : float
+        Height above the own floor, and angle of the optical axis below the horizon; NaN unknown.
 
     """
 
@@ -298,3 +309,9 @@ class Detection(PlaneSegmentation):
     gravity_source: str = 'none'
     gravity_note: str = ''
     horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    ground: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    drop_note: str = ''
+    camera_height_m: float = float('nan')
+    tilt_deg: float = float('nan')

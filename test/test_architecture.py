@@ -19,7 +19,8 @@ SOURCES = sorted(PACKAGE.rglob('*.py'))
 # A layer imports those before it; the rooms of one layer do not import each other.
 LAYERS = (('stopping', 'process', 'dependencies'), ('compilation',), ('settings', 'stage_timer'),
           ('config', 'types'), ('geometry',),
-          ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes', 'shapes'),
+          ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
+          ('ground', 'shapes'),
           ('stages',), ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('cells',), ('search',), ('regions',), ('pixels',), ('fine_pass',),

@@ -46,6 +46,9 @@ class Gravity:
         return self.gravity_camera is not None and self.tolerance_deg <= COARSE_DEG
 
 
+NO_GRAVITY = Gravity(None, 0.0, 'none')
+
+
 def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,
                    directions: SceneDirections | None) -> Gravity:
     """

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Classes of planes from the direction of gravity: floor, ceiling, wall, other."""
+"""Classes of planes from the direction of gravity; `plane_detector.ground` adds the ground."""
 
 from __future__ import annotations
 
@@ -9,12 +9,11 @@ from enum import IntEnum
 
 import numpy as np
 
-from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.types import Plane
 
 # Largest inclination of a plane that still counts as horizontal or vertical.
 TOLERANCE_DEG = 8.0
-# Horizontal planes closer than this share of the floor's distance are one floor (noise, sills).
+# Horizontal planes closer than this share of the ceiling's distance are one ceiling (noise).
 SAME_LEVEL_SHARE = 0.08
 # For a coarse direction of gravity: tolerance of horizontal and vertical planes about the axis
 # that replaces it, and the smallest share of pixels in such planes.
@@ -31,18 +30,20 @@ class PlaneClass(IntEnum):
     WALL = 3
     OTHER_HORIZONTAL = 4
     OTHER = 5
+    RAMP = 6
+    STEP = 7
 
 
-def classify_planes(planes: Sequence[Plane], gravity_camera: np.ndarray | None,
+def classify_planes(planes: Sequence[Plane], down: np.ndarray,
                     tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
     """
-    Classify the planes of one image by gravity.
+    Tell walls, the ceiling and other horizontal planes apart.
 
     Parameters
     ----------
     planes : sequence of Plane
         With true angles, in any unit.
-    gravity_camera : (3,) floating or None
+    down : (3,) floating
         Unit direction of gravity in the optical frame.
     tolerance_deg : float
         Largest angle to horizontal or vertical.
@@ -50,45 +51,36 @@ def classify_planes(planes: Sequence[Plane], gravity_camera: np.ndarray | None,
     Returns
     -------
     tuple of PlaneClass
-        One per plane. The floor is the lowest horizontal plane that faces up, the ceiling the
-        highest that faces down, with all planes at that level. All ``UNKNOWN`` without gravity.
+        One per plane. The ceiling is the highest horizontal plane that faces down, with all planes
+        at that level. Which of those that face up is the floor, the pixels tell: see
+        :func:`~plane_detector.ground.ground.find_ground`.
 
     Examples
     --------
     >>> def plane(normal, offset_m):
     ...     return Plane(np.array(normal), offset_m, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
-    >>> floor, table, wall = plane([0, -1, 0], 1.5), plane([0, -1, 0], 0.8), plane([0, 0, -1], 3.0)
-    >>> [found.name for found in classify_planes([floor, table, wall], np.array([0.0, 1.0, 0.0]))]
-    ['FLOOR', 'OTHER_HORIZONTAL', 'WALL']
+    >>> table, ceiling, wall = plane([0, -1, 0], 0.8), plane([0, 1, 0], 1.2), plane([0, 0, -1], 3)
+    >>> [kind.name for kind in classify_planes([table, ceiling, wall], np.array([0.0, 1.0, 0.0]))]
+    ['OTHER_HORIZONTAL', 'CEILING', 'WALL']
 
     """
-    if gravity_camera is None or not planes:
-        return (PlaneClass.UNKNOWN,) * len(planes)
-    facing_down = np.array([plane.normal @ gravity_camera for plane in planes])
+    facing_down = np.array([plane.normal @ down for plane in planes])
     offsets = np.array([plane.offset_m for plane in planes])
-    level = np.cos(np.radians(tolerance_deg))
-    upright = np.sin(np.radians(tolerance_deg))
+    upright, level = np.sin(np.radians(tolerance_deg)), np.cos(np.radians(tolerance_deg))
+    above = facing_down >= level
+    outermost = above & (offsets >= (1.0 - SAME_LEVEL_SHARE) * offsets[above].max(initial=0.0))
     classes = np.full(len(planes), PlaneClass.OTHER)
     classes[np.abs(facing_down) <= upright] = PlaneClass.WALL
-    for side, extreme in ((facing_down <= -level, PlaneClass.FLOOR),
-                          (facing_down >= level, PlaneClass.CEILING)):
-        farthest = offsets[side].max(initial=0.0)
-        outermost = offsets >= (1.0 - SAME_LEVEL_SHARE) * farthest
-        classes[side] = np.where(outermost[side], extreme, PlaneClass.OTHER_HORIZONTAL)
+    classes[np.abs(facing_down) >= level] = PlaneClass.OTHER_HORIZONTAL
+    classes[outermost] = PlaneClass.CEILING
     return tuple(PlaneClass(value) for value in classes)
 
 
-def classify_by_gravity(planes: Sequence[Plane], gravity: Gravity,
-                        has_true_angles: bool = True) -> tuple[PlaneClass, ...]:
-    """
-    Classify planes; a coarse direction of gravity is first refined by the planes.
-
-    All are ``UNKNOWN`` if angles are not true.
-    """
-    down = gravity.gravity_camera if has_true_angles else None
-    if down is not None and gravity.tolerance_deg > COARSE_DEG:
-        down = refine_gravity(planes, down, gravity.tolerance_deg)
-    return classify_planes(planes, down)
+def lowest_level(planes: Sequence[Plane], down: np.ndarray) -> Plane | None:
+    """Return the lowest horizontal plane that faces up; None if there is none."""
+    level = [plane for plane in planes
+             if plane.normal @ down <= -np.cos(np.radians(TOLERANCE_DEG))]
+    return max(level, key=lambda plane: plane.offset_m, default=None)
 
 
 def refine_gravity(planes: Sequence[Plane], coarse_gravity_camera: np.ndarray,

@@ -70,6 +70,12 @@ class Health:
                  'gravity': detection.gravity_source}
         if detection.gravity_note:
             facts['gravity_note'] = detection.gravity_note
+        if detection.camera_height_m == detection.camera_height_m:  # not NaN
+            facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
+        if detection.tilt_deg == detection.tilt_deg:
+            facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
+        facts['drops'] = (f'none told: {detection.drop_note}' if detection.drop_note
+                          else f'{len(detection.drops_m)} points')
         self._facts = facts
         if detection.scale_event:
             self._logger.info(detection.scale_event)

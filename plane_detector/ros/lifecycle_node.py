@@ -54,8 +54,8 @@ class PlaneDetectorNode(ReloadableNode):
 
     Subscribes to image or image/compressed, camera_info, depth, imu, clicked_point, and /tf. See
     :mod:`~plane_detector.ros.inputs.subscriptions`. Publishes ~/points, ~/points_without_floor,
-    ~/planes, ~/boundaries, ~/plane_poses, ~/markers, ~/shapes, ~/labels, ~/depth, ~/overlay,
-    ~/overlay/compressed, ~/camera_info, ~/clicked_plane and /diagnostics. See
+    ~/ground, ~/drops, ~/planes, ~/boundaries, ~/plane_poses, ~/markers, ~/shapes, ~/labels,
+    ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info, ~/clicked_plane and /diagnostics. See
     :mod:`~plane_detector.ros.outputs.topics`. Services: ~/detect, ~/reset_tracking and those of a
     lifecycle node. Parameters: docs/parameters.md, made from :mod:`~plane_detector.config`.
 

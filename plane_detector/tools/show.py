@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TextIO
 
 import rclpy
@@ -31,7 +31,7 @@ _HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7
          f'{"rms":>7} {"sure":>5}  normal')
 
 
-def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
+def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
     """
     Return the planes of a message as lines of text, largest first.
 
@@ -41,12 +41,14 @@ def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
         Of ``~/planes``.
     is_metric : bool
         Whether lengths are in metres.
+    camera : str
+        What the diagnostics say of its height, tilt and drops.
 
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg)[0] if msg.height else []
     lines = [f'{len(rows)} planes at {stamp_text(msg)} in '
-             f'{msg.header.frame_id}, {unit}', _HEAD]
+             f'{msg.header.frame_id}, {unit}', *filter(None, [camera]), _HEAD]
     for row in rows:
         name = PlaneClass(row['class']).name.lower().replace('_', ' ')
         normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')
@@ -54,6 +56,14 @@ def table_of(msg: PointCloud2, is_metric: bool = True) -> str:
                      f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
                      f'{row["confidence"]:>5.0%}  {normal}')
     return '\n'.join(lines)
+
+
+def camera_line(facts: Mapping[str, str]) -> str:
+    """Return height and tilt of the camera, and the drops, from the facts of the diagnostics."""
+    parts = [f'camera {facts["camera_height_m"]} m above the floor'] * (
+        'camera_height_m' in facts) + [f'tilted {facts["camera_tilt_deg"]} degrees down'] * (
+        'camera_tilt_deg' in facts) + [f'drops: {facts["drops"]}'] * ('drops' in facts)
+    return ', '.join(parts)
 
 
 class PlanePrinter(Node):
@@ -75,17 +85,18 @@ class PlanePrinter(Node):
                  **node_options: object):
         super().__init__('plane_printer', **node_options)
         self._name, self._stream, self._on_table = detector.strip('/'), stream, on_table
-        self._is_metric = True
+        self._is_metric, self._camera = True, ''
         self.create_subscription(PointCloud2, f'/{self._name}/planes', self._print, 1)
-        self.create_subscription(DiagnosticArray, '/diagnostics', self._note_unit, 10)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._note_facts, 10)
         self._told = ''
         self._silence = self.create_timer(GRACE_S, self._tell_silence)
 
-    def _note_unit(self, msg: DiagnosticArray) -> None:
+    def _note_facts(self, msg: DiagnosticArray) -> None:
         for status in msg.status:
             if status.name.strip('/') == self._name:
-                scales = [value.value for value in status.values if value.key == 'scale']
-                self._is_metric = RELATIVE not in scales
+                facts = {value.key: value.value for value in status.values}
+                self._is_metric = facts.get('scale') != RELATIVE
+                self._camera = camera_line(facts)
 
     def _tell_silence(self) -> None:
         problem = self.why_nothing()
@@ -106,7 +117,7 @@ class PlanePrinter(Node):
     def _print(self, msg: PointCloud2) -> None:
         self._silence.cancel()
         clear = _CLEAR if self._stream.isatty() else ''
-        print(clear + table_of(msg, self._is_metric), file=self._stream, flush=True)
+        print(clear + table_of(msg, self._is_metric, self._camera), file=self._stream, flush=True)
         self._on_table()
 
 

@@ -73,7 +73,9 @@ def detection(**changes) -> Detection:
     values = {'planes': (plane(WALL), plane(FLOOR)), 'labels': labels, 'disparity_noise': 0.0,
               'depth_m': depth_m, 'scale_method': 'metric', 'track_labels': TRACKS,
               'classes': (PlaneClass.WALL, PlaneClass.FLOOR), 'shapes': (ball,),
-              'shape_labels': (5,), **changes}
+              'shape_labels': (5,), 'ground': labels == FLOOR,
+              'drops_m': np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
+              'drop_depths_m': np.array([0.25, np.nan]), **changes}
     return Detection(**values)
 
 

@@ -10,7 +10,12 @@ from plane_detector.geometry.gravity import (
     smooth_gravity,
     unit_direction,
 )
-from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.planes.classification import (
+    PlaneClass,
+    classify_planes,
+    lowest_level,
+    refine_gravity,
+)
 from plane_detector.types import Plane
 
 DOWN = np.array([0.0, 1.0, 0.0])
@@ -30,29 +35,29 @@ ROOF = plane([1, 1, 0], 2.0)
 def test_each_kind_of_plane():
     planes = (WALL, FLOOR, TABLE, CEILING, LAMP, ROOF, SIDE)
     assert classify_planes(planes, DOWN) == (
-        PlaneClass.WALL, PlaneClass.FLOOR, PlaneClass.OTHER_HORIZONTAL, PlaneClass.CEILING,
-        PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER, PlaneClass.WALL)
+        PlaneClass.WALL, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER_HORIZONTAL,
+        PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER, PlaneClass.WALL)
+    assert lowest_level(planes, DOWN) is FLOOR
 
 
 def test_the_values_are_those_of_the_message():
-    assert [int(kind) for kind in PlaneClass] == [0, 1, 2, 3, 4, 5]
+    assert [int(kind) for kind in PlaneClass] == list(range(8))
 
 
-def test_without_gravity_all_are_unknown():
-    assert classify_planes((WALL, FLOOR), None) == (PlaneClass.UNKNOWN,) * 2
+def test_of_no_planes_there_are_no_classes():
     assert classify_planes((), DOWN) == ()
+    assert lowest_level((WALL,), DOWN) is None
 
 
 def test_the_tolerance_is_inclusive_and_no_more():
     leaning = plane([0, -np.cos(np.radians(7.9)), np.sin(np.radians(7.9))], 1.0)
-    assert classify_planes((leaning,), DOWN) == (PlaneClass.FLOOR,)
+    assert classify_planes((leaning,), DOWN) == (PlaneClass.OTHER_HORIZONTAL,)
     leaning = plane([0, -np.cos(np.radians(8.1)), np.sin(np.radians(8.1))], 1.0)
     assert classify_planes((leaning,), DOWN) == (PlaneClass.OTHER,)
 
 
-def test_pieces_of_one_floor_are_all_floor():
-    sill = plane([0, -1, 0], 1.45)
-    assert classify_planes((FLOOR, sill), DOWN) == (PlaneClass.FLOOR,) * 2
+def test_pieces_of_one_ceiling_are_all_ceiling():
+    assert classify_planes((CEILING, plane([0, 1, 0], 1.15)), DOWN) == (PlaneClass.CEILING,) * 2
 
 
 def test_the_unit_of_the_planes_does_not_matter():

@@ -20,7 +20,9 @@ from plane_detector.types import CameraIntrinsics
 def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640)):
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
-                           gravity_source='none', gravity_note=gravity_note)
+                           gravity_source='none', gravity_note=gravity_note,
+                           camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
+                           drop_note='')
 
 
 @pytest.mark.parametrize('found, wanted, told', [

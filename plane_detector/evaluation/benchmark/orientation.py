@@ -35,7 +35,7 @@ from plane_detector.evaluation.scenes import misleading, rooms, textures
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.sensor_comparison import JudgedPlane, judge_planes
 from plane_detector.pipeline import PlaneDetector, segment_planes
-from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.planes.classification import lowest_level, refine_gravity
 from plane_detector.types import PlaneSegmentation
 
 INDOOR = ('kinect', 'nyu', 'living_room')
@@ -80,10 +80,8 @@ def angle_deg(first: np.ndarray, second: np.ndarray) -> float:
 def true_down(sensor: PlaneSegmentation) -> np.ndarray | None:
     """Return gravity from the floor in the sensor's depth; None without a floor."""
     down = refine_gravity(sensor.planes, np.array([0.0, 1.0, 0.0]), 40.0)
-    classes = classify_planes(sensor.planes, down)
-    floors = [plane for plane, kind in zip(sensor.planes, classes, strict=True)
-              if kind == PlaneClass.FLOOR]
-    return -floors[0].normal if floors else None
+    floor = None if down is None else lowest_level(sensor.planes, down)
+    return None if floor is None else -floor.normal
 
 
 def report_gravity(name: str, found: Sequence[Frame]) -> None:

@@ -19,7 +19,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import Scene
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.pipeline import segment_planes
-from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.planes.classification import lowest_level, refine_gravity
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import ScaleEstimate
 from plane_detector.scale.methods import ScaleEvidence, estimate_scale
@@ -85,10 +85,9 @@ def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
     for frame in frames(folder.parent, (folder.name,)):
         planes = segment_planes(frame.depth_m, frame.intrinsics).planes
         gravity_camera = refine_gravity(planes, np.array([0.0, 1.0, 0.0]), 40.0)
-        floors = [plane for plane, kind in zip(planes, classify_planes(planes, gravity_camera),
-                                               strict=True) if kind == PlaneClass.FLOOR]
-        if not floors:
+        floor = None if gravity_camera is None else lowest_level(planes, gravity_camera)
+        if floor is None:
             print(f'{frame.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
             continue
         for _ in range(DRAWS_PER_IMAGE):
-            yield look(frame, -floors[0].normal, floors[0].offset_m, rng)
+            yield look(frame, -floor.normal, floor.offset_m, rng)

@@ -12,9 +12,14 @@ from plane_detector.drawing import label_image, tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.frame import ProcessedFrame
-from plane_detector.ros.outputs.messages import POINT_DTYPE, XYZ_DTYPE, cloud_msg, label_names
+from plane_detector.ros.outputs.messages import (
+    DROP_DTYPE,
+    POINT_DTYPE,
+    XYZ_DTYPE,
+    cloud_msg,
+    label_names,
+)
 from plane_detector.scale.estimate import RELATIVE
 
 
@@ -35,13 +40,27 @@ def points_to_msg(frame: ProcessedFrame) -> PointCloud2:
 
 
 def obstacles_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
-    """Return the valid points off the floor; None while the floor or the unit is not known."""
+    """Return the valid points that are not ground; None while gravity or the unit is not known."""
+    return _xyz_to_msg(frame, ~frame.detection.ground) if _has_ground(frame) else None
+
+
+def ground_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
+    """Return the points of the ground; None while gravity or the unit is not known."""
+    return _xyz_to_msg(frame, frame.detection.ground) if _has_ground(frame) else None
+
+
+def drops_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
+    """Return points along the edges and by how much it is down; None if they cannot be told."""
     found = frame.detection
-    if not any(found.classes) or found.scale_method == RELATIVE:
+    if found.drop_note:
         return None
-    is_obstacle = np.ones(len(found.planes) + len(found.shapes) + 1, bool)  # the last: no plane
-    is_obstacle[:len(found.classes)] = np.array(found.classes) != PlaneClass.FLOOR
-    return _xyz_to_msg(frame, is_obstacle[found.labels])
+    points_m = frame.to_target.points(found.drops_m) if frame.to_target else found.drops_m
+    table = np.column_stack([points_m, found.drop_depths_m]).astype('<f4')
+    return cloud_msg(frame.target_header, DROP_DTYPE, table, 1, len(table))
+
+
+def _has_ground(frame: ProcessedFrame) -> bool:
+    return any(frame.detection.classes) and frame.detection.scale_method != RELATIVE
 
 
 def _xyz_to_msg(frame: ProcessedFrame, is_kept: np.ndarray) -> PointCloud2:

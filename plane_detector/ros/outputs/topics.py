@@ -17,7 +17,12 @@ from visualization_msgs.msg import MarkerArray
 
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.clouds import obstacles_to_msg, points_to_msg
+from plane_detector.ros.outputs.clouds import (
+    drops_to_msg,
+    ground_to_msg,
+    obstacles_to_msg,
+    points_to_msg,
+)
 from plane_detector.ros.outputs.frame import ProcessedFrame
 from plane_detector.ros.outputs.markers import markers_to_msg
 from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
@@ -38,6 +43,8 @@ class Output(NamedTuple):
 OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, points_to_msg),
     'points_without_floor': Output(PointCloud2, obstacles_to_msg),
+    'ground': Output(PointCloud2, ground_to_msg),
+    'drops': Output(PointCloud2, drops_to_msg),
     'planes': Output(PointCloud2, planes_to_msg),
     'boundaries': Output(PointCloud2, boundaries_to_msg),
     'plane_poses': Output(PoseArray, lambda frame: messages.poses_to_msg(

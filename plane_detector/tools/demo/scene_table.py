@@ -11,10 +11,11 @@ from plane_detector.planes.classification import PlaneClass
 
 NAMES = {PlaneClass.FLOOR: 'floor', PlaneClass.CEILING: 'ceiling', PlaneClass.WALL: 'wall',
          PlaneClass.OTHER_HORIZONTAL: 'level', PlaneClass.OTHER: 'other',
-         PlaneClass.UNKNOWN: 'unknown'}
+         PlaneClass.UNKNOWN: 'unknown', PlaneClass.RAMP: 'ramp', PlaneClass.STEP: 'step'}
 COLOURS = {PlaneClass.FLOOR: ('green', PALETTE[1]), PlaneClass.CEILING: ('yellow', PALETTE[3]),
            PlaneClass.WALL: ('blue', PALETTE[2]), PlaneClass.OTHER: ('violet', PALETTE[4]),
-           PlaneClass.OTHER_HORIZONTAL: ('orange', PALETTE[6])}
+           PlaneClass.OTHER_HORIZONTAL: ('orange', PALETTE[6]),
+           PlaneClass.RAMP: ('cyan', PALETTE[5]), PlaneClass.STEP: ('orange', PALETTE[6])}
 _ROWS_SHOWN = 14
 _COLUMNS_SHOWN = 6
 

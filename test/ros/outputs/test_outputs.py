@@ -80,9 +80,25 @@ def test_points_without_floor(to_target, step):
     np.testing.assert_allclose(xyz(cloud_array(msg)[0]), expected_m, atol=2e-6)
 
 
+@BOTH_FRAMES
+def test_ground_and_drops(to_target):
+    all_m, is_floor = scene.points(), scene.depth_and_labels()[1] == scene.FLOOR
+    msg = make('ground', to_target=to_target)
+    assert has_frame_of(msg, to_target)
+    np.testing.assert_allclose(xyz(cloud_array(msg)[0]), moved(
+        all_m[np.isfinite(all_m[..., 2]) & is_floor], to_target), atol=2e-6)
+    msg = make('drops', to_target=to_target)
+    (table,) = cloud_array(msg)
+    assert has_frame_of(msg, to_target) and table.dtype.names == ('x', 'y', 'z', 'drop')
+    np.testing.assert_allclose(xyz(table), moved(scene.detection().drops_m, to_target), atol=1e-6)
+    np.testing.assert_array_equal(table['drop'], np.float32([0.25, np.nan]))
+    assert make('drops', found=scene.detection(drop_note='why')) is None
+
+
 @pytest.mark.parametrize('unknown', [{'classes': ()}, {'scale_method': 'relative'}])
 def test_there_are_no_obstacles_while_floor_or_unit_is_unknown(unknown):
-    assert make('points_without_floor', found=scene.detection(**unknown)) is None
+    for name in ('points_without_floor', 'ground'):
+        assert make(name, found=scene.detection(**unknown)) is None
 
 
 @BOTH_FRAMES

@@ -1,0 +1,247 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Compiled loops along the columns of an image, from below: away from the robot.
+
+A plane is a row of five numbers: normal, offset, and the inverse of the share of its normal that
+is vertical. With s = normal . ray, a pixel of depth z is (s z + offset) * inverse above it along
+gravity, and the ray meets it at z = -offset / s. An error e of 1/z is an error s * inverse * z * z
+* e of the height.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from plane_detector.compilation import kernel
+from plane_detector.geometry.disparity import MIN_DEPTH_M
+
+# Two tables of pairs of planes: samples of their border that join, and all of them; and samples
+# of a border with a riser between.
+JOINS, RISERS = 0, 1
+# derived: borders of regions are right within this many pixels.
+BORDER_PX = 6
+# A wall's foot is told from the ground by its plane; this much of it is the plane's own error.
+FOOT_M = 0.01
+# A next surface that is lower must be seen in this many pixels one after another.
+SEEN_PX = 4
+# A plane's error as a share of a pixel's: what of the noise is smooth stays.
+PLANE_SHARE = 0.3
+# Points of one edge are at most this far apart.
+EDGE_GAP_M, EDGE_GAP_PX = 0.15, 6
+# The ground should be seen this near, and this much of it, before nothing counts as a drop.
+VOID_NEAR_M, VOID_LENGTH_M = 3.0, 0.4
+# derived: a vertical riser leads from the near to the far level; looking down by 40 degrees, the
+# depth changes by this share of its height at most, a table's edge before the floor by more.
+RISER_DEPTH = 0.7
+
+_DEPTH, _LABELS = (f"Array({kind}, 2, 'C', readonly=True)" for kind in ('float32', 'int32'))
+_RAYS, _PLANES = 'float32[::1], float32[::1]', 'float32[:, ::1]'
+
+
+@kernel(f'int64[::1]({_LABELS}, boolean[::1])', is_short=True)
+def first_met(labels, possible):
+    """Return how many columns meet each plane before any other possible one."""
+    votes = np.zeros(len(possible), np.int64)
+    for u in range(0, labels.shape[1], 4):
+        for v in range(labels.shape[0] - 1, -1, -1):
+            k = labels[v, u]
+            if 0 <= k < len(possible) and possible[k]:
+                votes[k] += 1
+                break
+    return votes
+
+
+@kernel('float32(float32[:, ::1], int64, float32, float32)')
+def _depth_on(planes, k, x, y):
+    """Return the depth at which a ray meets a plane; negative or infinite if it does not."""
+    s = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+    return -planes[k, 3] / s
+
+
+@kernel(f'Tuple((int32[:, :, ::1], int32[:, ::1]))({_LABELS}, {_RAYS}, {_PLANES}, boolean[::1], '
+        'float64, float64)', is_short=True)
+def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
+    """
+    Return where walkable planes border on each other.
+
+    The first table (2, K, K) counts the samples of a border at which both have the same height,
+    and all samples; the second (K, K) those at which a riser leads from one to the other.
+    """
+    count = len(planes)
+    joins, risers = np.zeros((2, count, count), np.int32), np.zeros((count, count), np.int32)
+    height, width = labels.shape
+    for v in range(0, height, 2):
+        for u in range(0, width, 2):
+            a = labels[v, u]
+            if a < 0 or a >= count or not walkable[a]:
+                continue
+            for direction in range(2):
+                for step in range(1, BORDER_PX + 1):
+                    w, h = (u + step, v) if direction == 0 else (u, v - step)
+                    if w >= width or h < 0:
+                        break
+                    b = labels[h, w]
+                    if b == a:
+                        break
+                    if b < 0:
+                        continue
+                    if b < count and walkable[b]:
+                        x, y = 0.5 * (ray_x[u] + ray_x[w]), 0.5 * (ray_y[v] + ray_y[h])
+                        first, second = (_depth_on(planes, a, x, y), _depth_on(planes, b, x, y))
+                        # Both are on one ray: the height between them, along gravity.
+                        s = planes[a, 0] * x + planes[a, 1] * y + planes[a, 2]
+                        gap = abs((s * second + planes[a, 3]) * planes[a, 4])
+                        same = gap <= max_step and first > 0 and second > 0
+                        joins[1, a, b] += 1
+                        joins[1, b, a] += 1
+                        if same:
+                            joins[0, a, b] += 1
+                            joins[0, b, a] += 1
+                    break
+    for u in range(0, width, 4):
+        last, track, below = -1, 0.0, 0.0
+        for v in range(height - 1, -1, -2):
+            k = labels[v, u]
+            if k < 0 or k >= count or not walkable[k]:
+                continue
+            z = _depth_on(planes, k, ray_x[u], ray_y[v])
+            # Depth along the column's ground track, and height below the camera, of this pixel.
+            under = planes[k, 3] * planes[k, 4]
+            if last >= 0 and k != last:
+                up = below - under
+                if max_step < abs(up) <= max_riser and (
+                        up < 0 or abs(z - track) <= max(RISER_DEPTH * up, max_step)):
+                    risers[last, k] += 1
+                    risers[k, last] += 1
+            last, track, below = k, z, under
+    return joins, risers
+
+
+@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, {_RAYS}, {_PLANES}, boolean[::1], int64, float64, '
+        'float64)')
+def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, min_height, error):
+    """
+    Return the pixels (H, W) of the ground.
+
+    Each is measured from the ground that its column showed last; ``error`` is that of 1/z.
+    """
+    height, width = depth_m.shape
+    ground = np.zeros((height, width), np.bool_)
+    reference = np.full(width, own, np.int32)
+    low, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
+    count = len(is_ground) - 1
+    for v in range(height - 1, -1, -1):
+        y = ray_y[v]
+        for u in range(width):
+            z = depth_m[v, u]
+            if not (z >= MIN_DEPTH_M and z < np.inf):
+                continue
+            k = labels[v, u]
+            on_plane = 0 <= k < count
+            belongs = on_plane and is_ground[k]
+            r = k if belongs else reference[u]
+            s = (planes[r, 0] * ray_x[u] + planes[r, 1] * y + planes[r, 2])
+            off = abs((s * z + planes[r, 3]) * planes[r, 4])
+            # A plane that is no ground was told from it by all its pixels.
+            enough = max(foot if on_plane and not belongs else low,
+                         abs(s * planes[r, 4]) * z * z * error)
+            if off <= enough:
+                ground[v, u] = True
+                if belongs:
+                    reference[u] = k
+    return ground
+
+
+@kernel('void(float64[::1], float32, float32, float64, float64, int64)')
+def _write(row, x, y, z, drop, u):
+    row[0], row[1], row[2], row[3], row[4] = x * z, y * z, z, drop, u
+
+
+@kernel(f'float64[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_RAYS}, {_PLANES}, boolean[::1], '
+        'float64[::1], float64, float64)')
+def mark_drops(depth_m, labels, ground, ray_x, ray_y, planes, is_ground, down, min_drop, error):
+    """
+    Return the ends of the ground (N, 5) with a lower surface behind: x y z, the drop, the column.
+
+    Every second column is followed. The drop is NaN where nothing is seen. Metres.
+    """
+    height, width = depth_m.shape
+    found, count, planes_count = np.empty((4 * width, 5)), 0, len(is_ground) - 1
+    # Of each column: where the ground was seen last, on which plane and how deep; then how many
+    # pixels are lower, and how many neither that nor ground.
+    end, end_k = np.full(width, -1, np.int32), np.full(width, -1, np.int32)
+    end_z, drop = np.zeros(width), np.zeros(width)
+    lower, mixed = np.zeros(width, np.int32), np.zeros(width, np.int32)
+    for v in range(height - 1, -1, -1):
+        y = ray_y[v]
+        for u in range(0, width, 2):
+            k = labels[v, u]
+            if k >= 0 and k == end_k[u] and ground[v, u]:
+                end[u], end_z[u], lower[u], mixed[u] = v, 0.0, 0, 0
+                continue
+            z = np.float64(depth_m[v, u])
+            if not (z >= MIN_DEPTH_M and z < np.inf):
+                continue
+            x, e, on_plane = ray_x[u], end_k[u], 0 <= k < planes_count
+            if e >= 0 and k < 0 and ground[v, u]:
+                end[u], end_z[u], lower[u] = v, z, 0
+                continue
+            if e >= 0:
+                if end_z[u] == 0.0:
+                    end_z[u] = _depth_on(planes, e, x, ray_y[end[u]])
+                s = planes[e, 0] * x + planes[e, 1] * y + planes[e, 2]
+                margin = abs(s * planes[e, 4]) * z * z * error
+                if on_plane:
+                    z_plane = np.float64(_depth_on(planes, k, x, y))
+                    if abs(1 / z_plane - 1 / z) <= error:  # it is more exact than a pixel
+                        z, margin = z_plane, PLANE_SHARE * margin
+                off = (s * z + planes[e, 3]) * planes[e, 4]
+                # Behind the upper end of a ramp, all is lower than the ramp would be.
+                under = z * (x * down[0] + y * down[1] + down[2]) - end_z[u] * (
+                    x * down[0] + ray_y[end[u]] * down[1] + down[2])
+                if min(-off, under) > min_drop + margin and z > end_z[u]:
+                    lower[u] += 1
+                    drop[u] = under if lower[u] == 1 else max(drop[u], under)
+                    if lower[u] < SEEN_PX:
+                        continue
+                    if count < len(found):
+                        _write(found[count], x, ray_y[end[u]], end_z[u], drop[u], u)
+                        count += 1
+                    end_k[u] = -1
+                elif off > min_drop or (on_plane and is_ground[k] and ground[v, u]):
+                    end_k[u] = -1  # an obstacle hides what is behind, or ground goes on
+                else:
+                    mixed[u] += 1
+                    lower[u] = 0
+                    if mixed[u] > BORDER_PX:
+                        end_k[u] = -1
+            if end_k[u] < 0 and on_plane and is_ground[k] and ground[v, u]:
+                end[u], end_k[u], end_z[u], lower[u], mixed[u] = v, k, 0.0, 0, 0
+    for u in range(0, width, 2):
+        e, x, y = end_k[u], ray_x[u], ray_y[0]
+        if e < 0 or lower[u] > 0 or end[u] == 0 or count == len(found):
+            continue
+        z, near = _depth_on(planes, e, x, y), _depth_on(planes, e, x, ray_y[end[u]])
+        if near <= VOID_NEAR_M and (z < 0 or z > near + VOID_LENGTH_M):
+            _write(found[count], x, ray_y[end[u]], near, np.nan, u)
+            count += 1
+    return found[:count]
+
+
+@kernel('int64[::1](float64[:, ::1])', is_short=True)
+def rows_of(drops):
+    """Return the row (N,) of each drop; they are in the order of their columns."""
+    rows, count = np.empty(len(drops), np.int64), 0
+    for i in range(len(drops)):
+        rows[i], nearest = count, EDGE_GAP_M
+        for j in range(i - 1, -1, -1):
+            if drops[i, 4] - drops[j, 4] > EDGE_GAP_PX:
+                break
+            far = np.sqrt((drops[i, 0] - drops[j, 0]) ** 2 + (drops[i, 1] - drops[j, 1]) ** 2
+                          + (drops[i, 2] - drops[j, 2]) ** 2)
+            if drops[j, 4] < drops[i, 4] and far <= nearest:
+                rows[i], nearest = rows[j], far
+        if rows[i] == count:
+            count += 1
+    return rows

@@ -1,0 +1,282 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Planes and gravity to ground, obstacles and drops; the steps are in the folder's docstring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from plane_detector.config import Config, GroundConfig
+from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
+from plane_detector.geometry.projection import pixel_rays
+from plane_detector.ground.columns import (
+    JOINS,
+    RISERS,
+    count_borders,
+    first_met,
+    mark_drops,
+    mark_ground,
+    rows_of,
+)
+from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+
+# The own floor is at the known height of the camera within this share of it: the error of a
+# mounting and of gravity, and what a ramp that begins before the robot rises to.
+HEIGHT_TOLERANCE = 0.1
+# Slopes within the accuracy of an IMU or of a level plane count as level.
+LEVEL_DEG = 3.0
+# derived: steeper by the error of gravity and of the plane, a slope is still within max_slope.
+SLOPE_MARGIN_DEG = 1.0
+# Borders are sampled at every fourth pixel; fewer samples that join are chance.
+MIN_JOINS = 3
+# Of the samples of a border. A ramp that stands free joins by its foot, not by its flanks.
+MIN_JOIN_SHARE = 0.1
+# By contract: a level within this height of the own floor, reached by risers, is a step.
+STEP_RANGE_M = 0.5
+# An error counts as a difference beyond this many standard deviations.
+SIGMAS = 3.0
+# Drops are told only if an error of depth does not look like one at this distance, metres.
+TOLD_AT_M, LARGEST_ERROR_M = 2.0, 0.3
+# A row of points along an edge is at least this long.
+MIN_EDGE_M, MIN_EDGE_POINTS = 0.12, 5
+
+
+@dataclass(frozen=True)
+class Ground:
+    """
+    The ground of one image.
+
+    Attributes
+    ----------
+    classes : tuple of PlaneClass
+        One per plane.
+    mask : (H, W) bool
+        Pixels of the ground; nowhere if gravity, the unit or the own floor are not known.
+    drops_m : (N, 3) float64
+        Points along the edges where the ground ends, in the optical frame.
+    drop_depths_m : (N,) float64
+        By how much the next surface is lower; NaN if none is seen.
+    camera_height_m, tilt_deg : float
+        Height above the own floor, and angle of the optical axis below the horizon; NaN unknown.
+    note : str
+        Why there are no drops; empty if they are searched for.
+
+    """
+
+    classes: tuple[PlaneClass, ...]
+    mask: np.ndarray
+    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    camera_height_m: float = np.nan
+    tilt_deg: float = np.nan
+    note: str = ''
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """
+    Planes as surfaces that one may stand on; the last one is the level at the camera's height.
+
+    Attributes
+    ----------
+    normals, offsets, covariances, centroids : (K + 1, 3), (K + 1,), (K + 1, 4, 4), (K + 1, 3)
+    slopes_deg : (K + 1,) float64
+        Angle between their upper side and the vertical; above 90 for what faces down.
+    down : (3,) float64
+
+    """
+
+    normals: np.ndarray
+    offsets: np.ndarray
+    covariances: np.ndarray
+    centroids: np.ndarray
+    slopes_deg: np.ndarray
+    down: np.ndarray
+
+    @classmethod
+    def of(cls, found: PlaneSegmentation, down: np.ndarray, height_m: float) -> Surfaces:
+        """Collect the planes of an image."""
+        planes = found.planes
+        normals = np.array([*(plane.normal for plane in planes), -down])
+        return cls(normals, np.array([*(plane.offset_m for plane in planes), height_m]),
+                   np.array([*(plane.covariance for plane in planes), np.zeros((4, 4))]),
+                   np.array([*(plane.centroid_m for plane in planes), height_m * down]),
+                   np.degrees(np.arccos(np.clip(-normals @ down, -1, 1))), down)
+
+    def heights(self) -> np.ndarray:
+        """Return the height (K + 1,) of the camera over each plane, infinite over walls."""
+        return self.offsets / np.maximum(-self.normals @ self.down, 1e-9)
+
+    def above(self, own: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return height and error (K + 1,) of each plane's centroid over one of them."""
+        points = np.column_stack([self.centroids, np.ones(len(self.offsets))])
+        upright = max(-self.normals[own] @ self.down, 1e-9)
+        heights = (self.centroids @ self.normals[own] + self.offsets[own]) / upright
+        variances = sum(np.einsum('ki,kij,kj->k', points, covariances, points)
+                        for covariances in (self.covariances, self.covariances[[own]].repeat(
+                            len(points), axis=0)))
+        return heights, np.sqrt(np.maximum(variances, 0.0))
+
+    def table(self) -> np.ndarray:
+        """Return the rows (K + 1, 5) of the compiled loops: normal, offset, 1 / upright share."""
+        upright = np.maximum(-self.normals @ self.down, 1e-6)
+        return np.column_stack([self.normals, self.offsets, 1 / upright]).astype(np.float32)
+
+
+def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
+                gravity: Gravity, config: Config, *, is_metric: bool = True) -> Ground:
+    """
+    Find the ground of an image.
+
+    Parameters
+    ----------
+    found : PlaneSegmentation
+        Planes with true angles.
+    depth_m : (H, W) float32
+        Of the same image.
+    intrinsics : CameraIntrinsics
+    gravity : Gravity
+    config : Config
+        Its ``ground`` and ``scale.camera_height``.
+    is_metric : bool
+        Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
+        the classes, and there are neither ground nor drops.
+
+    Returns
+    -------
+    Ground
+
+    """
+    limits, labels = config.ground, np.ascontiguousarray(found.labels, np.int32)
+    nothing = np.zeros(labels.shape, bool)
+    if gravity.gravity_camera is None:
+        return Ground((PlaneClass.UNKNOWN,) * len(found.planes), nothing,
+                      note='the direction of gravity is not known')
+    # 1. and 2. The direction down and the own floor.
+    known_m = config.scale.camera_height if is_metric else 0.0
+    down, own = own_floor(found, labels, gravity, limits.max_slope, known_m)
+    if down is None:
+        return Ground((PlaneClass.UNKNOWN,) * len(found.planes), nothing,
+                      note='the direction of gravity is known too coarsely')
+    surfaces = Surfaces.of(found, down, known_m)
+    tilt_deg = float(np.degrees(np.arcsin(np.clip(down[2], -1, 1))))
+    if own is None:
+        return Ground(classify_planes(found.planes, down), nothing, tilt_deg=tilt_deg,
+                      note='no floor is seen')
+    height_m = float(surfaces.heights()[own])
+    unit_m = 1.0 if is_metric else height_m
+    rays, table = pixel_rays(intrinsics), surfaces.table()
+    # 3. What joins it.
+    walkable = surfaces.slopes_deg <= limits.max_slope + SLOPE_MARGIN_DEG
+    borders = count_borders(labels, *rays, table, walkable, limits.max_step * unit_m,
+                            STEP_RANGE_M * unit_m)
+    joined, at_level, lower = _ground_planes(surfaces, own, walkable, borders[JOINS], limits,
+                                             unit_m)
+    classes = _classes(found, surfaces, own, joined, at_level, borders[RISERS], unit_m)
+    if not is_metric:
+        return Ground(classes, nothing, tilt_deg=tilt_deg,
+                      note='the unit of depth is not known')
+    # 4. Pixels.
+    depth_m, sigma = np.ascontiguousarray(depth_m, np.float32), disparity_sigma(found)
+    is_ground = joined | lower
+    mask = mark_ground(depth_m, labels, *rays, table, is_ground, own, limits.min_height,
+                       SIGMAS * sigma)
+    # 5. Drops.
+    error_m = SIGMAS * sigma * TOLD_AT_M * height_m
+    if error_m > LARGEST_ERROR_M:
+        return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg,
+                      note=f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off')
+    ends = mark_drops(depth_m, labels, mask, *rays, table, is_ground, down,
+                       limits.min_drop, SIGMAS * sigma)
+    drops = _rows(ends)
+    return Ground(classes, mask, drops[:, :3], drops[:, 3], height_m, tilt_deg)
+
+
+def disparity_sigma(found: PlaneSegmentation) -> float:
+    """Return the standard deviation of 1/z of a pixel, 1/m."""
+    return float(found.disparity_noise)
+
+
+def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
+              max_slope_deg: float, known_height_m: float
+              ) -> tuple[np.ndarray | None, int | None]:
+    """
+    Return the direction down (3,), and the index of the own floor.
+
+    The direction is None if it is too coarse and no floor makes it exact; the own floor is None if
+    none is seen and the height of the camera is not known, and the number of planes if it is known
+    but the floor is not seen.
+    """
+    planes, down = found.planes, gravity.gravity_camera
+    tolerance_deg = gravity.tolerance_deg
+    is_coarse = tolerance_deg > COARSE_DEG
+    refined = refine_gravity(planes, down, tolerance_deg) if is_coarse else None
+    if refined is not None:
+        down, tolerance_deg, is_coarse = refined, LEVEL_DEG, False
+    surfaces = Surfaces.of(found, down, known_height_m)
+    steepest_deg = max(max_slope_deg + SLOPE_MARGIN_DEG, tolerance_deg)
+    possible = surfaces.slopes_deg <= steepest_deg
+    if known_height_m > 0:
+        off = abs(surfaces.heights() - known_height_m)
+        possible &= off <= HEIGHT_TOLERANCE * known_height_m
+    possible[-1] = False
+    own = None
+    if possible.any():
+        votes = first_met(labels, possible)
+        own = int(votes.argmax()) if votes.any() else None
+    if own is None:
+        return (None if is_coarse else down), (len(planes) if known_height_m > 0 else None)
+    if is_coarse or surfaces.slopes_deg[own] <= tolerance_deg:
+        down = -planes[own].normal
+    return down, own
+
+
+def _ground_planes(surfaces: Surfaces, own: int, walkable: np.ndarray, joins: np.ndarray,
+                   limits: GroundConfig, unit_m: float
+                   ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the planes (K + 1,) that join the own floor, those at its level, and lower ones."""
+    above, error = surfaces.above(own)
+    is_level = abs(surfaces.slopes_deg - surfaces.slopes_deg[own]) <= LEVEL_DEG
+    max_step = limits.max_step * unit_m
+    # An error larger than the step says nothing.
+    at_level = walkable & is_level & (
+        abs(above) <= max_step + np.minimum(SIGMAS * error, max_step))
+    at_level[own] = True
+    joined, linked = at_level.copy(), joins[0] >= np.maximum(MIN_JOINS, MIN_JOIN_SHARE * joins[1])
+    while True:
+        more = joined | (walkable & linked[joined].any(axis=0))
+        if (more == joined).all():
+            return joined, at_level, walkable & ~joined & (above < -max_step)
+        joined = more
+
+
+def _classes(found: PlaneSegmentation, surfaces: Surfaces, own: int, joined: np.ndarray,
+             at_level: np.ndarray, risers: np.ndarray, unit_m: float) -> tuple[PlaneClass, ...]:
+    """Return the class of each plane."""
+    classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
+    above, _ = surfaces.above(own)
+    is_level = surfaces.slopes_deg <= LEVEL_DEG
+    # Steps are reached from the ground, or from other steps.
+    is_step, linked = joined.copy(), risers >= MIN_JOINS
+    near = is_level & (abs(above) <= STEP_RANGE_M * unit_m)
+    while (more := is_step | (near & linked[is_step].any(axis=0))).sum() > is_step.sum():
+        is_step = more
+    classes[is_step & ~joined] = PlaneClass.STEP
+    classes[joined & ~at_level & ~is_level] = PlaneClass.RAMP
+    classes[at_level] = PlaneClass.FLOOR
+    return tuple(PlaneClass(kind) for kind in classes[:-1])
+
+
+def _rows(drops: np.ndarray) -> np.ndarray:
+    """Return the drops (N, 5) that lie in rows long enough."""
+    drops = drops[np.argsort(drops[:, 4], kind='stable')]
+    rows = rows_of(drops)
+    size = np.bincount(rows, minlength=1)
+    first, last = np.full(len(size), len(drops)), np.zeros(len(size), int)
+    np.minimum.at(first, rows, np.arange(len(drops)))
+    last[rows] = np.arange(len(drops))
+    length = np.linalg.norm(drops[last[rows], :3] - drops[first[rows], :3], axis=1)
+    return drops[(length >= MIN_EDGE_M) & (size[rows] >= MIN_EDGE_POINTS)]
