@@ -29,6 +29,7 @@ COMMANDS = {
     'labelled': ('benchmark.labelled', 'real frames with planes labelled by hand'),
     'sensors': ('benchmark.sensors', 'errors of planes of real and of simulated sensors'),
     'time': ('benchmark.runtime', 'run time on one thread'),
+    'ground': ('benchmark.ground', 'ground, obstacles and drops on rendered terrain'),
     'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
     'orientation': ('benchmark.orientation', 'directions from lines, and planes with them'),
