@@ -71,8 +71,8 @@ def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
     count = len(planes)
     joins, risers = np.zeros((2, count, count), np.int32), np.zeros((count, count), np.int32)
     height, width = labels.shape
-    for v in range(0, height, 2):
-        for u in range(0, width, 2):
+    for v in range(0, height, 4):
+        for u in range(0, width, 4):
             a = labels[v, u]
             if a < 0 or a >= count or not walkable[a]:
                 continue
@@ -132,22 +132,22 @@ def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, min_heigh
     low, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
     count = len(is_ground) - 1
     for v in range(height - 1, -1, -1):
-        y = ray_y[v]
+        y, last = ray_y[v], -1
+        a, b, c = np.float32(0), np.float32(0), np.float32(0)
         for u in range(width):
-            z = depth_m[v, u]
-            if not (z >= MIN_DEPTH_M and z < np.inf):
-                continue
-            k = labels[v, u]
+            z, k = depth_m[v, u], labels[v, u]
             on_plane = 0 <= k < count
             belongs = on_plane and is_ground[k]
             r = k if belongs else reference[u]
-            s = (planes[r, 0] * ray_x[u] + planes[r, 1] * y + planes[r, 2])
-            off = abs((s * z + planes[r, 3]) * planes[r, 4])
+            if r != last:  # along gravity, a pixel of depth z is (a x + b) z + c above it
+                a, c = planes[r, 0] * planes[r, 4], planes[r, 3] * planes[r, 4]
+                b, last = (planes[r, 1] * y + planes[r, 2]) * planes[r, 4], r
+            s = a * ray_x[u] + b
+            off = abs(s * z + c)
             # A plane that is no ground was told from it by all its pixels.
-            enough = max(foot if on_plane and not belongs else low,
-                         abs(s * planes[r, 4]) * z * z * error)
-            if off <= enough:
-                ground[v, u] = True
+            if off <= (foot if on_plane and not belongs else low) or off <= abs(s) * z * z * error:
+                # The second is true of an infinite depth; of NaN neither is.
+                ground[v, u] = z >= MIN_DEPTH_M and z < np.inf
                 if belongs:
                     reference[u] = k
     return ground

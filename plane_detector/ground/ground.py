@@ -241,9 +241,9 @@ def _ground_planes(surfaces: Surfaces, own: int, walkable: np.ndarray, joins: np
     above, error = surfaces.above(own)
     is_level = abs(surfaces.slopes_deg - surfaces.slopes_deg[own]) <= LEVEL_DEG
     max_step = limits.max_step * unit_m
-    # An error larger than the step says nothing.
+    # The error of a plane makes no step of what is level, nor hides a step of half as much again.
     at_level = walkable & is_level & (
-        abs(above) <= max_step + np.minimum(SIGMAS * error, max_step))
+        abs(above) <= max_step + np.minimum(SIGMAS * error, 0.5 * max_step))
     at_level[own] = True
     joined, linked = at_level.copy(), joins[0] >= np.maximum(MIN_JOINS, MIN_JOIN_SHARE * joins[1])
     while True:

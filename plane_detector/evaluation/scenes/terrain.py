@@ -137,7 +137,8 @@ class Terrain:
     edges_m, drops_m : (E, 3), (E,) float64
         Points along all edges, and how far the ground is down there.
     is_visible : (E,) bool
-        Whether the camera sees the edge and looks over it, on to what is lower or on nothing.
+        Whether the camera sees the edge and looks over it, on to what is lower or on nothing, and
+        the robot reaches it without falling: the first step of stairs down, not the next ones.
     to_world : (3, 3) float64
         Rotation of the camera.
 
@@ -364,7 +365,7 @@ def _looked_over(edges_m: np.ndarray, points_m: np.ndarray, rotation: np.ndarray
     x, y, z = ((edges_m - position) @ rotation).T
     z = np.where(z > 0.05, z, np.nan)
     u, v = VGA.fx * x / z + VGA.cx, VGA.fy * y / z + VGA.cy
-    inside = (u > 3) & (u < VGA.width - 4) & (v > 12) & (v < VGA.height - 5)
+    inside = (edges_m[:, 2] > -0.01) & (u > 3) & (u < VGA.width - 4) & (v > 12) & (v < VGA.height - 5)
     found = np.zeros(len(edges_m), bool)
     for k in np.flatnonzero(inside):
         column, row = round(u[k]), round(v[k])
