@@ -76,17 +76,17 @@ def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
             a = labels[v, u]
             if a < 0 or a >= count or not walkable[a]:
                 continue
-            for direction in range(2):
+            for direction in range(2):  # to the right, and up
+                right, up = 1 - direction, direction
+                if labels[max(v - up * BORDER_PX, 0), min(u + right * BORDER_PX, width - 1)] == a:
+                    continue
                 for step in range(1, BORDER_PX + 1):
-                    w, h = (u + step, v) if direction == 0 else (u, v - step)
+                    w, h = u + right * step, v - up * step
                     if w >= width or h < 0:
                         break
                     b = labels[h, w]
-                    if b == a:
-                        break
-                    if b < 0:
-                        continue
-                    if b < count and walkable[b]:
+                    # A sliver of another region between them does not part them.
+                    if b >= 0 and b != a and b < count and walkable[b]:
                         x, y = 0.5 * (ray_x[u] + ray_x[w]), 0.5 * (ray_y[v] + ray_y[h])
                         first, second = (_depth_on(planes, a, x, y), _depth_on(planes, b, x, y))
                         # Both are on one ray: the height between them, along gravity.
@@ -98,7 +98,7 @@ def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
                         if same:
                             joins[0, a, b] += 1
                             joins[0, b, a] += 1
-                    break
+                        break
     for u in range(0, width, 4):
         last, track, below = -1, 0.0, 0.0
         for v in range(height - 1, -1, -2):

@@ -220,8 +220,12 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
     steepest_deg = max(max_slope_deg + SLOPE_MARGIN_DEG, tolerance_deg)
     possible = surfaces.slopes_deg <= steepest_deg
     if known_height_m > 0:
-        off = abs(surfaces.heights() - known_height_m)
-        possible &= off <= HEIGHT_TOLERANCE * known_height_m
+        # A ramp before the robot is at another height under it, by its slope and distance.
+        far_m = np.linalg.norm(np.cross(surfaces.centroids, down), axis=1)
+        rise_m = np.where(surfaces.slopes_deg > LEVEL_DEG,
+                          np.tan(np.radians(surfaces.slopes_deg)) * far_m, 0.0)
+        off_m = abs(surfaces.heights() - known_height_m)
+        possible &= off_m <= HEIGHT_TOLERANCE * known_height_m + rise_m
     possible[-1] = False
     own = None
     if possible.any():

@@ -42,12 +42,23 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class View:
-    """Height of the camera (metres) and its angles (degrees, pitch positive downwards)."""
+    """
+    Place and angles of the camera.
+
+    Attributes
+    ----------
+    height_m, forward_m : float
+        Over the floor at the start, and along y.
+    pitch_deg, roll_deg, yaw_deg : float
+        The pitch is positive downwards.
+
+    """
 
     height_m: float
     pitch_deg: float
     roll_deg: float = 0.0
     yaw_deg: float = 0.0
+    forward_m: float = 0.0
 
     def distance_m(self, below_axis_deg: float, farthest_m: float = 3.0) -> float:
         """Return where a ray below the optical axis meets the floor."""
@@ -139,8 +150,8 @@ class Terrain:
     is_visible : (E,) bool
         Whether the camera sees the edge and looks over it, on to what is lower or on nothing, and
         the robot reaches it without falling: the first step of stairs down, not the next ones.
-    to_world : (3, 3) float64
-        Rotation of the camera.
+    to_world, position_m : (3, 3), (3,) float64
+        Rotation and position of the camera.
 
     """
 
@@ -152,11 +163,7 @@ class Terrain:
     drops_m: np.ndarray
     is_visible: np.ndarray
     to_world: np.ndarray
-
-    @property
-    def position_m(self) -> np.ndarray:
-        """Position (3,) of the camera in the world."""
-        return np.array([0.0, 0.0, self.scene.height_m])
+    position_m: np.ndarray
 
 
 def flat(rng: np.random.Generator, start_m: float) -> Course:
@@ -319,7 +326,7 @@ def terrain(name: str, rng: np.random.Generator) -> Terrain:
 def look(course: Course, view: View, rng: np.random.Generator) -> Terrain:
     """Render a course from the robot."""
     rotation = camera_rotation(view.yaw_deg, -view.pitch_deg, view.roll_deg)
-    position = np.array([0.0, 0.0, view.height_m])
+    position = np.array([0.0, view.forward_m, view.height_m])
     scene = render(course.rectangles, rotation, position, VGA, rng, course.curved)
     kinds = np.full(scene.labels.shape, Kind.OBSTACLE, np.int8)  # a cable has no label
     on_plane = scene.labels >= 0
@@ -335,7 +342,7 @@ def look(course: Course, view: View, rng: np.random.Generator) -> Terrain:
     above_m = (points_m[..., 2] - course.ground_z(points_m[..., 1])).astype(np.float32)
     edges_m, drops_m = _sampled(course.edges)
     return Terrain(scene, kinds, points_m.astype(np.float32), above_m, edges_m, drops_m,
-                   _looked_over(edges_m, points_m, rotation, position), rotation)
+                   _looked_over(edges_m, points_m, rotation, position), rotation, position)
 
 
 def noisy(terrain: Terrain, noise: float | str, rng: np.random.Generator) -> np.ndarray:
@@ -365,7 +372,8 @@ def _looked_over(edges_m: np.ndarray, points_m: np.ndarray, rotation: np.ndarray
     x, y, z = ((edges_m - position) @ rotation).T
     z = np.where(z > 0.05, z, np.nan)
     u, v = VGA.fx * x / z + VGA.cx, VGA.fy * y / z + VGA.cy
-    inside = (edges_m[:, 2] > -0.01) & (u > 3) & (u < VGA.width - 4) & (v > 12) & (v < VGA.height - 5)
+    inside = (u > 3) & (u < VGA.width - 4) & (v > 12) & (v < VGA.height - 5)
+    inside &= edges_m[:, 2] > -0.01
     found = np.zeros(len(edges_m), bool)
     for k in np.flatnonzero(inside):
         column, row = round(u[k]), round(v[k])
