@@ -44,6 +44,7 @@ _FAILED, _INCOMPLETE, _INTERRUPTED = 1, 3, 130
 _LOOK_S = 0.1
 # derived: replay ends within 3 s of a signal; closing the bag takes under a second.
 _PATIENCE_S = 1.5
+_ABANDON_S = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -90,11 +91,8 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
     from plane_detector.tools.replay import many_bags
     bags = many_bags.find_bags(inputs, folder.resolve())
     options = _options(arguments, Path(), folder)
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # as SIGINT, for joblib
-    try:
-        summaries = many_bags.replay_many(bags, options, arguments.backend, arguments.jobs)
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    summaries = until_signal(lambda: many_bags.replay_many(
+        bags, options, arguments.backend, arguments.jobs), many_bags.kill_workers)
     print(many_bags.describe(summaries))
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):
@@ -102,11 +100,13 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
     return _INCOMPLETE if any(one.skipped or one.damaged for one in summaries) else 0
 
 
-def until_signal(function: Callable[[], Result]) -> Result:
+def until_signal(function: Callable[[], Result],
+                 abandon: Callable[[], None] = lambda: None) -> Result:
     """
     Return the result of a function; SIGINT or SIGTERM stops it, a second one ends the process.
 
-    An ignored signal, as SIGINT under nohup, stays ignored.
+    An ignored signal, as SIGINT under nohup, stays ignored. ``abandon`` is called if the function
+    does not end.
 
     Raises
     ------
@@ -132,8 +132,14 @@ def until_signal(function: Callable[[], Result]) -> Result:
     try:
         while not call.wait(_LOOK_S):
             if call.stop.is_set and not call.wait(_PATIENCE_S):
+                Background(abandon, 'abandon').wait(_ABANDON_S)
                 raise Stopped
-        return call.result()
+        try:
+            return call.result()
+        except OSError as error:
+            if call.stop.is_set:  # Ctrl-C ended its workers too
+                raise Stopped from error
+            raise
     finally:
         restore()
 

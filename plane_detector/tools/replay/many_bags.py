@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import joblib
+from joblib.externals.loky import get_reusable_executor
 
 from plane_detector.process import one_thread
 from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
@@ -165,6 +166,11 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
             writer.writerows({**asdict(one), 'seconds': f'{one.seconds:.3f}'} for one in summaries)
         draft.publish()
     return summaries
+
+
+def kill_workers() -> None:
+    """End the processes of the pool on this machine at once."""
+    get_reusable_executor(reuse=True).shutdown(kill_workers=True)
 
 
 def replay_one(options: ReplayOptions) -> BagSummary:

@@ -160,17 +160,19 @@ def test_after_a_signal_or_a_killed_worker_the_same_command_does_the_rest(bags, 
         with start(bags, out) as process:
             wait_for(lambda: workers_of(process) or process.poll() is not None)
             by(process)
-            printed = process.communicate()
-        assert 'Traceback' not in printed[1]
-        return process.returncode, printed[1]
+            _, printed = process.communicate()
+        assert not workers_of(process)
+        return process.returncode, printed
 
     code, _ = interrupted(lambda process: os.killpg(process.pid, signal.SIGINT))  # Ctrl-C
     assert code == 130
-    code, _ = interrupted(lambda process: process.send_signal(signal.SIGTERM))
+    code, text = interrupted(lambda process: process.send_signal(signal.SIGTERM))
     assert code == 130
+    assert 'Traceback' not in text
     code, text = interrupted(lambda process: os.kill(workers_of(process)[0], signal.SIGKILL))
     assert code == 1
     assert 'a worker ended, at one of' in text
+    assert 'Traceback' not in text
     with start(bags, out) as process:
         printed = process.communicate()
     assert process.returncode == 0, printed
