@@ -61,6 +61,9 @@ def test_the_costmap_reads_an_output_that_there_is():
     assert source['obstacle_max_range'] <= source['raytrace_max_range']
     assert layer['z_voxels'] <= 16, 'the most that a voxel layer has'
     assert source['max_obstacle_height'] <= layer['z_voxels'] * layer['z_resolution']
+    drops = layers['drop_layer'][layers['drop_layer']['observation_sources']]
+    assert drops['topic'].removeprefix('/plane_detector/') in OUTPUTS
+    assert drops['marking'] and not drops['clearing'], 'rays pass over the edge'
 
 
 def test_the_lifecycle_manager_starts_the_node_without_autostart(monkeypatch):
