@@ -21,14 +21,10 @@ CAMERAS = {
     'long, f 2 w': CameraIntrinsics(1280.0, 1240.0, 340.0, 220.0, 640, 480),
     'small, 96 x 72': CameraIntrinsics(80.0, 84.0, 45.0, 37.0, 96, 72),
     'upright, 360 x 480': CameraIntrinsics(400.0, 390.0, 170.0, 250.0, 360, 480)}
-# Cells of one pixel are too small to fit planes to.
-SMALL = pytest.mark.xfail(reason='no planes in images of fewer than about 10 800 pixels')
-NAMES = [pytest.param(name, marks=SMALL if name.startswith('small') else ())
-         for name in CAMERAS]
 SEEDS = {name: (8200 + 2 * k, 8201 + 2 * k) for k, name in enumerate(CAMERAS)}
 
 
-@pytest.fixture(scope='module', params=NAMES)
+@pytest.fixture(scope='module', params=CAMERAS)
 def case(request):
     """Return a camera, its rooms, their planes, and the pairs of true and found planes."""
     camera = CAMERAS[request.param]
@@ -80,7 +76,7 @@ def test_centroid_count_rms_and_area_are_those_of_the_pixels(case):
         assert plane.area_m2 == pytest.approx(area_m2, rel=0.1)
 
 
-@pytest.mark.parametrize('name', NAMES)
+@pytest.mark.parametrize('name', CAMERAS)
 def test_errors_of_a_wall_are_as_large_as_stated(name):
     """The errors of normal and offset of 16 noisy walls, in units of their stated deviations."""
     camera, scores = CAMERAS[name], []
@@ -97,7 +93,7 @@ def test_errors_of_a_wall_are_as_large_as_stated(name):
     assert (rms > 0.2).all(), rms
 
 
-@pytest.mark.parametrize('name', NAMES)
+@pytest.mark.parametrize('name', CAMERAS)
 def test_a_relative_network_becomes_metric_by_height_and_gravity(name):
     camera = CAMERAS[name]
     scene = random_room(np.random.default_rng(8210), camera)
