@@ -155,6 +155,7 @@ def test_covariance_and_confidence_follow_from_the_fit(camera):
     sums, plane = np.zeros(SUMS), np.array([0.1, -0.3, 0.5])
     x, y = (grid.ravel() for grid in np.meshgrid(np.linspace(-0.1, 0.2, 30),
                                                  np.linspace(0.05, 0.3, 20)))
+    y = y + 0.5 * x
     design = np.stack([x, y, np.ones(600)])
     d = plane @ design
     sums[:10] = [600, x.sum(), y.sum(), x @ x, x @ y, y @ y, d.sum(), x @ d, y @ d, d @ d]
