@@ -142,11 +142,10 @@ class BagWriter:
                 self._connections[topic] = self._copied(bag, bag.connection(topic))
 
     def write(self, topic: str, time_ns: int, msg: Any) -> None:
-        """Write a message, or a serialised one; equal messages give equal bytes."""
+        """Write a message; equal messages give equal bytes."""
         kind = self._connections[topic].msgtype
         # The middleware leaves padding between fields uninitialised; rosbags writes zeros.
-        data = msg if isinstance(msg, bytes) else serialize_message(msg)
-        plain = self._types.deserialize_cdr(data, kind)
+        plain = self._types.deserialize_cdr(serialize_message(msg), kind)
         with self._writable():
             self._writer.write(self._connections[topic], time_ns,
                                self._types.serialize_cdr(plain, kind))

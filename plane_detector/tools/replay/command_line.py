@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from plane_detector.config import Config
 from plane_detector.depth.model_zoo import NETWORKS
+from plane_detector.node_config import NodeConfig
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Background, Stopped, leave
 from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
@@ -145,7 +146,8 @@ def until_signal(function: Callable[[], Result],
 
 
 def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:
-    config, settings = load_settings(arguments.params_file, _assignments(arguments))
+    config, settings = load_settings(arguments.params_file, _assignments(arguments),
+                                     NodeConfig(points_color='overlay'))  # as a viewer shows it
     return ReplayOptions(
         source=source, target=target, config=config, settings=settings,
         topics={role: name for role in TOPICS if (name := getattr(arguments, role))},

@@ -113,8 +113,7 @@ def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) ->
     if fitting:
         name = _only(bag, 'depth', [topic for topic, _ in fitting])
         return DepthChoice(replace(config, depth=replace(config.depth, source='topic')), name,
-                           f'{fitting[0][1]}, registered to the image; --network uses a network '
-                           'instead')
+                           f'{fitting[0][1]}, registered to the image')
     if others:
         return DepthChoice(config, '', (
             f'because {", ".join(what for _, what in others)} is not registered to the image '

@@ -90,8 +90,8 @@ class ReplayOptions:
         return hashlib.sha256(repr(content).encode()).hexdigest()[:16]
 
 
-def load_settings(params_file: Path | None, assignments: Sequence[str]
-                  ) -> tuple[Config, NodeConfig]:
+def load_settings(params_file: Path | None, assignments: Sequence[str],
+                  node: NodeConfig | None = None) -> tuple[Config, NodeConfig]:
     """
     Return the settings that the node would start with.
 
@@ -101,6 +101,8 @@ def load_settings(params_file: Path | None, assignments: Sequence[str]
         As for ``ros2 run`` after ``--params-file``.
     assignments : sequence of str
         As for ``ros2 run`` after ``-p``: ``depth.source:=topic``. They override the file.
+    node : NodeConfig, optional
+        Values of what is not set, instead of those of the node.
 
     Raises
     ------
@@ -117,7 +119,7 @@ def load_settings(params_file: Path | None, assignments: Sequence[str]
     unknown = sorted(name for name in unknown if not name.startswith(_OF_ROS))
     if unknown:
         raise ValueError(no_such_parameter(unknown, known))
-    return updated(Config(), values), updated(NodeConfig(), values)
+    return updated(Config(), values), updated(node or NodeConfig(), values)
 
 
 def _from_file(path: Path | None) -> Iterable[Parameter]:

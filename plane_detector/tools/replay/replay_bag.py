@@ -81,7 +81,9 @@ def replay(options: ReplayOptions, depth_model: ModelOrFunction | None = None,
             depth_use(config, processor.output), options.settings.stamp_slop,
             config.scale.imu_to_camera))
         tally = Tally(choice.describe(processor.detector.source.facts))
-        tell(f'Reading {", ".join(topics.names)} of {options.source}\nDepth: {tally.depth}')
+        remedy = '; --network uses a network instead' if choice.topic else ''
+        tell(f'Reading {", ".join(topics.names)} of {options.source}')
+        tell(f'Depth: {tally.depth}{remedy}')
         load_kernels(config, tell)
         with ReplayFiles(options.figures, options.ply, options.table,
                          bool(config.shapes.wanted)) as files:
@@ -114,25 +116,24 @@ def _process(reader: FrameReader, processor: FrameProcessor, writer: BagWriter,
             if index % options.every:
                 continue
             copies.take(frame)
-            stages, error = {}, ''
+            processed, error = None, ''
             try:
                 processed = processor.process(frame, wanted)
             except ValueError as raised:
                 error = str(raised)
                 tally.errors[error] += 1
             else:
-                stages = dict(processed.stage_seconds)
-                tally.stage_seconds.update(stages)
+                tally.stage_seconds.update(processed.stage_seconds)
                 facts |= tally.add(processed.result.detection, processor.detector.config,
                                    options.outputs)
                 with tally.timed('files'):
                     files.write(index, processed)
             with tally.timed('write'):
-                for name in options.outputs if not error else ():
+                for name in options.outputs if processed else ():
                     if name in processed.messages:  # some are not available for every frame
                         writer.write(_topic(name), time_ns, processed.messages[name])
                 writer.write(DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
-                    frame.image.header, index, tally, facts, stages, error))
+                    frame.image.header, index, tally, facts, processed, error))
             progress.update()
     except Stopped:
         tally.interrupted = True

@@ -16,7 +16,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
 
 from plane_detector.config import Config
-from plane_detector.ros.diagnostics import Report, status_to_msg
+from plane_detector.ros.diagnostics import Report, planes_status, status_to_msg
+from plane_detector.ros.frame_processor import FrameOutputs
 from plane_detector.ros.health import gap_of
 from plane_detector.types import Detection
 
@@ -128,14 +129,17 @@ def _scale_of(depth_source: str, detection: Detection) -> str:
 
 
 def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],
-                    stage_seconds: Mapping[str, float], error: str = '') -> DiagnosticArray:
+                    processed: FrameOutputs | None, error: str = '') -> DiagnosticArray:
     """Return the diagnostics of a frame, with the tally up to it; an error says it was skipped."""
+    stage_seconds = processed.stage_seconds if processed else {}
     total_s = sum(stage_seconds.values())
     report = Report(tally.processed, tally.without_partner, tally.skipped,
                     1 / total_s if total_s else 0.0, stage_seconds,
                     skipped_lately=bool(error), last_error=error)
     level, message = ((DiagnosticStatus.WARN, f'frame skipped: {error}') if error
                       else (DiagnosticStatus.OK, 'replayed'))
-    facts = {'frame': str(index), 'planes_in_all': str(tally.planes), **facts}
-    return DiagnosticArray(header=header, status=[
-        status_to_msg(REPLAY_NAME, level, message, report, facts)])
+    statuses = [status_to_msg(REPLAY_NAME, level, message, report,
+                              {'frame': str(index), **facts})]
+    if processed is not None:
+        statuses.append(planes_status(REPLAY_NAME, processed.result, tally.planes))
+    return DiagnosticArray(header=header, status=statuses)

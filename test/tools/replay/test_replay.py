@@ -96,7 +96,8 @@ def test_the_live_node_gives_the_same(bag, scenes, replay):
     robot = Robot()
     try:
         node = PlaneDetectorNode(context=robot.context, parameter_overrides=[
-            Parameter('depth.source', value='topic')])
+            Parameter('depth.source', value='topic'),
+            Parameter('points_color', value='overlay')])
         robot.add(node)
         assert robot.spin(lambda: node.state == 'active'), robot.log()
         names = {IMAGE: 'image', INFO: 'camera_info', DEPTH: 'depth'}

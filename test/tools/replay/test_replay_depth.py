@@ -15,6 +15,7 @@ from replay_helpers import (
     stamps_of,
 )
 from ros_helpers import image_msg
+from sensor_msgs.msg import PointCloud2
 
 from plane_detector.tools.replay.options import load_settings
 
@@ -47,8 +48,8 @@ def test_available_measured_depth_is_used(bag, scenes, replay):
     assert code == 0, text
     assert_true(target, scenes)
     line = (f"measured: {DEPTH} (160 x 120, 32FC1, frame_id 'camera_optical_frame'), registered "
-            'to the image; --network uses a network instead')
-    assert f'Depth: {line}' in text
+            'to the image')
+    assert f'Depth: {line}; --network uses a network instead' in text
     assert f'Scale of {len(scenes)} frames: metres, as measured' in text
     facts = facts_of(target)
     assert [one['frame'] for one in facts] == ['0', '1', '2', '3']
@@ -63,6 +64,19 @@ def test_the_diagnostics_have_the_stamps_of_the_images(bag, replay):
     assert {(msg.status[0].hardware_id, msg.status[0].name) for msg in messages} == {
         ('plane_detector', 'replay')}
     assert messages[-1].status[0].message == 'replayed'
+    assert all(value.value for msg in messages for value in msg.status[0].values)
+
+
+def test_the_planes_of_each_frame_are_a_table_in_the_diagnostics(bag, replay):
+    _, target, _ = replay(bag)
+    tables = [msg.status[1] for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
+    counts = [msg.width for msg in messages_of(target, '/plane_detector/planes', PointCloud2)]
+    assert {(table.name, table.hardware_id) for table in tables} == {
+        ('replay: planes', 'plane_detector planes')}
+    assert [(table.values[0].value, table.values[1].key, table.values[1].value)
+            for table in tables] == [(str(count), 'planes_in_all', str(sum(counts[:k + 1])))
+                                     for k, count in enumerate(counts)]
+    assert [len(table.values) for table in tables] == [2 + count for count in counts]
 
 
 def test_a_network_is_used_on_request_despite_measured_depth(
