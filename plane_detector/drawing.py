@@ -11,7 +11,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.disparity import valid_depth
-from plane_detector.geometry.label_places import LabelPlace, label_places
+from plane_detector.geometry.label_places import LabelPlace, label_edges, label_places
 
 # Colours next to each other in the list, those of the largest planes, differ most.
 PALETTE = np.array(
@@ -54,16 +54,8 @@ def label_colours(labels: np.ndarray) -> np.ndarray:
     return PALETTE[(np.asarray(labels).astype(np.int64) - 1) % len(PALETTE)]
 
 
-def label_image(labels: np.ndarray) -> np.ndarray:
-    """Return the colours of :func:`label_colours`, black for label 0; (H, W, 3) uint8."""
-    colours = np.zeros((256, 1, 3), np.uint8)
-    colours[1:len(PALETTE) + 1, 0] = PALETTE
-    of_label = np.arange(-1, int(labels.max(initial=0)), dtype=np.int64) % len(PALETTE) + 1
-    of_label[0] = 0
-    return cv2.applyColorMap(of_label.astype(np.uint8)[labels], colours)
-
-
-def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None) -> np.ndarray:
+def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None,
+         share: float = _COLOUR_SHARE) -> np.ndarray:
     """
     Return the image with its planes coloured.
 
@@ -75,6 +67,8 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
         Label of each pixel, 0 for no plane.
     colours : (N, 3) uint8, optional
         Of labels 0 to N - 1, RGB; default: those of the palette.
+    share : float
+        Of the plane's colour; the rest is that of the image.
 
     Returns
     -------
@@ -90,16 +84,16 @@ def tint(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = None)
     if rgb.shape[:2] != labels.shape:
         raise ValueError(f'the labels are {labels.shape}, the image {rgb.shape[:2]}')
     return _tinted(np.ascontiguousarray(rgb), np.ascontiguousarray(labels, np.int32),
-                   PALETTE if colours is None else colours[1:])
+                   PALETTE if colours is None else colours[1:], share)
 
 
 @kernel("uint8[:, :, ::1](Array(uint8, 3, 'C', readonly=True), "
         "Array(int32, 2, 'C', readonly=True), "
-        "Array(uint8, 2, 'C', readonly=True))")
-def _tinted(rgb, labels, colours):
+        "Array(uint8, 2, 'C', readonly=True), float64)")
+def _tinted(rgb, labels, colours, share):
     """Return the image with label k mixed with colour k - 1; the colours repeat."""
     result = np.empty(rgb.shape, np.uint8)
-    of_colour = np.uint32(round(256 * _COLOUR_SHARE))
+    of_colour = np.uint32(round(256 * share))
     added, last = np.zeros(3, np.uint32), 0
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
@@ -132,8 +126,7 @@ def overlay(rgb: np.ndarray, labels: np.ndarray, colours: np.ndarray | None = No
 
     """
     result = tint(rgb, labels, colours)
-    _draw_outlines(result, np.ascontiguousarray(labels, np.int32),
-                   max(1, round(labels.shape[0] / 480)))
+    _draw_outlines(result, labels)
     _draw_numbers(result, label_places(labels) if places is None else places)
     return result
 
@@ -204,24 +197,12 @@ def figure(panels: Sequence[tuple[str, np.ndarray]], columns: int = 2) -> np.nda
                       for start in range(0, len(framed), columns)])
 
 
-@kernel("void(uint8[:, :, ::1], Array(int32, 2, 'C', readonly=True), int64)")
-def _draw_outlines(rgb, labels, thickness_px):
-    """Make white where the right or lower neighbour has another label, and so far around."""
-    height, width = labels.shape
-    before, after = thickness_px - 1 - thickness_px // 2, thickness_px // 2
-    differs = np.zeros(-(-width // 8) * 8, np.uint8)
-    eight = differs.view(np.uint64)  # most pixels do not differ: read together
-    for v in range(height):
-        row, below = labels[v], labels[min(v + 1, height - 1)]
-        for u in range(width - 1):
-            differs[u] = (row[u] != row[u + 1]) | (row[u] != below[u])
-        differs[width - 1] = row[width - 1] != below[width - 1]
-        for k in range(len(eight)):
-            for u in range(8 * k, 8 * k + 8 if eight[k] else 0):
-                if differs[u]:  # loops: an assignment to a slice takes ten times as long
-                    for y in range(max(v - before, 0), min(v + after + 1, height)):
-                        for x in range(max(u - before, 0), min(u + after + 1, width)):
-                            rgb[y, x, 0] = rgb[y, x, 1] = rgb[y, x, 2] = 255
+def _draw_outlines(rgb: np.ndarray, labels: np.ndarray) -> None:
+    """Make white where the right or lower neighbour has another label; wider in large images."""
+    thickness_px = max(1, round(labels.shape[0] / 480))
+    white = cv2.dilate(255 * label_edges(labels).view(np.uint8),
+                       np.ones((thickness_px, thickness_px), np.uint8))
+    cv2.bitwise_or(rgb, cv2.merge([white] * 3), dst=rgb)
 
 
 def _draw_numbers(rgb: np.ndarray, places: Mapping[int, LabelPlace]) -> None:

@@ -66,6 +66,15 @@ def test_overlay_draws_white_borders_and_does_not_change_its_input():
     np.testing.assert_array_equal(labels, two_planes())
 
 
+@pytest.mark.parametrize(('height', 'thickness'), [(480, 1), (960, 2), (1440, 3)])
+def test_borders_are_thicker_in_larger_images(height, thickness):
+    labels = np.ones((height, 600), np.uint32)
+    labels[:, 300:] = 2
+    white = (overlay(np.zeros((height, 600, 3), np.uint8), labels) == 255).all(axis=-1)[50]
+    first = 299 - (thickness - 1) // 2
+    assert np.flatnonzero(white).tolist() == list(range(first, first + thickness))
+
+
 def test_overlay_writes_a_number_inside_each_plane():
     drawn, labels = overlay(GREY, two_planes()), two_planes()
     for label in (1, 2):

@@ -8,7 +8,7 @@ import numpy as np
 from sensor_msgs.msg import PointCloud2
 
 from plane_detector.compilation import kernel
-from plane_detector.drawing import label_image, tint
+from plane_detector.drawing import tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
@@ -74,7 +74,7 @@ def _xyz_to_msg(frame: ProcessedFrame, is_kept: np.ndarray) -> PointCloud2:
 def _colours(frame: ProcessedFrame) -> np.ndarray:
     """Return the colours of the cloud, (H, W, 3) uint8."""
     if frame.settings.points_color == 'label':
-        return label_image(frame.labels)
+        return tint(np.zeros_like(frame.rgb), frame.labels, share=1.0)
     if frame.settings.points_color == 'overlay':
         return tint(frame.rgb, frame.labels)
     return frame.rgb
