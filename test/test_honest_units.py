@@ -95,8 +95,9 @@ def test_no_metres_are_claimed_where_nothing_fixes_the_scale(robot, drawn, scene
     diagnosis = run(robot, scene, **values)
     assert diagnosis['scale'] == 'relative'
     assert reason in diagnosis['scale_note']
-    said = [f'{key}: {value}' for key, value in diagnosis.items()]
     statuses = [status for msg in robot.received['diagnostics'] for status in msg.status]
+    assert any(status.name.endswith(': planes') for status in statuses)
+    said = [f'{value.key}: {value.value}' for status in statuses for value in status.values]
     said += [status.message for status in statuses]
     for text in (*said, *robot.log().splitlines(), *captions(robot), *drawn):
         assert claims(text) == [], text

@@ -41,7 +41,7 @@ class OutputPublishers:
                 if publisher.get_subscription_count()]
 
     def publish(self, messages: Mapping[str, Any]) -> None:
-        """Publish messages, some of them serialised, by the names of their outputs."""
+        """Publish messages by the names of their outputs."""
         for name, msg in messages.items():
             self._publishers[name].publish(msg)
 
