@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from plane_detector.config import Config
+from plane_detector.config import Config, NodeConfig
 from plane_detector.depth.model_zoo import NETWORKS
-from plane_detector.node_config import NodeConfig
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Background, Stopped, leave
 from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
