@@ -24,6 +24,7 @@ from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_norm
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
+from plane_detector.segmentation.pixels.gaps import close_gaps
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.correlated_errors import reassign_cells
 from plane_detector.segmentation.regions.curved import find_curved
@@ -170,9 +171,13 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
     labels = label_pixels(frame, graph)
     labels, planes = add_small_planes(frame, labels, graph.planes, min_turn_deg)
     curved = find_curved(graph, noise_density, min_turn_deg)
-    owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
-                                     frame.config.segmentation)
+    owner, joined, config = graph.owner, graph.planes, frame.config.segmentation
+    if frame.noise.is_metric:
+        owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation, config)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
-    return rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])
+    labels, planes = rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])
+    if frame.noise.is_metric:
+        labels = close_gaps(labels, planes, frame.image, frame.grid, config.flatness_distance)
+    return labels, planes

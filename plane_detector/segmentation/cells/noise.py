@@ -108,6 +108,11 @@ class Noise:
         """The part of ``mean_sigma`` that bends whole planes, 1/m."""
         return self.mean_sigma * (1 - self.bending**-2) ** 0.5
 
+    @property
+    def is_metric(self) -> bool:
+        """Whether the disparity is 1/metres: only then is there a lower bound of the depth's."""
+        return self.depth_floor_m > 0
+
     def variance_floor(self, disparity: np.ndarray) -> np.ndarray:
         """Return the lower bound of the variance of pixels of this disparity."""
         return (self.depth_floor_m * disparity * disparity) ** 2 + self.disparity_floor**2
