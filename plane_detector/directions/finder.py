@@ -63,7 +63,7 @@ class CameraImage:
     covered : (H, W) bool or None
         Pixels that the image covers after rectification; None: all.
     disparity : (H, W) float32 or None
-        1/z of a network, without a shift; NaN invalid. Its floor may confirm the vertical.
+        1/z of a network, without a shift; NaN invalid. Its normals are evidence for the vertical.
 
     """
 
@@ -73,15 +73,13 @@ class CameraImage:
     disparity: np.ndarray | None = None
 
 
-def find_in_image(image: CameraImage, rng: np.random.Generator,
-                  coarse_down: np.ndarray | None = None) -> ImageDirections:
+def find_in_image(image: CameraImage, coarse_down: np.ndarray | None = None) -> ImageDirections:
     """
     Find the lines of an image and the directions common to them.
 
     Parameters
     ----------
     image : CameraImage
-    rng : numpy.random.Generator
     coarse_down : (3,) floating, optional
         Approximate unit direction of gravity; default: that of an upright camera.
 
@@ -89,7 +87,7 @@ def find_in_image(image: CameraImage, rng: np.random.Generator,
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
     surface = (None if image.disparity is None
                else surface_normals(image.disparity, image.intrinsics))
-    return ImageDirections(segments, find_directions(segments, rng, coarse_down, surface))
+    return ImageDirections(segments, find_directions(segments, coarse_down, surface))
 
 
 class Need(Enum):
@@ -144,7 +142,7 @@ class DirectionFinder:
         measured_down : (3,) floating or None
             Direction of gravity from a sensor.
         config : Config
-            Its ``scale``, ``directions`` and ``ransac.seed`` are used.
+            Its ``scale`` and ``directions`` are used.
         need : Need
             What the lines are needed for.
         may_hold : bool
@@ -157,9 +155,7 @@ class DirectionFinder:
         if need != Need.PLANES and (known.is_sure or not config.directions.gravity):
             return Surroundings(known, None)
         if self._tracked is None or not may_hold:
-            # The same seed for every image, so that a static one does not flicker.
-            rng = np.random.default_rng(config.ransac.seed)
-            alone = find_in_image(image, rng, known.gravity_camera)
+            alone = find_in_image(image, known.gravity_camera)
             self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
         lines = ImageDirections(self._tracked.segments, self._tracked.directions)
         return Surroundings(choose(lines.directions) if config.directions.gravity else known,

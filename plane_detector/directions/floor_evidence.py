@@ -1,11 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-The floor in a depth image as evidence for a vertical that the lines of the image give.
-
-Where only vertical lines are seen, a leaning ladder or fence gives the same lines as a wall. The
-floor of a depth network is independent of them.
-"""
+"""Normals of a network's depth, as evidence for the axes of the scene."""
 
 from __future__ import annotations
 
@@ -15,10 +10,6 @@ from plane_detector.types import CameraIntrinsics
 
 # derived: a cell of 16 pixels in an image of 640, about a cell of the segmentation.
 CELLS_PER_ROW = 40
-# Share of the image whose surface is perpendicular to the vertical within this angle.
-# tuned: fastdepth on frames of a Kinect, NYU and a living room: 0.07 to 0.19 in the 8 frames in
-# which the network sees the floor, at most 0.04 for directions 15 and 25 degrees off.
-MIN_FLOOR_SHARE, FLOOR_DEG = 0.06, 8.0
 
 
 def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
@@ -43,8 +34,3 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     r = inverse[1:-1, 1:-1] - p * x - q * y[:, None]
     normals = np.stack([p, q, r], axis=-1).reshape(-1, 3)
     return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True))
-
-
-def shows_floor(normals: np.ndarray, down: np.ndarray) -> bool:
-    """Return whether enough of the surface with normals (N, 3) is horizontal, seen from above."""
-    return bool(np.mean(normals @ down > np.cos(np.radians(FLOOR_DEG))) >= MIN_FLOOR_SHARE)

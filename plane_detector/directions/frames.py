@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of three perpendicular directions, proposed by line segments, scored and fitted."""
+"""Frames of three perpendicular directions, scored by and fitted to line segments."""
 
 from __future__ import annotations
 
@@ -12,14 +12,10 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.directions.line_segments import LineSegments
 
-# derived: if each axis has a fifth of the line length, 3 % of the triples are correct.
-HYPOTHESES = 600
 # Tolerances for a segment to point to a direction, at first and after the fit.
 # tuned: evaluation.benchmark.orientation directions, flat from 2 to 4 and from 1.5 to 2.5.
 SEARCH_TOLERANCE_DEG, FIT_TOLERANCE_DEG = 3.0, 2.0
 SEARCH_ROUNDS, FIT_ROUNDS = 2, 6
-# Sines of the angle between two segments; closer to parallel they propose no direction.
-MIN_CROSS, MIN_RIGHT_CROSS = 0.02, 0.05
 
 
 @dataclass(frozen=True)
@@ -98,47 +94,6 @@ def significance(weights: np.ndarray, points: np.ndarray, tolerance_deg: float,
     mean, square = 2.0 / 3.0 * share, 8.0 / 15.0 * share
     spread = np.sqrt((square - mean**2) * (weights**2).sum())
     return (points @ weights - mean * weights.sum()) / max(spread, 1e-12)
-
-
-def propose_frames(segments: LineSegments, rng: np.random.Generator) -> np.ndarray:
-    """
-    Return frames (C, 3, 3) from random triples; rows are axes.
-
-    Two segments propose a direction, d1 = n_i x n_j; the third one proposes the perpendicular
-    direction d2 = d1 x n_k.
-    """
-    normals = segments.normals / np.linalg.norm(segments.normals, axis=1, keepdims=True)
-    chosen = rng.choice(len(normals), (3, HYPOTHESES), p=segments.lengths / segments.lengths.sum())
-    first, second, third = normals[chosen]
-    x = np.cross(first, second)
-    y = np.cross(x, third)
-    length_x, length_y = np.linalg.norm(x, axis=1), np.linalg.norm(y, axis=1)
-    possible = (length_x > MIN_CROSS) & (length_y > MIN_RIGHT_CROSS * length_x)
-    x, y = x[possible] / length_x[possible, None], y[possible] / length_y[possible, None]
-    return np.stack([x, y, np.cross(x, y)], axis=1)
-
-
-def score_frames(segments: LineSegments, frames: np.ndarray) -> np.ndarray:
-    """Return the share (C,) of the line length that points to one of the three axes."""
-    return _scores(segments.normals, segments.midpoints, segments.lengths,
-                   np.ascontiguousarray(frames), np.sin(np.radians(SEARCH_TOLERANCE_DEG)))
-
-
-@kernel('float64[::1](float64[:, ::1], float64[:, ::1], float64[::1], float64[:, :, ::1], '
-        'float64)')
-def _scores(normals, midpoints, lengths, frames, widest):
-    scores = np.zeros(len(frames))
-    for k in range(len(frames)):
-        for i in range(len(lengths)):
-            best, n, m = widest * widest, normals[i], midpoints[i]
-            for axis in range(3):
-                d = frames[k, axis]
-                x, y = d[0] - m[0] * d[2], d[1] - m[1] * d[2]
-                cross = n[0] * d[0] + n[1] * d[1] + n[2] * d[2]
-                # As _sine, squared, which needs no root.
-                best = min(best, cross * cross / (x * x + y * y + 1e-12))
-            scores[k] += lengths[i] * (1.0 - best / (widest * widest))
-    return scores / max(lengths.sum(), 1e-12)
 
 
 def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = (0, 1, 2)

@@ -65,7 +65,7 @@ EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
 # their errors is 4 times the bend, nine of ten are below this.
 TILT_PER_BEND = 10.0
 # No plane is turned by more than this multiple of the error that its bend and its fit allow.
-MOST_TILTS = 3.0
+MOST_TILTS = 10.0
 # derived: the mean relative error of fastdepth's depth on frames of other cameras.
 DEPTH_ERROR_SHARE = 0.25
 # Sine of the angle to an axis; a closer normal has no usable component perpendicular to it.

@@ -45,7 +45,7 @@ def before_and_after(make, seed, sigma):
     regions = segment(1 / depth_m, metric_noise_floor(CONFIG, 0.004), CONFIG,
                       np.random.default_rng(0))
     planes, labels = measure_planes(regions, scene.intrinsics, 1000)
-    lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics), np.random.default_rng(0))
+    lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
     turned = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
     return scene, (planes, labels), measure_planes(turned, scene.intrinsics, 1000)
 

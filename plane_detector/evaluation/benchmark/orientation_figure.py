@@ -43,7 +43,7 @@ def write_figure(path: Path, kinds: Mapping[str, Callable], count: int, first_se
     panels = [panel for name, make in kinds.items()
               for panel in _extremes(name, make, range(first_seed, first_seed + count))]
     strokes = textures.clutter(np.random.default_rng(first_seed), textures.VGA)
-    found = find_in_image(CameraImage(strokes, textures.VGA), np.random.default_rng(0))
+    found = find_in_image(CameraImage(strokes, textures.VGA))
     panels.append(_panel('strokes', strokes, found, None))
     return write_sheet(path, panels, _COLUMNS, _PANEL_WIDTH_PX)
 
@@ -55,7 +55,7 @@ def _extremes(name: str, make: Callable, seeds: range) -> list[Panel]:
     refused: Panel | None = None
     for seed in seeds:
         scene = textures.textured(make, seed)
-        found = find_in_image(CameraImage(scene.rgb, scene.intrinsics), np.random.default_rng(0))
+        found = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
         if found.directions.gravity_camera is None:
             refused = refused or _panel(short, scene.rgb, found, None)
             continue

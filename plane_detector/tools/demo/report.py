@@ -99,8 +99,7 @@ def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
 
 
 def _directions(photograph: Photograph) -> SceneDirections:
-    return find_in_image(CameraImage(photograph.rgb, photograph.intrinsics),
-                         np.random.default_rng(0)).directions
+    return find_in_image(CameraImage(photograph.rgb, photograph.intrinsics)).directions
 
 
 def _print_directions(photograph: Photograph) -> None:
