@@ -28,12 +28,15 @@ MIN_REGION_CELLS = 100
 MIN_SHARE = 0.01
 # derived: 2 is a Gaussian, and with a larger power it is no covariance; sensors have about 1.
 MIN_POWER, MAX_POWER = 0.5, 2.0
-# The variance of the difference of two cells grows with this power of their distance, from 1 to 4
-# cells. Blurred noise has 1.37 to 1.55; frames of Kinects, of an ABW scanner and of simulated
-# sensors have 0.1 to 1.0.
+# The variance of the difference of two cells grows with a power of their distance. From 1 to 4
+# cells blurred noise has 1.37 to 1.55, frames of Kinects, of an ABW scanner and of simulated
+# sensors have 0.1 to 1.0; from 4 to 8 cells these still have 0.35 to 1.25, and noise blurred over
+# less than a cell or two has 0.
 # tuned: eight NYU frames, two table tops and fifteen ABW images labelled by hand, simulated
-# sensors, and rooms and lived-in rooms with blurred noise below seed 9000.
-ROUGHNESS_LAGS, SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING = (1, 4), 1.45, 2.5, 2.5
+# sensors, and rooms and lived-in rooms with blurred noise below seed 9000: flat from 1.4 to 1.5
+# and from 2.5 to 4; NYU -0.015 at 1.35, lived-in rooms -0.005 at 1.5.
+ROUGHNESS_LAGS = 1, 4, 8
+SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING, GROWTH_POWER = 1.45, 2.5, 2.5, 0.35
 
 
 @dataclass(frozen=True)
@@ -131,16 +134,19 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
     """
     labels, planes = np.ascontiguousarray(regions.labels), regions.coefficients
     is_used = in_large_regions(labels, len(planes)) & model.is_planar
-    near, far = (_differences(labels, planes, model.table, is_used, lag) for lag in ROUGHNESS_LAGS)
     own = (noise.pixel_sigma / model.grid.size_px) ** 2
-    variances = [(SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
-                 for moduli in (near, far)]
-    smooth_share = 1 - own / noise.mean_sigma**2 if noise.mean_sigma > 0 else 0.0
-    if min(variances) <= 0 or smooth_share <= 0 or noise.source_sigma > 0:
-        return 1.0
-    power = math.log2(variances[1] / variances[0]) / math.log2(ROUGHNESS_LAGS[1])
-    of_smooth = min(max(1 + BENDING_PER_POWER * (SMOOTH_POWER - power), 1.0), MAX_BENDING)
-    return (1 + (of_smooth**2 - 1) * smooth_share) ** 0.5
+    logarithms = []
+    for lag in ROUGHNESS_LAGS:
+        moduli = _differences(labels, planes, model.table, is_used, lag)
+        variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
+        if variance <= 0 or noise.source_sigma > 0 or noise.mean_sigma**2 <= own:
+            return 1.0
+        logarithms.append(math.log2(variance))
+    power = (logarithms[1] - logarithms[0]) / math.log2(ROUGHNESS_LAGS[1] / ROUGHNESS_LAGS[0])
+    growth = (logarithms[2] - logarithms[1]) / math.log2(ROUGHNESS_LAGS[2] / ROUGHNESS_LAGS[1])
+    excess = min(max(BENDING_PER_POWER * (SMOOTH_POWER - power), 0.0), MAX_BENDING - 1)
+    of_smooth = 1 + excess * min(max(growth / GROWTH_POWER, 0.0), 1.0)
+    return (1 + (of_smooth**2 - 1) * (1 - own / noise.mean_sigma**2)) ** 0.5
 
 
 @kernel('float64[::1](int32[:, ::1], float64[:, ::1], float64[:, ::1], boolean[::1], int64)',
