@@ -69,7 +69,7 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
     planes : (K, 3) float64
         a, b, c of each label in the coordinates of the cells.
     noise : Noise
-        Its floors bound the misfit of a plane below.
+        Its floors, and what is stated for the source, bound the misfit of a plane below.
 
     Returns
     -------
@@ -98,7 +98,8 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
     moved = moved[:labels.shape[0], :labels.shape[1]]
     moved = np.where(moved == -2, labels, moved)
     _undo_contradicted(moved, labels, disparity, planes, round(guide.reach_px),
-                       (noise.depth_floor_m, noise.disparity_floor))
+                       (noise.depth_floor_m,
+                        noise.disparity_floor + MOST_DEVIATIONS * noise.source_sigma))
     return moved
 
 
