@@ -141,7 +141,12 @@ def _label(frame: Frame, regions: PlaneRegions,
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
+    labels, planes = _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
+    if frame.noise.is_metric:
+        # With noise, pixels so near to a plane are within its noise.
+        labels = close_gaps(labels, planes, frame.image, frame.grid,
+                            frame.config.segmentation.flatness_distance)
+    return labels, planes
 
 
 def _measured(frame: Frame, regions: PlaneRegions,
@@ -171,13 +176,11 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
     labels = label_pixels(frame, graph)
     labels, planes = add_small_planes(frame, labels, graph.planes, min_turn_deg)
     curved = find_curved(graph, noise_density, min_turn_deg)
-    owner, joined, config = graph.owner, graph.planes, frame.config.segmentation
+    owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:
-        owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation, config)
+        owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,
+                                         frame.config.segmentation)
     names = np.arange(len(planes))
     names[:len(owner)] = owner
     names[curved] = -1
-    labels, planes = rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])
-    if frame.noise.is_metric:
-        labels = close_gaps(labels, planes, frame.image, frame.grid, config.flatness_distance)
-    return labels, planes
+    return rename_labels(labels, names), np.concatenate([joined, planes[len(joined):]])

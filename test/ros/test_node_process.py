@@ -158,7 +158,8 @@ def test_a_missing_network_is_reported_and_the_node_waits(start, robot, tmp_path
     node = start('-p', f'depth.model:={tmp_path / "missing.onnx"}',
                  '-p', 'depth.output:=metric_depth')
     diagnosis(robot, node)
-    assert robot.spin(lambda: 'missing.onnx' in robot.diagnosis()[1].get('last_error', ''), STARTED_S)
+    assert robot.spin(
+        lambda: 'missing.onnx' in robot.diagnosis()[1].get('last_error', ''), STARTED_S)
     assert robot.spin(lambda: robot.diagnosis()[1]['state'] == 'unconfigured')
     assert 'missing.onnx' in node.log()
     assert node.end(signal.SIGTERM) == 0

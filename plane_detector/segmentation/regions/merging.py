@@ -91,8 +91,8 @@ MAX_BULGE_VARIANCES = 3.5**2
 MAX_BOW_RATIO = 3.0
 # derived: about as many lines, and samples per line, as cells along the longer side of a piece.
 SIGHT_LINES = 24
-# derived: one normal deviate in 740 is below -3 deviations; cells next to each other share theirs.
-MAX_FARTHER_SHARE = 0.01
+# derived: three times the share of normal deviates below -3.
+MAX_FARTHER_SHARE = 0.004
 
 
 def merge_coplanar(cells: WeightedCells, graph: RegionGraph,
