@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Kernels are compiled once, into a cache that what is compiled names and only its user writes."""
 
-import fcntl
 import os
 import subprocess
 import sys
@@ -77,12 +76,6 @@ def test_changes_of_constants_and_callees_in_other_files_are_compiled(sample):
     assert sample(1, '-') == ['19.0']  # loaded, which takes no time to tell of
 
 
-def test_importing_the_package_does_not_import_numba():
-    code = ('import sys, plane_detector; plane_detector.segment_planes; '
-            'sys.exit("numba" in sys.modules)')
-    assert subprocess.run([sys.executable, '-c', code], check=False).returncode == 0
-
-
 def test_every_global_name_that_a_kernel_uses_is_part_of_the_digest():
     import plane_detector.pipeline
     import plane_detector.ros.outputs.topics  # noqa: F401 - these bring the kernels
@@ -128,42 +121,6 @@ def test_a_planted_folder_is_not_used(kind, folder, tmp_path, monkeypatch, caplo
     assert used.name.removeprefix('plane_detector-') not in (
         'elsewhere', str(os.getuid()))
     assert 'compiled again at each start' in caplog.text
-
-
-def test_progress_is_told_every_few_seconds(folder, kernels, monkeypatch):
-    monkeypatch.setattr(compilation, 'TELL_S', 0.0)
-    told = []
-    compilation.compile_kernels(['segmentation'], told.append)
-    assert told == []  # they belong to another folder
-    compilation.compile_kernels(['test_compilation'], told.append)
-    assert told[0].startswith('compiling the loops for this machine, once')
-    assert told[-1].endswith('of 2 loops')
-    assert [one(-3) for one in kernels] == [3, -6]
-
-
-@pytest.mark.parametrize('body', ['exit 1', 'exec sleep 3'], ids=['fails', 'does nothing'])
-def test_kernels_are_compiled_here_if_the_other_processes_fail(body, folder, kernels, tmp_path,
-                                                               monkeypatch):
-    program = tmp_path / 'python'
-    program.write_text(f'#!/bin/sh\n{body}\n', encoding='utf-8')
-    program.chmod(0o700)
-    monkeypatch.setattr(sys, 'executable', str(program))
-    compilation.compile_kernels(['test_compilation'])
-    assert [one(-3) for one in kernels] == [3, -6]
-
-
-def test_another_process_that_compiles_is_waited_for(folder, kernels):
-    """Else every worker of many bags compiles all kernels, at the same time."""
-    own = compilation.cache_folder() / kernels[0].digest
-    own.mkdir()
-    with open(own / 'lock', 'w', encoding='ascii') as other:
-        fcntl.flock(other, fcntl.LOCK_EX)
-        thread = threading.Thread(target=compilation.compile_kernels, args=(['test_compilation'],))
-        thread.start()
-        thread.join(0.2)
-        assert not any(one.is_ready for one in kernels)
-    thread.join()
-    assert all(one.is_ready for one in kernels)
 
 
 @pytest.mark.parametrize('is_short', [False, True])

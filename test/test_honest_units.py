@@ -12,12 +12,7 @@ from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.evaluation.scenes.rooms import attic, random_room
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
-from plane_detector.tools.demo.photographs import Photograph
-from plane_detector.tools.demo.report import Outcome, print_outcome, write_files
-from plane_detector.tools.demo.session import Received
-from plane_detector.tools.ply import write_ply
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
@@ -125,45 +120,3 @@ def test_metres_end_with_the_scale(robot):
     assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
     assert not any(claims(text) for text in captions(robot))
     assert 'scale: relative' in robot.log()
-
-
-@pytest.mark.parametrize('text, count', [
-    ('7: wall 2.31 m', 1), ('area 3m2', 1), ('floor 1.4 m below', 1), ('depth in metres', 1),
-    ('metric: metres of the network', 2), ('metric: the network does not give metres; fixed', 0),
-    ('latency.depth_ms: 12.00', 0), ('7: wall 2.31', 0), ('manhattan, unit unknown, +-1.2%', 0)])
-def test_what_a_claim_is(text, count):
-    assert len(claims(text)) == count
-
-
-@pytest.mark.parametrize('in_metres', [True, False])
-def test_a_cloud_file_says_whether_its_unit_is_known(tmp_path, in_metres):
-    path = tmp_path / 'cloud.ply'
-    write_ply(path, np.ones((1, 3)), np.ones((1, 3), np.uint8), np.ones(1, int), in_metres)
-    header = path.read_bytes().split(b'end_header')[0].decode()
-    assert bool(claims(header)) == in_metres
-    assert ('unit of length not known' in header) != in_metres
-
-
-@pytest.mark.parametrize('unit', ['units', 'm'])
-def test_the_files_and_lines_of_the_demo(tmp_path, capsys, drawn, unit):
-    points = np.zeros((240, 320), [(name, 'f4') for name in 'xyz'] + [('label', 'u4')])
-    points['z'] = ROOM.depth_m
-    planes = np.ones(2, [(name, 'f4') for name in (
-        'normal_x', 'normal_y', 'normal_z', 'd', 'rms', 'area')]
-        + [('label', 'u4'), ('num_inliers', 'u4'), ('class', 'u1')])
-    photograph = Photograph('room', ROOM.rgb, CAMERA, 'calibration as given', ROOM.depth_m)
-    received = Received(points, planes, ROOM.depth_m, unit, 1.0)
-    outcome = Outcome(photograph, 'room', 'depth from a network', received, points['label'])
-    paths = write_files(outcome, tmp_path)
-    print_outcome(outcome, [])
-    printed = capsys.readouterr().out
-    cloud = next(path for path in paths if path.suffix == '.ply').read_bytes()
-    said = [*printed.splitlines(), *drawn, cloud.split(b'end_header')[0].decode()]
-    assert any(claims(text) for text in said) == (unit == 'm')
-    assert ('[m]' in printed) == (unit == 'm')
-
-
-def test_classes_are_reported_without_a_unit(robot):
-    run(robot, ROOM, scale__gravity=ROOM.gravity_camera.tolist())
-    kinds = {kind.name.lower() for kind in (PlaneClass.FLOOR, PlaneClass.WALL)}
-    assert any(kind in text for text in captions(robot) for kind in kinds)

@@ -41,12 +41,6 @@ def test_metric_depth_is_segmented_unchanged():
     np.testing.assert_array_equal(found.depth_m, SCENE.depth_m)
 
 
-def test_a_plain_function_gives_metres():
-    found = PlaneDetector(Config(), lambda rgb: SCENE.depth_m).detect(SCENE.rgb, SMALL)
-    assert found.scale_method == 'metric'
-    assert found.planes
-
-
 def test_metric_disparity_gives_the_planes_of_the_depth():
     found, expected = detect(network('disparity')), detect(network('metric_depth'))
     assert found.scale_method == 'metric'
@@ -101,35 +95,6 @@ def test_metres_and_relative_disparity_of_one_scene_give_the_same_segments(noise
         assert np.mean(relative == metric) > 0.995
 
 
-def test_a_scene_ten_times_as_large_has_the_same_segments():
-    depth_m = with_disparity_noise(SCENE.depth_m, 0.002, np.random.default_rng(0))
-    room, hall = (labels_of(size * depth_m, 'metric_depth', 0.01) for size in (1, 10))
-    assert np.mean(room == hall) > 0.995
-
-
-def street_m(width=320, height=240):
-    """Return a street seen from above, 40 m, with two roofs at 25 and 30 m; and its parts."""
-    x, y = np.meshgrid(np.arange(width), np.arange(height))
-    depth_m = 1 / (1 / 40 + 2e-6 * (y - 120) + 1e-6 * (x - 160))
-    parts = np.zeros((height, width), int)
-    for part, (rows, columns, roof_m) in enumerate(
-            ((slice(20, 100), slice(20, 120), 25.0), (slice(120, 220), slice(200, 300), 30.0)), 1):
-        depth_m[rows, columns], parts[rows, columns] = roof_m, part
-    return depth_m, parts
-
-
-def test_street_and_roofs_from_above_are_separate():
-    depth_m, parts = street_m()
-    depth_m = with_disparity_noise(depth_m, 0.0001, np.random.default_rng(0)).astype(float)
-    camera = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
-    assert len(segment_planes(depth_m, camera, disparity_noise=0.004).planes) < 3, 'as in a room'
-    labels = labels_of(depth_m, 'metric_depth', 0.009)
-    most = [np.bincount(labels[parts == part] + 1).argmax() - 1 for part in range(3)]
-    assert min(most) >= 0 and len(set(most)) == 3
-    for part, label in enumerate(most):
-        assert np.mean(labels[parts == part] == label) > 0.95
-
-
 def test_measured_depth_needs_no_network():
     found = PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL, SCENE.depth_m)
     np.testing.assert_array_equal(found.labels, segment_planes(SCENE.depth_m, SMALL).labels)
@@ -138,34 +103,10 @@ def test_measured_depth_needs_no_network():
     assert found.scale_note == 'metric: measured depth'
 
 
-def test_missing_measured_depth_is_an_error():
-    with pytest.raises(ValueError, match='depth.source is topic'):
-        PlaneDetector(TOPIC).detect(SCENE.rgb, SMALL)
-
-
 def test_depth_of_another_size_than_the_image_is_refused():
     detector = PlaneDetector(Config(), lambda rgb: np.ones((4, 5), np.float32))
     with pytest.raises(ValueError, match='one size'):
         detector.detect(SCENE.rgb, SMALL)
-
-
-def test_intrinsics_of_another_size_are_refused():
-    with pytest.raises(ValueError, match='intrinsics'):
-        PlaneDetector(Config(), network('metric_depth')).detect(
-            SCENE.rgb, CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480))
-
-
-def test_every_stage_has_its_time():
-    metric, relative = detect(network('metric_depth')), detect(network('relative_disparity'))
-    assert {'depth', 'segmentation'} <= set(metric.stage_seconds)
-    assert {'depth', 'segmentation', 'scale', 'measurement'} <= set(relative.stage_seconds)
-    assert all(seconds >= 0 for seconds in relative.stage_seconds.values())
-
-
-def test_the_image_is_not_modified():
-    before = SCENE.rgb.copy()
-    detect(network('metric_depth'))
-    np.testing.assert_array_equal(SCENE.rgb, before)
 
 
 def test_pixels_outside_the_image_have_no_depth_and_no_plane():

@@ -40,31 +40,10 @@ def same_planes(first, second):
                                                            strict=True))
 
 
-def test_classes_need_nothing_but_the_image():
-    found = detect()
-    assert found.gravity_source == 'image'
-    assert np.degrees(np.arccos(found.gravity_camera @ SCENE.gravity_camera)) < 0.3
-    assert {PlaneClass.FLOOR, PlaneClass.WALL} <= set(found.classes)
-    assert found.horizontal_axes.shape == (2, 3)
-
-
 @pytest.mark.parametrize(('scale', 'measured', 'source'), [
     (GIVEN, {}, 'parameter'), (GIVEN, {'gravity_camera': SCENE.gravity_camera}, 'measured')])
 def test_the_image_comes_last(scale, measured, source):
     assert detect(Config(scale=scale), **measured).gravity_source == source
-
-
-def test_an_image_without_lines_changes_nothing():
-    found = detect(rgb=plain())
-    assert (found.gravity_source, set(found.classes)) == ('none', {PlaneClass.UNKNOWN})
-    assert 'straight lines' in found.gravity_note
-    assert same_planes(found, detect(Config(directions=OFF), rgb=plain()))
-
-
-def test_without_directions_no_lines_are_searched():
-    found = detect(Config(directions=OFF))
-    assert (found.gravity_source, found.gravity_note) == ('none', '')
-    assert found.horizontal_axes.shape == (0, 3)
 
 
 def test_floors_and_walls_of_a_network_are_turned_upright():
@@ -116,18 +95,3 @@ def test_lines_along_the_black_corners_of_rectification_do_not_count():
     covered[40:440, 60:580] = True
     rgb = np.where(covered[..., None], plain(), 0).astype(np.uint8)
     assert detect(rgb=rgb, covered=covered).gravity_note.startswith('0 straight lines')
-
-
-def test_a_reset_discards_the_directions():
-    detector = PlaneDetector(Config(), network())
-    detector.detect(SCENE.rgb, CAMERA)
-    detector.reset()
-    assert detector.detect(plain(), CAMERA).gravity_source == 'none'
-
-
-@pytest.mark.parametrize('shape', [(8, 8), (1, 40), (33, 500)])
-def test_images_of_any_size(shape):
-    camera = CameraIntrinsics(50.0, 50.0, shape[1] / 2, shape[0] / 2, shape[1], shape[0])
-    model = DepthFunction(lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32), 'metric_depth', 0)
-    assert PlaneDetector(Config(), model).detect(
-        np.zeros((*shape, 3), np.uint8), camera).gravity_source == 'none'

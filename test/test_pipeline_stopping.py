@@ -26,19 +26,6 @@ def test_no_stage_starts_after_a_stop():
         detector.detect(RGB, CAMERA)
 
 
-def test_the_stage_of_the_directions_does_not_start_after_a_stop():
-    detector = PlaneDetector(Config(), lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
-    stop = Stop()
-    seen = detector.observe(RGB, CAMERA)
-    stop.set()
-    with pytest.raises(Stopped), stop.applies():
-        detector.look(seen)
-    around = detector.look(seen)
-    assert around.seconds > 0
-    stages = detector.find_planes(seen, around).stage_seconds
-    assert stages['directions'] == around.seconds
-
-
 def test_the_search_looks_at_the_stop_before_every_pass(monkeypatch):
     """Over curved depth and with the largest settings, where one pass finds many planes."""
     stop, passes, find = Stop(), [], ransac.find_planes

@@ -21,13 +21,6 @@ from plane_detector.tools.replay.options import load_settings
 ROOT = Path(__file__).resolve().parents[1]
 RECIPES = sorted((ROOT / 'config').glob('recipe_*.yaml'))
 PARAMETER_FILES = [path for path in RECIPES if 'nav2' not in path.name]
-PAGE = (ROOT / 'docs' / 'recipes.md').read_text('utf-8')
-
-
-def test_every_recipe_is_on_the_page():
-    assert len(RECIPES) >= 4
-    for path in RECIPES:
-        assert f'](../config/{path.name})' in PAGE
 
 
 @pytest.mark.parametrize('path', PARAMETER_FILES, ids=lambda path: path.name)
@@ -94,10 +87,6 @@ def strings_of_the_code():
     """Return the sources with what joins strings over lines taken out."""
     text = '\n'.join(path.read_text('utf-8') for path in (ROOT / 'plane_detector').rglob('*.py'))
     return re.sub(r"'\s*\n\s*(?:\+ )?f?'", '', text)
-
-
-def test_the_page_lists_messages():
-    assert len(messages()) > 15
 
 
 @pytest.mark.parametrize('message', messages())

@@ -9,15 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from plane_detector.stopping import Background, Stop, Stopped, current_stop, raise_if_stopped
+from plane_detector.stopping import Background, Stop, Stopped, raise_if_stopped
 
 ROOT = Path(__file__).resolve().parents[1]
 STUCK_S = 20.0
-
-
-def test_work_without_a_stop_is_not_stopped():
-    raise_if_stopped()
-    assert not current_stop().is_set
 
 
 def test_a_stop_applies_within_only():
@@ -26,16 +21,6 @@ def test_a_stop_applies_within_only():
     with pytest.raises(Stopped), stop.applies():
         raise_if_stopped()
     raise_if_stopped()
-
-
-def test_error_handlers_do_not_catch_it():
-    stop = Stop()
-    stop.set()
-    with pytest.raises(Stopped), stop.applies():
-        try:
-            raise_if_stopped()
-        except Exception:
-            pytest.fail('taken for a fault')
 
 
 def test_the_callback_is_called_once_and_only_while_the_work_runs():
@@ -72,14 +57,6 @@ def test_an_uncut_block_is_completed_before_the_stop():
     assert done == ['whole', 'stopped']
     with pytest.raises(Stopped), stop.uncut():
         done.append('again')
-
-
-def test_a_background_call_gives_its_result_or_its_error():
-    ended = threading.Event()
-    assert Background(lambda: 3, 'three', ended.set).result() == 3
-    assert ended.wait(STUCK_S)
-    with pytest.raises(ValueError, match='no'):
-        Background(lambda: int('no'), 'failing').result()
 
 
 def test_a_background_call_stops_at_its_next_check():

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
-from onnxruntime import InferenceSession
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import onnx_session
@@ -57,43 +56,12 @@ def test_an_image_of_another_size_than_the_input_gives_depth_of_its_own_size(tmp
     np.testing.assert_allclose(found, 2.56, rtol=1e-5)
 
 
-def test_threads_of_the_network_do_not_spin_while_they_wait(tmp_path, monkeypatch):
-    """They would take the cores from the plane stage of the image before."""
-    sessions = []
-
-    def loaded(*arguments, **options):
-        sessions.append(InferenceSession(*arguments, **options))
-        return sessions[-1]
-    monkeypatch.setattr(onnx_session.ort, 'InferenceSession', loaded)
-    DepthEstimator(config_for(write_depth_network(tmp_path / 'n.onnx', height=48, width=64)))
-    entry = sessions[0].get_session_options().get_session_config_entry
-    assert entry('session.intra_op.allow_spinning') == '0'
-
-
 def test_scale_mean_and_std_are_applied(tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4, weights=(1, 10, 100))
     estimate = DepthEstimator(config_for(path, input_scale=0.5, mean=(1.0, 2.0, 3.0),
                                          std=(2.0, 4.0, 5.0), max_depth=1000.0))
     found = estimate(np.full((4, 4, 3), (10, 20, 30), np.uint8))
     np.testing.assert_allclose(found, (5 - 1) / 2 + 10 * (10 - 2) / 4 + 100 * (15 - 3) / 5)
-
-
-def test_disparity_keeps_its_meaning(tmp_path):
-    path = write_depth_network(tmp_path / 'n.onnx', height=4, width=4, weights=(1, 0, 0))
-    rgb = np.full((4, 4, 3), 51, np.uint8)
-    for output in ('disparity', 'relative_disparity'):
-        estimate = DepthEstimator(config_for(path, output=output))
-        assert estimate.output == output
-        np.testing.assert_allclose(estimate(rgb), 0.2, rtol=1e-6)
-
-
-def test_the_same_image_gives_the_same_depth(tmp_path):
-    path = write_depth_network(tmp_path / 'n.onnx')
-    rgb = np.random.default_rng(1).integers(0, 256, (50, 70, 3), dtype=np.uint8)
-    first = DepthEstimator(config_for(path, short_side=42))
-    second = DepthEstimator(config_for(path, short_side=42))
-    np.testing.assert_array_equal(first(rgb), first(rgb))
-    np.testing.assert_array_equal(first(rgb), second(rgb))
 
 
 def test_a_free_size_follows_the_short_side_or_the_given_sides(tmp_path):
@@ -136,26 +104,6 @@ def test_a_path_needs_the_meaning_of_its_output(tmp_path):
     estimate = DepthEstimator(config_for(path))
     assert (estimate.name, estimate.noise_share, estimate.focal_per_height) == (
         str(path), 0.0, 0.0)
-
-
-def test_a_missing_file_is_reported_with_the_available_networks():
-    with pytest.raises(ValueError, match='nowhere.onnx.*auto.*fastdepth'):
-        DepthEstimator(config_for('/nowhere.onnx'))
-
-
-def test_the_home_folder_is_expanded(tmp_path, monkeypatch):
-    write_depth_network(tmp_path / 'network.onnx', height=28, width=28)
-    monkeypatch.setenv('HOME', str(tmp_path))
-    assert DepthEstimator(config_for('~/network.onnx')).name == str(tmp_path / 'network.onnx')
-
-
-def test_a_network_that_fails_on_its_input_is_reported(tmp_path):
-    nodes = [helper.make_node('Reshape', ['image', 'to'], ['depth'])]
-    path = write_network(tmp_path / 'n.onnx', nodes, [('image', FLOAT, [1, 3, 'h', 'w'])],
-                         [('depth', FLOAT, [3, 4])],
-                         [onnx.numpy_helper.from_array(np.array([3, 4]), 'to')])
-    with pytest.raises(ValueError, match=r'\(1, 3, 14, 14\) fails, .*inputs: image .*depth'):
-        DepthEstimator(config_for(path, input_width=14, input_height=14))
 
 
 def test_a_file_that_is_not_a_network_is_refused(tmp_path):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of a network input that keeps a rate: with simulated times, and on ONNX Runtime."""
 
-import time
 
 import pytest
 from onnx_models import write_depth_network
@@ -10,8 +9,7 @@ from onnx_models import write_depth_network
 from plane_detector.config import DepthConfig
 from plane_detector.depth import estimator as estimators
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.input_rate import LOAD, REPEATS, largest_within, median_seconds, side_for
-from plane_detector.stopping import Stop, Stopped
+from plane_detector.depth.input_rate import LOAD, largest_within, side_for
 
 SIDES = tuple(range(98, 281, 14))
 PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0),
@@ -27,27 +25,6 @@ def test_the_largest_that_fits_is_found_from_two_times(limit_s):
     size, seconds = largest_within(SIDES, seconds_of, limit_s)
     assert size == max((s for s in SIDES if seconds_of(s) <= limit_s), default=SIDES[0])
     assert set(seconds) <= {98, 280}
-
-
-def test_one_size_needs_no_search():
-    assert largest_within((42,), seconds_of, 0.0) == (42, {42: seconds_of(42)})
-
-
-def test_the_first_run_does_not_count():
-    calls = []
-
-    def run():
-        calls.append(1)
-        if len(calls) == 1:
-            time.sleep(0.2)
-    assert median_seconds(run) < 0.1
-    assert len(calls) == 1 + REPEATS
-
-
-def test_timing_can_be_stopped():
-    stop = Stop()
-    with stop.applies(), pytest.raises(Stopped):
-        median_seconds(stop.set)
 
 
 @pytest.mark.parametrize(('share', 'side'), [(1.0, 280), (0.999, 266), (0.25, 140), (0.1, None)])
@@ -104,12 +81,6 @@ def test_advice_names_a_size_that_keeps_up(free):
     assert free.advise(0.5) == ("depth.short_side 196 (now 280) would keep up, or "
                                 "depth.target_rate at the camera's rate")
     assert 'no input size that is small enough' in free.advise(0.01)
-
-
-def test_advice_says_so_where_the_size_was_taken_for_a_lower_rate(free, timed):
-    timed.estimator = free
-    free.fit_to_rate(20.0, 0.0)
-    assert 'depth.short_side 140 (now 210, taken for depth.target_rate 20 Hz)' in free.advise(0.5)
 
 
 def test_real_times_find_an_input(free):

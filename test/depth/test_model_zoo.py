@@ -4,8 +4,6 @@ import os
 import socket
 import subprocess
 import sys
-import threading
-import time
 
 import pytest
 from zoo_helpers import CONTENT, SHA256, files_in, put, serving
@@ -63,16 +61,6 @@ def test_a_wrong_download_leaves_no_file(
     assert files_in(tmp_path) == []
 
 
-def test_an_interrupted_download_leaves_no_file(tmp_path):
-    def chunks():
-        yield b'abc'
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        download.write_verified(tmp_path / 'n.onnx', chunks(), SHA256)
-    assert files_in(tmp_path) == []
-
-
 def test_a_file_half_written_by_a_killed_process_is_not_used(tmp_path, monkeypatch, server):
     network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
     program = ('import os, sys; from pathlib import Path; '
@@ -95,6 +83,15 @@ def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path, monke
         fetch('fastdepth', tmp_path)
 
 
+def test_a_slow_server_is_abandoned(server, tmp_path, monkeypatch):
+    monkeypatch.setattr(download, 'GRACE_S', 0.5)
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/dripping.onnx'))
+    # 1280000 bytes at 50 a second would take seven hours.
+    with pytest.raises(NetworkUnavailableError, match=r'sent \d+ bytes in \d+ s, too slow'):
+        fetch('fastdepth', tmp_path)
+    assert files_in(tmp_path) == []
+
+
 def test_offline_errors_explain_the_download_by_hand(tmp_path, monkeypatch, silent_url):
     network = put(monkeypatch, 'fastdepth', UrlSource(silent_url + '/n.onnx'))
     with pytest.raises(FileNotFoundError) as caught:
@@ -112,18 +109,6 @@ def test_the_next_source_is_tried_if_one_lacks_the_file(server, tmp_path, monkey
     put(monkeypatch, 'fastdepth', *sources[:2])
     with pytest.raises(NetworkUnavailableError, match='404.*; the downloaded data has SHA-256'):
         fetch('fastdepth', tmp_path / 'elsewhere')
-
-
-def test_a_name_that_does_not_exist_is_refused(tmp_path):
-    with pytest.raises(ValueError, match='no network is called .nothing.; there are .*fastdepth'):
-        fetch('nothing', tmp_path)
-
-
-def test_a_folder_that_cannot_be_created_is_reported(tmp_path, monkeypatch, server):
-    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
-    (tmp_path / 'file').write_text('in the way')
-    with pytest.raises(NetworkUnavailableError, match='cannot be fetched.*file'):
-        fetch('fastdepth', tmp_path / 'file')
 
 
 def test_a_read_only_folder_is_reported_once_with_the_parameter(tmp_path, monkeypatch,
@@ -190,17 +175,6 @@ def wrapped(function, calls):
         calls.append(argument)
         return function(argument)
     return call
-
-
-def test_an_endless_name_lookup_does_not_delay_the_start(tmp_path, monkeypatch):
-    monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', 0.2)
-    ended = threading.Event()
-    monkeypatch.setattr(download.urllib.request, 'urlopen', lambda *_, **__: ended.wait(60))
-    start = time.monotonic()
-    with pytest.raises(ConnectionError, match='no answer within'):
-        next(download.url_chunks('https://example.invalid/n.onnx', 0, set()))
-    assert time.monotonic() - start < 30  # it did not wait for the look-up to end
-    ended.set()
 
 
 def test_the_cache_folder_follows_the_xdg_specification(monkeypatch, tmp_path):

@@ -27,14 +27,6 @@ PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
 TOPIC = Config(depth=DepthConfig(source='topic'))
 
 
-def test_the_kind_of_source_is_decided_once(tmp_path):
-    path = str(write_depth_network(tmp_path / 'n.onnx', height=6, width=8))
-    network = Config(depth=DepthConfig(model=path, output='metric_depth', **PLAIN))
-    assert isinstance(make_source(TOPIC, None), SensorDepth)
-    assert isinstance(make_source(network, None).model, DepthEstimator)
-    assert isinstance(make_source(TOPIC, lambda rgb: VALUES), ModelDepth), 'a model comes first'
-
-
 def test_a_network_is_a_depth_model(tmp_path):
     path = str(write_depth_network(tmp_path / 'n.onnx', height=6, width=8))
     estimator = DepthEstimator(DepthConfig(model=path, output='disparity', **PLAIN))
@@ -82,14 +74,6 @@ def test_noise_is_a_share_of_the_disparities_of_the_image_in_any_unit(output):
         assert replace(seen, noise_share=0.0).disparity_noise == 0.0
 
 
-def test_a_shift_does_not_change_the_noise_and_a_wall_that_fills_the_image_has_some():
-    ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
-    noise = [Observation(RGB, CAMERA, Config(), Prediction('relative_disparity', values),
-                         noise_share=0.1).disparity_noise for values in (
-                             ramp, ramp - 9, np.full((40, 40), 8.0), np.full((40, 40), np.nan))]
-    np.testing.assert_allclose(noise, [noise[0], noise[0], 0.1 * 2, 0], rtol=1e-5, atol=1e-30)
-
-
 @pytest.mark.parametrize('source', [
     SensorDepth(), ModelDepth(DepthFunction(lambda rgb: VALUES)),
     ModelDepth(DepthFunction(lambda rgb: np.where(VALUES > 0, 1 / VALUES, np.nan), 'disparity'))])
@@ -104,23 +88,8 @@ def test_invalid_or_too_far_depth_is_nan(source):
     np.testing.assert_array_equal(given, VALUES)
 
 
-def test_the_largest_depth_does_not_apply_to_an_unknown_unit():
-    source = ModelDepth(DepthFunction(lambda rgb: VALUES[1:2].repeat(6, 0), 'relative_disparity'))
-    found = source.observe(RGB, CAMERA, None, Config(depth=DepthConfig(max_depth=0.01)))
-    assert np.isfinite(found.prediction.values).all()
-
-
 def test_a_sensor_measures():
     found = SensorDepth().observe(RGB, CAMERA, VALUES, TOPIC)
     assert found.is_measured and found.noise_share == found.edge_blur_px == 0
     with pytest.raises(ValueError, match='depth.source is topic'):
         SensorDepth().observe(RGB, CAMERA, None, TOPIC)
-
-
-def test_restricted_to_what_the_image_covers():
-    covered = np.ones(VALUES.shape, bool)
-    covered[:, 0] = False
-    prediction = Prediction('metric_depth', VALUES[1:2].repeat(6, 0))
-    found = Observation(RGB, CAMERA, Config(), prediction).restricted_to(covered)
-    assert np.isnan(found.prediction.values[:, 0]).all() and np.isnan(found.disparity[:, 0]).all()
-    assert np.isfinite(found.prediction.values[:, 1:]).all()

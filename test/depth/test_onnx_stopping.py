@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A network that is running or warming up can be stopped."""
 
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -39,15 +38,5 @@ def test_the_warm_up_ends_too(tmp_path):
     assert not call.wait(0.5)
     call.stop.set()
     assert call.wait(STUCK_S)
-    with pytest.raises(Stopped):
-        call.result()
-
-
-def test_a_stop_before_the_call_prevents_it(tmp_path):
-    estimator = DepthEstimator(config(write_slow_network(tmp_path / 'slow.onnx')))
-    free = threading.Event()
-    call = Background(lambda: free.wait(STUCK_S) and estimator(BRIGHT), 'inference')
-    call.stop.set()
-    free.set()
     with pytest.raises(Stopped):
         call.result()

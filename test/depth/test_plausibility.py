@@ -55,12 +55,6 @@ def test_a_frame_without_depth_is_skipped_and_the_next_is_not(tmp_path):
     np.testing.assert_allclose(estimate(rgb)[[5, 40]], [[0.2], [1]] * np.ones((1, 64)), rtol=1e-5)
 
 
-def test_one_colour_may_have_one_depth(tmp_path):
-    path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(1, 0, 0))
-    found = load(path)(np.full((48, 64, 3), 51, np.uint8))
-    np.testing.assert_allclose(found, 0.2, rtol=1e-5)
-
-
 def write_corridor_network(path, *, disparity):
     """Write a network that sees a corridor in any image, a little of the image added."""
     truth_m = corridor()[1]
@@ -92,69 +86,3 @@ def test_depth_called_disparity_and_disparity_called_depth_are_refused(
 def test_correctly_declared_outputs_are_accepted(tmp_path, gives_disparity, output):
     path = write_corridor_network(tmp_path / 'n.onnx', disparity=gives_disparity)
     assert load(path, output).output == output
-
-
-def test_a_network_that_depends_only_on_colour_is_not_judged(tmp_path):
-    for weights in ((1, 0, 0), (0, 1, 3)):
-        path = write_depth_network(tmp_path / 'n.onnx', height=480, width=640, weights=weights)
-        for output in ('metric_depth', 'disparity', 'relative_disparity'):
-            assert load(path, output).output == output
-
-
-def sequence_network(path):
-    nodes = [helper.make_node('SequenceConstruct', ['image'], ['depth'])]
-    graph = helper.make_graph(
-        nodes, 'test', [helper.make_tensor_value_info('image', FLOAT, [1, 3, 8, 8])],
-        [helper.make_tensor_sequence_value_info('depth', FLOAT, [1, 3, 8, 8])])
-    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid('', 13)],
-                                ir_version=8), str(path))
-    return path
-
-
-def string_network(path):
-    return write_network(path, [helper.make_node('Cast', ['image'], ['depth'],
-                                                 to=onnx.TensorProto.STRING)],
-                         [('image', FLOAT, [1, 3, 8, 8])],
-                         [('depth', onnx.TensorProto.STRING, [1, 3, 8, 8])])
-
-
-def empty_network(path):
-    return write_network(
-        path, [helper.make_node('Slice', ['image', 'end', 'end', 'axis'], ['depth'])],
-        [('image', FLOAT, [1, 3, 8, 8])], [('depth', FLOAT, [1, 3, 0, 8])],
-        [numpy_helper.from_array(np.array([0]), 'end'),
-         numpy_helper.from_array(np.array([2]), 'axis')])
-
-
-def seen_empty_network(path):
-    """Write a network whose output turns out to be empty when it runs."""
-    nodes = [helper.make_node('ReduceMin', ['image'], ['least'], axes=[0, 1, 2, 3], keepdims=0),
-             helper.make_node('Sub', ['least', 'least'], ['nothing']),
-             helper.make_node('Cast', ['nothing'], ['zero'], to=onnx.TensorProto.INT64),
-             helper.make_node('Reshape', ['zero', 'one'], ['end']),
-             helper.make_node('Slice', ['image', 'first', 'end', 'axis'], ['depth'])]
-    return write_network(
-        path, nodes, [('image', FLOAT, [1, 3, 8, 8])], [('depth', FLOAT, [1, 3, 'h', 8])],
-        [numpy_helper.from_array(np.array([value]), name)
-         for name, value in (('one', 1), ('first', 0), ('axis', 2))])
-
-
-@pytest.mark.parametrize(('write', 'said'), [
-    (sequence_network, 'output depth must be a tensor of numbers'),
-    (string_network, 'output depth must be a tensor of numbers'),
-    (empty_network, 'output depth is empty'),
-    (seen_empty_network, r'output depth is \(1, 3, 0, 8\), which is empty')])
-def test_non_numeric_or_empty_outputs_are_refused_at_configure(
-        tmp_path, write, said):
-    with pytest.raises(ValueError, match=rf'n\.onnx does not fit: .*{said}.*inputs: image'):
-        load(write(tmp_path / 'n.onnx'))
-
-
-def test_the_corridor_has_one_grey_at_all_distances():
-    rgb, depth_m = corridor()
-    near_to_far = np.argsort(depth_m[::4, ::4].ravel())
-    greys = rgb[::4, ::4, 0].ravel()[near_to_far].astype(float)
-    means = [part.mean() for part in np.array_split(greys, 8)]
-    assert np.ptp(means) < 8
-    assert depth_m.min() > 1
-    assert depth_m.max() == 8

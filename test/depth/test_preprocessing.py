@@ -73,28 +73,6 @@ def test_sizes_keep_the_aspect_and_never_fall_below_the_short_side():
         lower_bound_size(4000, 2, 518, 14)
 
 
-def test_preparing_leaves_the_image_as_it_was():
-    rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    before = rgb.copy()
-    prepare_input(rgb, (40, 30), IMAGENET)
-    prepare_input(rgb, (20, 15), IMAGENET)
-    np.testing.assert_array_equal(rgb, before)
-
-
-def test_an_image_may_be_a_reversed_or_transposed_view():
-    rgb = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    for view in (rgb[..., ::-1], rgb[::-1, ::2], rgb.transpose(1, 0, 2)):
-        np.testing.assert_array_equal(prepare_input(view, (28, 14), IMAGENET),
-                                      prepare_input(view.copy('C'), (28, 14), IMAGENET))
-
-
-def test_shrinking_by_area_averages():
-    rgb = np.zeros((4, 4, 3), np.uint8)
-    rgb[::2] = 200
-    planes = prepare_input(rgb, (2, 2), InputRecipe(1 / 255, (0,) * 3, (1,) * 3, 'area'))
-    np.testing.assert_allclose(planes, 100 / 255, atol=1e-6)
-
-
 def test_depth_of_a_plane_stays_a_plane_when_it_is_enlarged():
     # 1/z = 0.2 + 0.01 u at pixel centres; enlarged 4 times, away from the repeated border.
     small_u = np.arange(16) * 4 + 1.5

@@ -15,9 +15,7 @@ from onnx_geometry_models import (
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.framing import Framing, rays
-from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.point_map import depth_from_point_map
-from plane_detector.depth.preprocessing import prepare_input
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics
 
@@ -84,13 +82,6 @@ def test_the_lens_is_that_of_the_image_and_not_of_the_input(tmp_path, monkeypatc
     np.testing.assert_allclose(found.values, 3.0, rtol=1e-4)
 
 
-def test_without_the_lens_such_a_network_is_refused(tmp_path, monkeypatch):
-    estimate = moge(monkeypatch, tmp_path)
-    assert estimate.needs_lens
-    with pytest.raises(ValueError, match='moge_2_small_normal needs the intrinsics'):
-        estimate(np.zeros((HEIGHT, WIDTH, 3), np.uint8))
-
-
 def test_a_file_with_other_outputs_than_in_the_zoo_is_refused(tmp_path, monkeypatch):
     put_in_cache(monkeypatch, MOGE, write_canonical_network(tmp_path / 'n.onnx'))
     with pytest.raises(ValueError, match='must have an input num_tokens of int64.*pixel_values'):
@@ -114,14 +105,6 @@ def test_noise_moves_the_shift_of_a_point_map_by_less_than_itself():
     assert abs(np.nanmedian(found - z)) < 0.01
 
 
-@pytest.mark.parametrize('valid', [False, True])
-def test_a_point_map_without_a_determined_shift_keeps_its_z(valid):
-    points = np.ones((4, 4, 3), np.float32)
-    found = depth_from_point_map(points, np.full((4, 4), valid), np.zeros((4, 4, 2), np.float32))
-    np.testing.assert_array_equal(np.isnan(found), not valid)
-    assert not valid or (found == 1).all()
-
-
 @pytest.mark.parametrize(('width', 'height', 'focal_at_input'), [
     (1064, 400, 500.0), (500, 616, 500.0), (532, 308, 1000.0)])
 def test_canonical_depth_becomes_metres_by_the_focal_length_at_the_input(
@@ -137,18 +120,6 @@ def test_canonical_depth_becomes_metres_by_the_focal_length_at_the_input(
     np.testing.assert_allclose(angles_deg(found.normals_camera), angle_deg_of(77), atol=1e-3)
     np.testing.assert_allclose(found.normal_confidence, 77 / 255, rtol=1e-4)
     assert found.normal_confidence.shape == (height, width)
-
-
-def test_a_letterboxed_image_lies_in_the_middle_of_the_colour_of_its_border():
-    recipe = NETWORKS[METRIC3D].recipe
-    rgb = np.full((480, 640, 3), (10, 20, 30), np.uint8)
-    planes = prepare_input(rgb, (1064, 616), recipe)
-    assert planes.shape == (3, 616, 1064)
-    left = (1064 - 821) // 2
-    inside = planes[:, :, left:left + 821]
-    np.testing.assert_allclose(np.moveaxis(inside, 0, -1) - (10, 20, 30), 0, atol=1e-5)
-    for border in (planes[:, :, :left], planes[:, :, left + 821:]):
-        np.testing.assert_allclose(np.moveaxis(border, 0, -1) - recipe.border_rgb, 0, atol=1e-5)
 
 
 def test_a_map_smaller_than_the_input_is_cropped_where_the_image_lies():

@@ -39,21 +39,6 @@ def test_an_instance_with_two_faces_has_two_planes():
     assert (labels[both == 0] == -1).all()
 
 
-def test_without_annotation_or_depth_there_is_no_plane():
-    nothing = np.zeros(WALL.labels.shape, int)
-    assert len(planes_of(nothing, WALL.depth_m)[1]) == 0
-    labels, planes = planes_of(nothing + 1, np.full_like(WALL.depth_m, np.nan))
-    assert len(planes) == 0
-    assert (labels == -1).all()
-
-
-def test_curved_instances_have_no_plane():
-    v, u = np.mgrid[0:240, 0:320]
-    ball_m = (3 - np.sqrt(np.maximum(1 - ((u - 160) / 150.0)**2 - ((v - 120) / 150.0)**2, 0)))
-    labels, planes = planes_of(np.ones(ball_m.shape, int), ball_m.astype(np.float32))
-    assert len(planes) == 0 or np.mean(labels >= 0) < 0.5
-
-
 @pytest.mark.parametrize(('noise_m', 'share'), [(0.01, 0.99), (0.1, 0.5)])
 def test_pixels_beyond_the_tolerance_are_left_out(noise_m, share):
     depth_m = WALL.depth_m + np.random.default_rng(0).normal(0, noise_m, WALL.depth_m.shape)

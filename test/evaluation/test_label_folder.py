@@ -30,12 +30,6 @@ def test_written_labels_can_be_read(tmp_path):
     np.testing.assert_array_equal(planes_of_frame(table, 7, np.array([1, 2])), PLANES)
 
 
-def test_the_number_of_a_frame_is_the_last_in_its_name(tmp_path):
-    for name in ('v2_frame_003.png', '0012.png', 'plane9-5.png'):
-        cv2.imwrite(str(tmp_path / name), np.zeros((2, 2), np.uint8))
-    assert sorted(label_files(tmp_path)) == [3, 5, 12]
-
-
 def test_names_without_number_or_with_the_same_are_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         label_files(tmp_path / 'nothing')
@@ -89,8 +83,3 @@ def test_invalid_tables_are_refused(tmp_path, line, message):
         f'frame,label,normal_x,normal_y,normal_z,d\n{line}\n')
     with pytest.raises(ValueError, match=message):
         read_plane_table(tmp_path)
-
-
-def test_a_label_without_plane_is_named():
-    with pytest.raises(ValueError, match=r'frame 3.*\[2\]'):
-        planes_of_frame({(3, 1): PLANES[0]}, 3, np.array([1, 2]))

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Frames from a file like nyu_depth_v2_labeled.mat, and its split."""
 
-import builtins
 
 import numpy as np
 import pytest
@@ -10,14 +9,11 @@ from nyu_files import nyu_room, write_nyu
 
 from plane_detector.evaluation.nyu_depth import (
     COLUMNS,
-    INTRINSICS,
     MAX_DEPTH_M,
     ROWS,
     NyuDepth,
     read_split,
-    without_border,
 )
-from plane_detector.geometry.projection import depth_to_points
 
 h5py = pytest.importorskip('h5py', reason='the extra plane_detector[benchmark] is missing')
 SEEDS = (9000, 9001)
@@ -39,28 +35,6 @@ def test_a_frame_is_turned_and_cut(path):
     assert frame.rgb.shape == (427, 561, 3), 'the size that the toolbox gives'
     assert (frame.rgb.dtype, frame.depth_m.dtype) == (np.uint8, np.float32)
     assert (frame.intrinsics.width, frame.intrinsics.height) == (561, 427)
-
-
-def test_points_are_where_they_were_before_the_cut(path):
-    frame, scene = NyuDepth(path).frame(1, 'filled'), nyu_room(SEEDS[0])
-    np.testing.assert_allclose(depth_to_points(frame.depth_m, frame.intrinsics),
-                               depth_to_points(scene.depth_m, INTRINSICS)[ROWS, COLUMNS],
-                               rtol=1e-5)
-    assert without_border(INTRINSICS) == frame.intrinsics
-
-
-def test_the_calibration_counts_pixels_from_0():
-    """The toolbox: x = (u - cx) / fx with u from 1."""
-    assert INTRINSICS.cx == pytest.approx(324.58244941)
-    assert INTRINSICS.cy == pytest.approx(252.73616633)
-
-
-def test_raw_depth_has_holes(path):
-    raw_m = NyuDepth(path).frame(1, 'raw').depth_m
-    assert np.isnan(raw_m[100 - ROWS.start:140 - ROWS.start,
-                          100 - COLUMNS.start:140 - COLUMNS.start]).all()
-    assert np.isfinite(raw_m).mean() > 0.9
-    assert np.nanmax(raw_m) < MAX_DEPTH_M
 
 
 def test_clamped_depth_is_unknown(tmp_path):
@@ -97,18 +71,6 @@ def test_errors_of_a_file_are_explained(path, tmp_path):
         file.frame(1, 'other')
 
 
-def test_without_h5py_the_extra_is_named(path, monkeypatch):
-    original = builtins.__import__
-
-    def missing(name, *arguments, **keywords):
-        if name == 'h5py':
-            raise ImportError(name)
-        return original(name, *arguments, **keywords)
-    monkeypatch.setattr(builtins, '__import__', missing)
-    with pytest.raises(ImportError, match=r'plane_detector\[benchmark\]'):
-        NyuDepth(path)
-
-
 def test_splits_of_matlab_of_both_formats_and_of_text(tmp_path):
     from scipy.io import savemat
     old, new, text = (tmp_path / name for name in ('splits.mat', 'splits73.mat', 'frames.txt'))
@@ -120,12 +82,3 @@ def test_splits_of_matlab_of_both_formats_and_of_text(tmp_path):
     text.write_text('1, 2\n9\n')
     assert read_split(old) == read_split(new) == read_split(text) == (1, 2, 9)
     assert read_split(old, 'train') == (3, 4)
-
-
-def test_an_invalid_split_is_refused(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        read_split(tmp_path / 'nothing.txt')
-    for content in ('', 'one two'):
-        (tmp_path / 'frames.txt').write_text(content)
-        with pytest.raises(ValueError, match=r'frames\.txt'):
-            read_split(tmp_path / 'frames.txt')

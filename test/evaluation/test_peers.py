@@ -28,11 +28,6 @@ def test_every_method_finds_a_wall_or_says_why_it_cannot(method):
     assert (planes[:, 3] >= 0).all()
 
 
-def test_modules_that_cannot_be_imported_are_reported_as_missing():
-    assert 'no_such_module_here' in peers._missing('no_such_module_here')
-    assert peers._missing('numpy') == ''
-
-
 def test_labels_are_renumbered_without_gaps():
     values = np.array([[0, 7], [3, 7]])
     np.testing.assert_array_equal(peers.relabelled(values, values > 0), [[-1, 1], [0, 1]])

@@ -23,11 +23,3 @@ def test_planes_are_fitted_to_their_pixels():
     scene = random_room(np.random.default_rng(2), SMALL)
     np.testing.assert_allclose(fit_planes(scene.labels, scene.depth_m, SMALL), scene.planes,
                                atol=2e-3)
-
-
-def test_a_label_without_depth_has_no_plane():
-    scene = random_room(np.random.default_rng(2), SMALL)
-    depth_m = np.where(scene.labels == 1, np.nan, scene.depth_m)
-    planes = fit_planes(scene.labels, depth_m, SMALL)
-    assert np.isnan(planes[1]).all()
-    assert np.isfinite(np.delete(planes, 1, axis=0)).all()

@@ -12,7 +12,6 @@ from plane_detector.geometry.disparity import (
     to_depth,
     to_disparity,
     valid_depth,
-    zero_filled,
 )
 
 INVALID = [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 0.9e-3, 1e-40]
@@ -28,10 +27,6 @@ def test_invalid_depth_has_no_disparity(value):
     np.testing.assert_array_equal(disparity, np.array([[np.nan, 0.25]], np.float32))
 
 
-def test_the_nearest_valid_depth_is_a_millimetre():
-    assert valid_depth(np.array([1e-3, 80.0])).all()
-
-
 def test_depth_to_disparity_and_back():
     depth_m = np.array([[0.5, 2.0, np.nan, 60.0]], np.float32)
     np.testing.assert_allclose(to_depth(to_disparity(depth_m)), depth_m, rtol=1e-6)
@@ -44,22 +39,8 @@ def test_disparity_of_no_depth_up_to_the_largest_is_invalid(disparity):
     np.testing.assert_array_equal(found, [[np.nan, 8.0]])
 
 
-def test_invalid_values_become_zeros_and_the_input_is_not_modified():
-    disparity = np.array([[0.5, np.nan, np.inf]], np.float32)
-    filled, valid = zero_filled(disparity)
-    np.testing.assert_array_equal(filled, [[0.5, 0.0, 0.0]])
-    np.testing.assert_array_equal(valid, [[True, False, False]])
-    assert np.isnan(disparity[0, 1])
-    assert filled.dtype == np.float32
-
-
 def test_the_range_ignores_outliers():
     disparity = np.tile(np.linspace(1.0, 3.0, 400, dtype=np.float32), (400, 1))
     disparity[:4] = 1000.0
     disparity[4:8] = np.nan
     assert disparity_range(disparity) == pytest.approx(2.0, rel=0.05)
-
-
-@pytest.mark.parametrize('value', [np.nan, 0.3])
-def test_the_range_is_above_zero(value):
-    assert disparity_range(np.full((20, 20), value)) > 0

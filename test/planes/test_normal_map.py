@@ -9,12 +9,9 @@ import pytest
 
 from plane_detector.config import Config
 from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.planes.normal_map import turned_by_normals
-from plane_detector.segmentation.segment import metric_noise_floor, segment
-from plane_detector.types import CameraIntrinsics, Prediction
+from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(300.0, 300.0, 159.5, 119.5, 320, 240)
 
@@ -52,10 +49,6 @@ class Network(DepthFunction):
         return replace(super().predict(rgb, intrinsics), normals_camera=self.normals_camera)
 
 
-def prediction(normals_camera):
-    return Prediction('metric_depth', np.zeros((240, 320), np.float32), normals_camera)
-
-
 def found_normal(depth_m, normals_camera):
     detector = PlaneDetector(Config(), Network(
         lambda rgb: depth_m.astype(np.float32), noise_share=0.02, normals_camera=normals_camera))
@@ -83,21 +76,3 @@ def test_inaccurate_normals_do_not_rotate_a_plane_of_accurate_depth():
 
 def test_equal_noise_meets_in_the_middle():
     assert error_deg(found_normal(wall_m(20), normal_map(10, noise_deg=0.0)), 15) < 0.5
-
-
-@pytest.mark.parametrize('normals', [
-    normal_map(-40), np.full((240, 320, 3), np.nan, np.float32)])
-def test_normals_of_another_surface_or_none_change_nothing(normals):
-    assert error_deg(found_normal(wall_m(20), normals), 20) < 0.2
-
-
-def test_a_plane_seen_edge_on_by_its_normals_keeps_its_own_and_the_input_its_values():
-    regions = segment(to_disparity(wall_m(70)), metric_noise_floor(Config(), 0.01), Config())
-    on_the_right = np.where(np.arange(320) > 200, regions.labels, -1).astype(np.int32)
-    regions, before = replace(regions, labels=on_the_right), regions.coefficients.copy()
-    turned = turned_by_normals(regions, prediction(normal_map(110)), CAMERA)
-    np.testing.assert_array_equal(turned.coefficients, before)
-    np.testing.assert_array_equal(regions.coefficients, before)
-    shrunk = replace(regions, labels=np.full_like(regions.labels, -1))
-    np.testing.assert_array_equal(
-        turned_by_normals(shrunk, prediction(normal_map(60)), CAMERA).coefficients, before)

@@ -52,13 +52,6 @@ def test_polygons_have_holes_and_all_patches_the_largest_first():
     assert corners[2] == {(80, 70), (80, 74), (94, 74), (94, 70)}
 
 
-def test_a_line_of_pixels_is_no_polygon():
-    mask = np.zeros((80, 100), bool)
-    mask[40, 10:60] = True
-    assert outlines(mask) == ([], [])
-    assert outlines(mask & False) == ([], [])
-
-
 def test_a_plane_seen_edge_on_has_finite_corners():
     floor = Plane(np.array([0.0, -1.0, 0.0]), 1.5, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
     polygon, = all_polygons(np.zeros((80, 100), np.int32), CAMERA, [floor])[0]

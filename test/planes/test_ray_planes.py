@@ -10,7 +10,7 @@ from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.scenes import rooms
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.planes.ray_planes import MIN_PIXELS, ray_planes
+from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
 from plane_detector.types import CameraIntrinsics
 
@@ -41,15 +41,6 @@ def test_coefficients_are_those_of_the_segmentation():
         v, u = np.argwhere(regions.labels == k)[0]
         own = a * (u - 159.5) / 320 + b * (v - 119.5) / 320 + c
         assert p * ray_x[u] + q * ray_y[v] + r == pytest.approx(own, abs=1e-7)
-
-
-def test_small_regions_and_lines_are_left_out():
-    scene = rooms.single_wall(SMALL)
-    labels, disparity = scene.labels.copy(), 1 / scene.depth_m
-    labels[0, :MIN_PIXELS - 1] = 1
-    labels[:, 319], disparity[:, 300:319] = 2, np.nan
-    planes = ray_planes(labelled_regions(disparity, labels), SMALL)
-    assert planes.labels.tolist() == [0]
 
 
 def test_the_information_covers_the_error_of_the_fit():

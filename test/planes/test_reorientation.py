@@ -97,13 +97,6 @@ def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, piec
     assert len(np.unique(turned.labels)) == pieces
 
 
-def test_offsets_fit_the_depth():
-    scene, _, (planes, _) = before_and_after(random_room, 300, 0.005)
-    level = [plane for plane in planes if plane.normal @ scene.gravity_camera < -0.999]
-    floor = max(level, key=lambda plane: plane.offset_m)
-    assert floor.offset_m == pytest.approx(scene.height_m, rel=0.03)
-
-
 def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
     camera = CameraIntrinsics.from_field_of_view(160, 120, 60.0)
     ray_y = np.broadcast_to((np.arange(120)[:, None] - camera.cy) / camera.fy, (120, 160))

@@ -3,10 +3,8 @@
 """Without a lifecycle manager: retried if that can help, or ended with an exit code."""
 
 import pytest
-from lifecycle_msgs.msg import Transition
-from node_helpers import change_state, start
+from node_helpers import start
 
-from plane_detector.depth.observation import SensorDepth
 from plane_detector.ros import autostart, lifecycle_node
 from plane_detector.ros.diagnostics import introduction
 from plane_detector.ros.spinning import CannotRunError
@@ -44,15 +42,6 @@ def test_a_wrong_setting_is_not_retried(robot, tries):
     assert len(tries) == 4
 
 
-def test_configuring_by_hand_ends_the_retries(robot, tries):
-    node = start(robot, lambda rgb: None, wait=False)
-    assert robot.is_logged('trying again')
-    tries.clear()
-    assert change_state(robot, Transition.TRANSITION_CONFIGURE)
-    robot.spin(timeout_s=0.5)
-    assert node.state == 'inactive'
-
-
 def test_with_exit_on_failure_the_spinning_ends_after_the_reason(robot, tries):
     start(robot, lambda rgb: None, wait=False, exit_on_failure=True)
     with pytest.raises(CannotRunError, match='exit_on_failure is true'):
@@ -67,16 +56,3 @@ def test_the_log_at_configure_is_three_lines():
     assert introduction(facts, topics, '/plane_detector/planes') == [
         'depth from a network, on a GPU', 'as requested',
         '/image, /camera_info -> /plane_detector/planes and the other outputs']
-
-
-def test_the_log_says_that_depth_is_measured():
-    topics = {'image': '/image', 'camera_info': '/camera_info'}
-    assert introduction(SensorDepth.facts, topics, '/planes')[0] == (
-        'depth from the depth topic, no network')
-
-
-def test_unknown_facts_are_not_logged(robot):
-    start(robot, lambda rgb: None)
-    lines = [line.split(']: ')[-1] for line in robot.log().splitlines() if 'INFO' in line]
-    assert len(lines) == 2
-    assert lines[0].startswith('depth from ')

@@ -34,12 +34,6 @@ def test_region_of_interest_and_binning():
     assert sent == CameraIntrinsics(250.0, 170.0, (319.5 - 100) / 2, (239.5 - 40) / 3, 200, 100)
 
 
-def test_binning_of_0_and_1_has_no_effect():
-    info = camera_info_msg(CAMERA)
-    info.binning_x = info.binning_y = 1
-    assert intrinsics_from_msg(info) == CAMERA
-
-
 def test_an_uncalibrated_camera_is_refused():
     info = camera_info_msg(CAMERA)
     info.k = [0.0] * 9

@@ -35,10 +35,6 @@ def test_the_last_error_stays_and_says_how_long_ago_it_was(now_s, add):
         now_s[0] += 30.0
 
 
-def test_without_an_error_there_are_no_rows_about_one(now_s):
-    assert not {'last_error', 'last_error_age_s'} & set(values_of(Statistics()))
-
-
 def test_rates_and_times_are_those_since_the_last_report(now_s):
     statistics = Statistics()
     for seconds in (0.1, 0.3):
@@ -68,9 +64,3 @@ def test_the_planes_are_a_table_after_their_number():
     assert measures == f'3.00 m, {width:.2f} x {height:.2f} m, rms 3 mm, 75 %'
     others = scene.detection(classes=(PlaneClass.OTHER, PlaneClass.OTHER_HORIZONTAL))
     assert [key for key, _ in table_of(others)] == ['planes', '7', '3 horizontal']
-
-
-def test_a_table_without_a_unit_does_not_say_metres():
-    table = table_of(scene.detection(scale_method='relative', classes=()))
-    assert all(' m' not in value for _, value in table)
-    assert table[1][1].startswith('3.00, ') and table[1][1].endswith('rms 0.003, 75 %')

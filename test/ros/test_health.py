@@ -72,13 +72,6 @@ def test_max_side_is_advised_for_large_images_with_the_measured_gain(robot):
     assert whole_ms > 520 > 126 < reduced_ms < whole_ms
 
 
-def test_a_silent_imu_does_not_hide_skipped_frames():
-    health = Health(SimpleNamespace(warning=print, info=print))
-    report = Report(0, 0, 5, 0.0, skipped_lately=True, last_error='encoding 8UC7')
-    assert health.status(report, 'nobody publishes /imu') == (
-        DiagnosticStatus.WARN, 'frames skipped: encoding 8UC7; nobody publishes /imu')
-
-
 def test_a_silent_imu_is_reported(robot):
     room = small_room()
     start(robot, lambda rgb: room.depth_m, use_imu=True)
@@ -99,18 +92,3 @@ def test_missing_classes_and_obstacles_are_reported(robot):
     assert robot.is_logged('points_without_floor is silent: the direction of gravity')
     assert robot.spin(lambda: robot.diagnosis()[0].level == DiagnosticStatus.WARN)
     assert 'scale.gravity' in robot.diagnosis()[0].message
-
-
-def test_the_image_topics_are_listed_if_none_arrives(robot):
-    from sensor_msgs.msg import Image
-    robot.node.create_publisher(Image, '/camera/color/image_raw', 1)
-    start(robot, lambda rgb: None)
-    assert robot.is_logged('--ros-args -r image:=/camera/color/image_raw')
-    assert robot.diagnosis()[0].level == DiagnosticStatus.WARN
-
-
-def test_the_source_of_gravity_is_in_the_facts():
-    health = Health(SimpleNamespace(warning=print, info=print))
-    health.note(detection((0, 0), gravity_note='only 3 straight lines'), ())
-    assert health.facts['gravity'] == 'none'
-    assert health.facts['gravity_note'] == 'only 3 straight lines'

@@ -75,18 +75,6 @@ def test_every_parameter_of_an_argument_exists(launched, file):
     assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1
 
 
-def test_switches_are_true_or_false(file):
-    choices = {name: rest['choices'] for name, rest in file['generate_launch_description']()[:-1]}
-    assert choices['use_imu'] == ['', 'true', 'false']
-    assert choices['rviz'] == ['false', 'true']
-    assert choices['image'] is None
-
-
 def test_a_profile_of_the_user_is_kept(launched, monkeypatch):
     monkeypatch.setenv(PROFILE, '/own.xml')
     assert launched()[0]['additional_env'] == {}
-
-
-def test_a_missing_file_is_an_error(launched):
-    with pytest.raises(FileNotFoundError, match=r'/nowhere\.yaml'):
-        launched(params_file='/nowhere.yaml')

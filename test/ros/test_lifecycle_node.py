@@ -23,7 +23,6 @@ from sensor_msgs.msg import CameraInfo, Imu
 from visualization_msgs.msg import Marker
 
 from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.drawing import label_colours
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import diagnostics
 
@@ -78,13 +77,6 @@ def test_from_the_image_through_a_network_to_the_outputs(robot, room, tmp_path):
     assert estimator() is not None
     assert change_state(robot, Transition.TRANSITION_CLEANUP)
     assert estimator() is None
-
-
-def test_no_plane_is_an_empty_cloud(robot, room):
-    start(robot, lambda rgb: np.full(rgb.shape[:2], np.nan, np.float32))
-    send(robot, room)
-    (planes,) = robot.wait_for('planes')
-    assert (planes.height, planes.width) == (1, 0)
 
 
 @pytest.mark.parametrize('encoding, scale', [('32FC1', 1.0), ('16UC1', 1000.0)])
@@ -182,14 +174,6 @@ def test_gravity_from_the_imu(robot, room):
     assert PlaneClass.FLOOR in cloud_array(robot.wait_for('planes')[0])[0]['class']
 
 
-def test_without_gravity_there_is_no_cloud_of_obstacles(robot, room):
-    start(robot, lambda rgb: room.depth_m, directions__gravity=False)
-    send(robot, room)
-    assert not cloud_array(robot.wait_for('planes')[0])[0]['class'].any()
-    robot.spin(timeout_s=0.3)
-    assert not robot.received['points_without_floor']
-
-
 def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
     disparity = (0.4 / room.depth_m - 0.03).astype(np.float32)
     start(robot, DepthFunction(lambda rgb: disparity, 'relative_disparity'))
@@ -201,15 +185,6 @@ def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
     assert_true_to(room, planes, labels)
     assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'depth_topic')
     assert robot.is_logged('depth_topic')
-
-
-def test_the_clouds_can_be_decimated(robot, room):
-    start(robot, lambda rgb: room.depth_m, points_decimation=4)
-    send(robot, room)
-    cloud = cloud_array(robot.wait_for('points')[0])
-    assert cloud.shape == (60, 80)
-    np.testing.assert_allclose(cloud['z'], room.depth_m[::4, ::4], rtol=1e-6)
-    assert image_array(robot.wait_for('labels')[0], '<u2').shape[:2] == (240, 320)
 
 
 def test_markers_of_lost_planes_and_earlier_nodes_are_deleted(robot, room):
@@ -248,18 +223,3 @@ def test_large_images_are_reduced_and_the_camera_info_fits(robot, room):
     assert info.k[2] == info.p[2] == (CAMERA.cx + 0.5) / 2 - 0.5
     for name, dtype in (('depth', '<f4'), ('labels', '<u2'), ('overlay', 'u1')):
         assert image_array(robot.wait_for(name)[0], dtype, -1).shape[:2] == (120, 160)
-
-
-def test_the_cloud_can_have_the_colours_of_the_overlay(robot, room):
-    start(robot, lambda rgb: room.depth_m, points_color='label')
-    send(robot, room)
-    cloud = cloud_array(robot.wait_for('points')[0])
-    packed = np.ascontiguousarray(cloud['rgb']).view(np.uint32)
-    assert not packed[cloud['label'] == 0].any()
-    for label in np.unique(cloud['label'][cloud['label'] > 0]):
-        expected = int(label_colours(label) @ np.array([1 << 16, 1 << 8, 1]))
-        assert set(packed[cloud['label'] == label].tolist()) == {expected}
-    markers = robot.wait_for('markers')[0].markers
-    colours = {m.id: (m.color.r, m.color.g, m.color.b) for m in markers if m.ns == 'outline'}
-    for label, colour in colours.items():
-        np.testing.assert_allclose(colour, label_colours(label) / 255.0, atol=1e-6)

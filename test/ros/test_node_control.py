@@ -11,32 +11,16 @@ from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, change_state, send, small_room, start
 from onnx_models import millimetres_as_rgb, write_depth_network
 from rcl_interfaces.srv import SetParameters
-from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 
 @pytest.fixture
 def room():
     return small_room()
-
-
-def test_an_estimator_that_fails_does_not_end_the_node(robot, room):
-    failures = [RuntimeError('out of memory')]
-
-    def estimate(rgb):
-        if failures:
-            raise failures.pop()
-        return room.depth_m
-
-    start(robot, estimate)
-    send(robot, room, 1.0)
-    assert robot.is_logged('out of memory (image of 1.000000000)')
-    send(robot, room, 2.0)
-    assert robot.wait_for('planes')[0].header == header(2.0)
 
 
 def test_on_demand_one_frame_per_call_that_is_answered_when_it_is_done(robot, room):
@@ -234,58 +218,11 @@ def test_reliability_follows_the_publishers(robot, room):
     assert [msg.header for msg in planes] == [header(s) for s in (1.0, 2.0, 3.0, 4.0)]
 
 
-@pytest.mark.parametrize('reliability', [ReliabilityPolicy.BEST_EFFORT,
-                                         ReliabilityPolicy.RELIABLE])
-def test_the_requested_reliability_is_never_higher_than_offered(robot, reliability):
-    incompatible = []
-    events = PublisherEventCallbacks(incompatible_qos=incompatible.append)
-    start(robot, lambda rgb: None)
-    publisher = robot.node.create_publisher(
-        Image, 'image', QoSProfile(depth=5, reliability=reliability), event_callbacks=events)
-    assert robot.spin(lambda: publisher.get_subscription_count() > 0)
-    robot.spin(timeout_s=0.5)
-    assert incompatible == []
-
-
 def test_reliable_asked_for_of_a_best_effort_camera_names_the_parameter(robot):
     start(robot, lambda rgb: None, input_reliability='reliable')
     robot.node.create_publisher(
         Image, 'image', QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
     assert robot.is_logged('the parameter input_reliability asks for reliable')
-
-
-def test_a_subscriber_whose_qos_does_not_fit_is_named_once(robot):
-    start(robot, lambda rgb: None)
-    robot.node.create_subscription(
-        PointCloud2, 'plane_detector/planes', lambda _: None,
-        QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-    misfit = f'{robot.node.get_name()} subscribes to /plane_detector/planes, but receives nothing'
-    assert robot.is_logged(f'{misfit}, because its QoS does not fit (volatile publisher and '
-                           'transient local subscription)')
-    robot.spin(timeout_s=1.5)
-    assert robot.log().count(misfit) == 1
-    assert '/plane_detector/points, but' not in robot.log()
-
-
-def test_an_override_of_the_reliability_is_kept(robot):
-    node = start(robot, lambda rgb: None, **{
-        'qos_overrides./image.subscription.reliability': 'best_effort',
-        'qos_overrides./plane_detector/points.publisher.depth': 7})
-    (info,) = node.get_subscriptions_info_by_topic('/image')
-    assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
-    for topic in ('planes', 'labels', 'markers', 'overlay', 'depth', 'plane_poses'):
-        assert node.has_parameter(f'qos_overrides./plane_detector/{topic}.publisher.reliability')
-    assert node.has_parameter('qos_overrides./diagnostics.publisher.depth')
-    assert node.get_parameter('qos_overrides./plane_detector/points.publisher.depth').value == 7
-
-
-def test_a_wrong_override_fails_with_the_reason(robot):
-    node = start(robot, lambda rgb: None, wait=False,
-                 **{'qos_overrides./image.subscription.reliability': 'perfect'})
-    assert robot.is_logged('perfect')
-    robot.spin(timeout_s=0.3)
-    assert node.state == 'inactive'
-    assert robot.diagnosis()[0].level == DiagnosticStatus.ERROR
 
 
 def test_a_paused_simulation_does_not_stop_the_node(robot, room):

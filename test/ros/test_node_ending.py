@@ -61,15 +61,6 @@ def test_the_node_answers_while_it_is_configured(robot, tmp_path):
     assert robot.call(GetState, 'plane_detector/get_state').current_state.label == 'configuring'
 
 
-@pytest.mark.parametrize('label', ['', 'configure'])
-def test_configuring_is_requested_by_number_or_label(robot, room, label):
-    node = start(robot, lambda rgb: room.depth_m, wait=False, autostart=False)
-    number = 0 if label else Transition.TRANSITION_CONFIGURE
-    request = ChangeState.Request(transition=Transition(id=number, label=label))
-    assert robot.call(ChangeState, 'plane_detector/change_state', request).success
-    assert node.state == 'inactive'
-
-
 def test_deactivating_does_not_wait_and_discards_the_frame(robot, room):
     estimate = Estimator(room.depth_m)
     node = start(robot, estimate)

@@ -84,9 +84,3 @@ def test_a_frame_without_transform_is_skipped_and_logged(robot):
     assert robot.is_logged('the frames are not connected'), 'the reason of TF itself'
     assert robot.spin(lambda: robot.diagnosis()[1]['frames_skipped'] == '1')
     assert not robot.received['planes']
-
-
-def test_without_tf2_the_node_says_what_to_install(robot):
-    node = start(robot, lambda rgb: ROOM.depth_m, wait=False, base_frame='base_footprint')
-    assert robot.is_logged('cannot be configured: base_frame and target_frame need tf2_ros')
-    assert node.state == 'unconfigured'

@@ -3,18 +3,15 @@
 """The node with good, bad, late, distorted and too many inputs."""
 
 import threading
-from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from node_helpers import CAMERA, assert_true_to, send, small_room, start
+from node_helpers import CAMERA, send, small_room, start
 from onnx_models import write_depth_network
-from ros_helpers import camera_info_msg, header, image_array, image_msg
+from ros_helpers import camera_info_msg, header, image_msg
 from sensor_msgs.msg import CompressedImage
-
-from plane_detector.ros import fault_log
 
 
 @pytest.fixture
@@ -76,27 +73,6 @@ def test_bad_frames_are_logged_and_skipped(robot, room):
     assert robot.wait_for('planes')[0].header == header(3.0)
 
 
-def test_a_kind_of_fault_is_logged_once_whatever_its_text(robot, room, monkeypatch):
-    monkeypatch.setattr(fault_log, 'WARN_PERIOD_S', 3.0)
-    node = start(robot, lambda rgb: room.depth_m)
-    robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
-
-    def skip(*frames):
-        for msg in frames:
-            count = node._statistics._skipped
-            robot.publish('image', msg)
-            assert robot.spin(lambda count=count: node._statistics._skipped > count)
-
-    unknown = [image_msg(room.rgb, f'rgb{bits}', 2.0) for bits in range(32, 40)]
-    other = image_msg(room.rgb[:100], 'rgb8', 2.0)
-    skip(*unknown[:4], other, *unknown[4:], other)
-    assert robot.log().count('frame skipped') == 2
-    assert [robot.log().count(text) for text in ("'rgb32'", '320 x 100')] == [1, 1]
-    robot.spin(timeout_s=3.0)
-    skip(unknown[1])
-    assert robot.spin(lambda: robot.log().count("'rgb33'") == 1), 'what stays is told again'
-
-
 def test_text_from_messages_is_cut_and_escaped(robot, room):
     start(robot, lambda rgb: room.depth_m)
     robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
@@ -108,17 +84,6 @@ def test_text_from_messages_is_cut_and_escaped(robot, room):
     assert max(map(len, lines)) < 600
     assert not any('\x1b[31mred' in line for line in lines)
     assert len(robot.diagnosis()[1]['last_error']) < 500
-
-
-def test_an_image_that_overtakes_the_calibration_of_its_size_is_processed(robot, room):
-    start(robot, lambda rgb: np.full(rgb.shape[:2], 2.0, np.float32))
-    send(robot, room, 1.0)
-    robot.wait_for('planes')
-    robot.publish('image', image_msg(room.rgb[:120, :160], 'rgb8', 1.1))
-    robot.spin(timeout_s=0.3)
-    robot.publish('camera_info', camera_info_msg(replace(CAMERA, width=160, height=120), 1.1))
-    assert robot.wait_for('planes', 2)[1].header == header(1.1)
-    assert robot.diagnosis()[1]['frames_skipped'] == '0'
 
 
 def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_path):
@@ -135,35 +100,6 @@ def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_pat
     assert 'n.onnx: its output is zero everywhere' in values['last_error']
     send(robot, room, 2.0)
     assert robot.wait_for('planes')[0].header == header(2.0)
-
-
-def test_depth_that_cannot_belong_to_the_image_is_skipped(robot, room):
-    start(robot, depth__source='topic')
-    robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
-    robot.publish('depth', image_msg(room.depth_m[:50], '32FC1', 1.0))
-    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
-    assert robot.is_logged('320 x 50')
-    send(robot, room, 2.0, depth=True)
-    assert robot.wait_for('planes')[0].header == header(2.0)
-
-
-def test_an_uncalibrated_camera_is_refused(robot, room):
-    start(robot, lambda rgb: room.depth_m)
-    info = camera_info_msg(CAMERA, 1.0)
-    info.k = [0.0] * 9
-    robot.publish('camera_info', info)
-    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
-    assert robot.is_logged('not calibrated')
-
-
-def test_a_calibration_that_is_not_finite_is_refused_in_plain_numbers(robot, room):
-    start(robot, lambda rgb: room.depth_m)
-    info = camera_info_msg(CAMERA, 1.0)
-    info.k[0] = float('nan')
-    robot.publish('camera_info', info)
-    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
-    assert robot.is_logged('must be finite, not CameraIntrinsics(fx=nan, fy=262.5, cx=159.5, '
-                           'cy=119.5, width=320, height=240)')
 
 
 def test_the_newest_frame_is_processed(robot, room):
@@ -186,20 +122,6 @@ def test_the_newest_frame_is_processed(robot, room):
     assert [msg.header for msg in planes] == [header(1.0), header(4.0)]
     assert robot.diagnosis()[1]['frames_dropped'] == '2'
     assert node.state == 'active'
-
-
-def test_region_of_interest_and_binning(robot, room):
-    """The node sees every second pixel of a part of the image, and finds the same planes."""
-    start(robot, lambda rgb: np.ascontiguousarray(room.depth_m[20:220:2, 40:300:2]),
-          directions__orient_planes=False)
-    info = camera_info_msg(CAMERA, 1.0)
-    info.roi.x_offset, info.roi.y_offset, info.roi.width, info.roi.height = 40, 20, 260, 200
-    info.binning_x = info.binning_y = 2
-    robot.publish('camera_info', info)
-    robot.publish('image', image_msg(room.rgb[20:220:2, 40:300:2], 'rgb8', 1.0))
-    (planes,) = robot.wait_for('planes')
-    labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
-    assert_true_to(replace(room, labels=room.labels[20:220:2, 40:300:2]), planes, labels)
 
 
 def test_a_distorted_camera_is_rectified(robot, room):

@@ -5,8 +5,6 @@
 import os
 import re
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -132,37 +130,6 @@ def test_a_signal_ends_a_download(start, monkeypatch, tmp_path):
     assert node.end(signal.SIGTERM) == 0
     assert 'Traceback' not in node.log()
     assert not list((tmp_path / 'cache').iterdir())
-
-
-def test_the_installed_program_takes_signals_before_the_long_imports():
-    setup = (ROOT / 'setup.py').read_text(encoding='utf-8')
-    module = re.search(r"'node = \{NAME\}(.*):main'", setup)[1]
-    program = f'import sys, plane_detector{module}; sys.exit("numpy" in sys.modules)'
-    assert subprocess.run([sys.executable, '-c', program], cwd=ROOT).returncode == 0
-
-
-def test_misspelt_parameters_are_reported_once(start, robot, tmp_path):
-    file = tmp_path / 'parameters.yaml'
-    file.write_text('/**:\n  ros__parameters:\n    use_sim_time: true\n    ransac: {sede: 3}\n')
-    node = start('-p', 'depth.source:=topic', '-p', 'segmentaton.max_planes:=3',
-                 '--params-file', str(file),
-                 '-p', 'qos_overrides./image.subscription.reliability:=best_effort')
-    assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active', STARTED_S)
-    (line,) = (line for line in node.log().splitlines() if 'no parameter has this name' in line)
-    assert 'WARN' in line
-    assert line.endswith(': ransac.sede (meant: ransac.seed?), '
-                         'segmentaton.max_planes (meant: segmentation.max_planes?)')
-
-
-def test_a_missing_network_is_reported_and_the_node_waits(start, robot, tmp_path):
-    node = start('-p', f'depth.model:={tmp_path / "missing.onnx"}',
-                 '-p', 'depth.output:=metric_depth')
-    diagnosis(robot, node)
-    assert robot.spin(
-        lambda: 'missing.onnx' in robot.diagnosis()[1].get('last_error', ''), STARTED_S)
-    assert robot.spin(lambda: robot.diagnosis()[1]['state'] == 'unconfigured')
-    assert 'missing.onnx' in node.log()
-    assert node.end(signal.SIGTERM) == 0
 
 
 def test_with_exit_on_failure_a_missing_network_is_exit_code_1(start, tmp_path):

@@ -78,13 +78,6 @@ def test_stamps_tell_how_many_images_were_sent(lost_share, jitter):
     assert found.are_few == (lost_share >= 0.3)
 
 
-def test_a_pause_of_the_camera_is_no_loss():
-    loss = ImageLoss()
-    for stamp_s in (*np.arange(0, 2, 1 / 30), *np.arange(4, 6, 1 / 30)):
-        loss.add_image(round(stamp_s * 1e9))
-    assert not loss.arrivals().are_few
-
-
 def test_a_parameter_file_for_another_node_is_told(robot, tmp_path, monkeypatch):
     other, own = tmp_path / 'other.yaml', tmp_path / 'own.yaml'
     other.write_text('front/planes: {ros__parameters: {max_side: 640}}\n'

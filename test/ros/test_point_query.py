@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 from geometry_msgs.msg import PointStamped, PoseStamped
-from lifecycle_msgs.msg import Transition
-from node_helpers import CAMERA, change_state, send, small_room, start
+from node_helpers import CAMERA, send, small_room, start
 from ros_helpers import FRAME_ID, cloud_array, header, image_array
 
 from plane_detector.config import NodeConfig
@@ -87,25 +86,3 @@ def test_a_click_is_answered_by_the_node_even_on_demand(robot):
     index = table['label'].tolist().index(label)
     assert robot.wait_for('plane_poses')[0].poses[index] == clicked.pose
     assert robot.is_logged(f'clicked point: plane {label}')
-
-
-def test_a_click_while_the_node_is_inactive_is_refused(robot):
-    node = start(robot, lambda rgb: small_room().depth_m)
-    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
-    robot.publish('clicked_point', click_at(FRAME_ID, (0.0, 0.0, 2.0)))
-    assert robot.is_logged('clicked point: the node is not active')
-    assert not node._query.is_waiting
-
-
-def test_a_click_that_waits_is_refused_when_the_node_is_deactivated(robot):
-    room = small_room()
-    node = start(robot, lambda rgb: room.depth_m)
-    robot.listen(PoseStamped, '/plane_detector/clicked_plane', 'clicked')
-    robot.publish('clicked_point', click_at(FRAME_ID, (0.0, 0.0, 2.0)))
-    assert robot.spin(lambda: node._query.is_waiting)
-    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
-    assert robot.is_logged('clicked point: the node is not active')
-    assert change_state(robot, Transition.TRANSITION_ACTIVATE)
-    send(robot, room, 1.0)
-    robot.wait_for('planes')
-    assert not robot.received['clicked']

@@ -50,31 +50,12 @@ def test_gravity_suffices_for_a_floor_and_walls_of_any_azimuth():
     assert found.tau == pytest.approx(TAU, abs=1e-6)
 
 
-def test_one_plane_alone_is_refused():
-    found = estimate_shift(planes([-DOWN], [1.5], [1.0]), -0.5, AXES)
-    assert 'in any room' in found.refusal
-
-
-def test_walls_that_are_upright_for_any_shift_are_refused():
-    """A horizontal camera sees vertical planes as vertical with any shift."""
-    level = np.array([0.0, 1.0, 0.0])
-    walls = [np.array([np.sin(a), 0.0, -np.cos(a)]) for a in np.radians([20, 50])]
-    found = estimate_shift(planes(walls, [3.0, 3.0], [0.5, 0.5]), -0.5, level[None])
-    assert found.refusal
-
-
 def test_planes_that_do_not_agree_are_refused():
     rng = np.random.default_rng(0)
     normals = rng.normal(0, 1, (6, 3)) - [0, 0, 2]
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     assert estimate_shift(planes(normals, np.full(6, 2.0), np.full(6, 1 / 6)), -0.5,
                           AXES).refusal
-
-
-def test_depth_stays_positive():
-    found = estimate_shift(planes([-DOWN, -AXES[2], AXES[1]], [1.5, 4.0, 2.0], [0.4, 0.4, 0.2]),
-                           -TAU - 1.0, AXES)
-    assert found.refusal or found.tau > TAU + 1.0
 
 
 def test_noise_shows_in_the_sigma():

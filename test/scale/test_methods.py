@@ -35,12 +35,6 @@ def median_depth_error(scene, scale):
     return np.nanmedian(np.abs(depth_m / scene.depth_m - 1.0))
 
 
-def test_depth_and_disparity_are_each_others_inverse():
-    depth_m = np.array([[2.0, np.nan, 0.0, -1.0, np.inf]], np.float32)
-    disparity = to_disparity(depth_m)
-    np.testing.assert_array_equal(disparity, [[0.5, np.nan, np.nan, np.nan, np.nan]])
-
-
 def test_depth_beyond_the_largest_is_invalid_only_where_there_are_metres():
     scene = room()
     fixed = estimate(scene, method='fixed', disparity_scale=1.0)
@@ -59,16 +53,6 @@ def test_without_knowledge_the_scale_is_relative_with_reasons():
         assert f'{method}: ' in scale.note
 
 
-def test_relative_depth_is_positive_and_one_in_the_middle():
-    scene = room()
-    disparity = relative_disparity(scene.depth_m)
-    disparity -= np.median(disparity)
-    scale = estimate_scale(evidence(scene, disparity), ScaleConfig(method='none'))
-    depth = apply_scale(disparity, scale)
-    assert np.nanmedian(depth) == pytest.approx(1.0, rel=0.05)
-    assert np.isfinite(depth).mean() > 0.98
-
-
 def test_metric_network_keeps_its_metres():
     scene = room()
     disparity = to_disparity(scene.depth_m)
@@ -82,12 +66,6 @@ def test_a_relative_network_is_never_taken_for_a_metric_one():
     assert not scale.is_metric and scale.method == 'relative'
 
 
-def test_fixed_takes_the_given_numbers():
-    scale = estimate(room(), method='fixed', disparity_scale=SCALE, disparity_shift=SHIFT)
-    assert (scale.scale, scale.shift, scale.is_metric) == (SCALE, SHIFT, True)
-    assert not estimate(room(), method='fixed').is_metric
-
-
 @pytest.mark.parametrize('seed', [3, 5, 16])
 def test_camera_height_is_exact_without_noise(seed):
     scene = room(seed)
@@ -97,24 +75,10 @@ def test_camera_height_is_exact_without_noise(seed):
     assert median_depth_error(scene, scale) < 2e-3
 
 
-def test_camera_height_needs_a_floor():
-    wall = scenes.single_wall(SMALL)
-    scale = estimate(wall, known=upright(wall), method='camera_height', camera_height=1.5)
-    assert not scale.is_metric and 'floor' in scale.note
-
-
 def test_camera_height_needs_a_direction_known_well():
     scene = room()
     scale = estimate(scene, known=upright(scene, 20.0), method='camera_height', camera_height=1.5)
     assert not scale.is_metric and 'too inaccurate' in scale.note
-
-
-def test_gravity_may_have_any_length():
-    scene = room()
-    known = {**upright(scene), 'gravity_camera': 9.81 * scene.gravity_camera}
-    scale = estimate(scene, known=known, camera_height=scene.height_m)
-    assert scale.method == 'camera_height'
-    assert median_depth_error(scene, scale) < 2e-3
 
 
 def test_right_angles_fix_the_angles_but_claim_no_metres():
@@ -165,17 +129,6 @@ def test_rooms_without_right_angles_are_not_bent(make):
     assert refused >= 18
 
 
-def test_two_planes_alone_are_not_called_perpendicular():
-    floor = scenes.Rectangle(np.array([-50.0, -50.0, 0.0]), np.array([100.0, 0, 0]),
-                             np.array([0, 100.0, 0]))
-    wall = scenes.Rectangle(np.array([-50.0, 3.0, 0.0]), np.array([100.0, 0, 0]),
-                            np.array([0, 0, 50.0]))
-    scene = scenes.render([floor, wall], scenes.camera_rotation(10, -15, 0),
-                          np.array([0, 0, 1.5]), SMALL, np.random.default_rng(0))
-    scale = estimate(scene, method='manhattan')
-    assert not scale.has_true_angles and scale.note
-
-
 @pytest.mark.parametrize('gain, offset', [(7.0, 0.0), (0.01, -3.0), (1.0, 40.0)])
 def test_the_networks_own_unit_does_not_matter(gain, offset):
     scene = room()
@@ -211,21 +164,3 @@ def test_images_without_information_give_relative(disparity):
                       sensor_depth_m=disparity), ScaleConfig(camera_height=1.0))
     assert scale.method == 'relative'
     assert apply_scale(disparity, scale).shape == disparity.shape
-
-
-def test_metres_of_a_sensor_or_network_need_no_planes():
-    def find_planes():
-        raise AssertionError('the planes are not needed')
-    for known in ({'is_measured': True}, {}):
-        evidence = ScaleEvidence(np.ones((8, 8)), find_planes, 'metric_depth', **known)
-        assert estimate_scale(evidence).method == 'metric'
-
-
-def test_inputs_are_not_modified():
-    scene = room()
-    disparity = relative_disparity(scene.depth_m)
-    seen = evidence(scene, disparity, **upright(scene))
-    before = disparity.copy(), seen.planes.coefficients.copy()
-    estimate_scale(seen, ScaleConfig(camera_height=1.0))
-    np.testing.assert_array_equal(disparity, before[0])
-    np.testing.assert_array_equal(seen.planes.coefficients, before[1])

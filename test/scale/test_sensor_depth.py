@@ -35,10 +35,3 @@ def test_measured_depth_that_does_not_determine_the_scale_is_refused():
     noisy = 2.0 + 0.01 * np.random.default_rng(0).standard_normal(wall_m.shape)
     assert 'varies too little' in fit_measured_depth(noisy, wall_m).refusal
     assert fit_measured_depth(-disparity, scene.depth_m).refusal
-
-
-def test_one_depth_everywhere_is_refused_however_it_is_rounded():
-    one = np.ones((60, 80), np.float32)
-    for depth_m, disparity in np.random.default_rng(0).uniform(0.2, 12.0, (200, 2)):
-        fit = fit_measured_depth(np.float32(disparity) * one, np.float32(depth_m) * one)
-        assert 'varies too little' in fit.refusal

@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, best_iou, cell_model, disparity_image, view, wall
+from cell_helpers import EXACT, best_iou, disparity_image, view, wall
 
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
@@ -15,7 +15,6 @@ from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 from plane_detector.segmentation.segment import MIN_TURN_DEG
-from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()
 NEAR_M, LEFT_M, RIGHT_M = 1.9, 2.0, 2.3
@@ -40,8 +39,8 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     return frame, labels, regions.coefficients, MIN_TURN_DEG
 
 
-@pytest.mark.parametrize('width_px', [8, 10, 12, 14, 16, 18])
-@pytest.mark.parametrize('roll_deg', [0.0, 5.0, 10.0, 20.0])
+@pytest.mark.parametrize('width_px', [8, 13, 18])
+@pytest.mark.parametrize('roll_deg', [0.0, 10.0])
 def test_a_narrow_strip_is_found(width_px, roll_deg):
     scene = strip(width_px, roll_deg)
     found = segment_planes(scene.depth_m, scene.intrinsics)
@@ -49,21 +48,6 @@ def test_a_narrow_strip_is_found(width_px, roll_deg):
     assert best_iou(scene, found.labels).min() > 0.8
     offsets_m = sorted(plane.offset_m for plane in found.planes)
     np.testing.assert_allclose(offsets_m, [NEAR_M, LEFT_M, RIGHT_M], atol=2e-3)
-
-
-@pytest.mark.parametrize('roll_deg', [0.0, 10.0])
-def test_the_others_are_unchanged(roll_deg):
-    scene = strip(12, roll_deg)
-    given = before_narrow(scene.depth_m)
-    before = given[1].copy()
-    assert len(given[2]) == 2, 'whole cells do not find the strip'
-    labels, planes = add_small_planes(*given)
-    assert len(planes) == 3
-    np.testing.assert_array_equal(planes[:2], given[2])
-    np.testing.assert_array_equal(labels[before >= 0], before[before >= 0])
-    np.testing.assert_array_equal(np.unique(labels[(before < 0) & (labels >= 0)]), [2])
-    assert (labels[scene.labels == 1] == 2).mean() > 0.85
-    np.testing.assert_array_equal(given[1], before, 'the input is not modified')
 
 
 @pytest.mark.parametrize('first_px', [323, 450])
@@ -101,24 +85,3 @@ def unchanged(given):
 def test_no_more_planes_than_wanted(most):
     config = Config(segmentation=SegmentationConfig(max_planes=most))
     assert unchanged(before_narrow(strip(12, 10.0).depth_m, config)) == (most == 2)
-
-
-def test_no_plane_is_smaller_than_wanted():
-    config = Config(segmentation=SegmentationConfig(min_plane_share=0.05))
-    assert unchanged(before_narrow(strip(12, 10.0).depth_m, config))
-
-
-def test_where_all_pixels_have_a_plane_none_is_added():
-    scene = view([wall(2)])
-    given = before_narrow(scene.depth_m)
-    assert (given[1] == 0).all()
-    assert unchanged(given)
-
-
-def test_a_small_image_has_no_smaller_cells():
-    camera = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
-    scene = view([wall(LEFT_M, right_m=0), wall(RIGHT_M, 0)], intrinsics=camera)
-    assert cell_model(scene.depth_m).grid.size_px < 6
-    given = before_narrow(scene.depth_m)
-    given[1][:, 60:90] = -1
-    assert unchanged(given)

@@ -10,9 +10,9 @@ from plane_detector.config import Config
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
-from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of, with_normals
+from plane_detector.segmentation.cells.normal_slopes import NormalMap, slopes_of
 from plane_detector.segmentation.segment import segment, unitless_noise_floor
-from plane_detector.types import CameraIntrinsics, Prediction
+from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(262.5, 250.0, 149.5, 125.5, 320, 240)
 SIGMA = 0.004
@@ -62,18 +62,6 @@ def test_the_slopes_of_exact_normals_are_those_of_exact_depth():
     assert whole.mean() > 0.9
 
 
-def test_cells_without_normals_keep_the_slopes_of_their_depth():
-    scene = view([wall(2.5)], intrinsics=CAMERA, angles_deg=(20, 0, 0))
-    normals = normals_of(scene)
-    normals.normals_camera[:120] = np.nan
-    grid = grid_of(bent(scene))
-    found = with_normals(grid, normals, 0.01)
-    upper = slice(0, 28 * grid.shape[1])
-    np.testing.assert_array_equal(found.slope[upper], grid.slope[upper])
-    assert np.isnan(found.normal_slope[upper]).all()
-    assert np.isfinite(found.normal_slope[31 * grid.shape[1]:]).all()
-
-
 @pytest.mark.parametrize(('angle_deg', 'spread_deg'), [(15, 0), (20, 10), (25, 10)])
 def test_normals_keep_two_walls_apart_that_depth_has_made_one(angle_deg, spread_deg):
     scene = walls(angle_deg)
@@ -91,35 +79,6 @@ def test_normals_of_one_wall_leave_it_whole(spread_deg):
     count, labels = planes_found(bent(scene), normals_of(scene, spread_deg))
     assert count == 1
     assert np.mean(labels == 0) > 0.95
-
-
-def test_noisy_normals_weigh_less():
-    scene = walls(25)
-    grid, true = grid_of(bent(scene)), grid_of(to_disparity(scene.depth_m)).slope
-    off = [np.abs(with_normals(grid, normals_of(scene, spread), 0.008).slope - grid.slope).mean()
-           for spread in (0, 20, 60)]
-    assert off[0] > off[1] > off[2]
-    fused = with_normals(grid, normals_of(scene), 0.008).slope
-    assert np.abs(fused - true).mean() < 0.7 * np.abs(grid.slope - true).mean()
-
-
-def test_normals_without_confidence_do_not_count():
-    scene = walls(25)
-    sure = np.ones(scene.labels.shape, np.float32)
-    wrong = normals_of(scene, confidence=sure)
-    wrong.normals_camera[::2] = [0.0, 1.0, 0.0]
-    sure[::2] = 0
-    grid = grid_of(to_disparity(scene.depth_m))
-    np.testing.assert_allclose(slopes_of(grid, wrong), slopes_of(grid, normals_of(scene)),
-                               atol=0.02)
-
-
-def test_relative_disparity_has_no_slopes_by_normals():
-    normals = np.zeros((4, 4, 3), np.float32)
-    values = np.ones((4, 4), np.float32)
-    assert NormalMap.of(Prediction('relative_disparity', values, normals), CAMERA) is None
-    assert NormalMap.of(Prediction('metric_depth', values), CAMERA) is None
-    assert NormalMap.of(Prediction('metric_depth', values, normals), CAMERA) is not None
 
 
 def test_normals_of_another_room_do_not_take_the_planes_of_the_depth():

@@ -98,17 +98,6 @@ def test_nothing_is_searched_by_default_and_planes_are_the_same():
     assert (found.labels[on_plane] == without.labels[on_plane]).mean() > 0.999
 
 
-def test_only_the_requested_types_are_found():
-    config = replace(CONFIG, shapes=ShapesConfig(types='cone, cylinder'))
-    found = detect(scene_with('ball'), config=config)
-    assert ShapeType.SPHERE not in {shape.type for shape in found.shapes}
-
-
-def test_an_unknown_type_is_an_error_that_names_the_known_ones():
-    with pytest.raises(ValueError, match='shapes.types must be none, all or some of sphere'):
-        ShapesConfig(types='torus')
-
-
 def test_labels_are_stable_while_the_camera_moves():
     detector = PlaneDetector(CONFIG)
     names = []
@@ -122,10 +111,3 @@ def test_labels_are_stable_while_the_camera_moves():
                       zip(found.shapes, found.shape_labels, strict=True)})
     assert len(names[0]) == 2
     assert names[0] == names[1] == names[2]
-
-
-def test_depth_is_not_modified():
-    scene = scene_with('ball')
-    before = scene.depth_m.copy()
-    detect(scene)
-    np.testing.assert_array_equal(scene.depth_m, before)

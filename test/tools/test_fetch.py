@@ -1,8 +1,5 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-import os
-import subprocess
-import sys
 
 import pytest
 from zoo_helpers import CONTENT, put, serving
@@ -43,23 +40,7 @@ def test_named_networks_are_downloaded_with_their_licence(server, tmp_path, monk
     assert 'weights: not stated' in said
 
 
-def test_auto_equals_the_choice_of_the_node(server, tmp_path, monkeypatch, capsys):
-    for name in AUTO_ORDER:
-        put(monkeypatch, name, UrlSource(server.url + '/good.onnx'))
-    main(['auto', '--cache-dir', str(tmp_path)])
-    assert f'auto took {AUTO_ORDER[0]} (fetched)' in capsys.readouterr().out
-
-
 def test_an_unavailable_network_ends_with_a_message(server, tmp_path, monkeypatch):
     put(monkeypatch, 'fastdepth', UrlSource(server.url + '/missing.onnx'))
     with pytest.raises(SystemExit, match='fastdepth is not in .* cannot be fetched: .*404'):
         main(['fastdepth', '--cache-dir', str(tmp_path)])
-
-
-def test_a_wrong_name_is_a_usage_error():
-    done = subprocess.run([sys.executable, '-m', 'plane_detector.tools.fetch', 'nothing'],
-                          check=False, capture_output=True, text=True,
-                          env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
-    assert done.returncode == 2
-    assert "no network is called 'nothing'" in done.stderr
-    assert 'fastdepth' in done.stderr

@@ -12,11 +12,10 @@ import output_scene as scene
 import pytest
 import rclpy
 from ros_helpers import cloud_array, random_domain
-from sensor_msgs.msg import PointCloud2
 
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.tools.show import PlanePrinter, main, table_of
+from plane_detector.tools.show import PlanePrinter, table_of
 
 TOPICS = Path(__file__).resolve().parents[2] / 'docs' / 'topics.md'
 
@@ -41,38 +40,6 @@ def test_the_table_is_printed_live(robot):
     robot.add(PlanePrinter('/plane_detector', printed, context=robot.context))
     robot.publish('/plane_detector/planes', two_planes())
     assert robot.spin(lambda: '2 planes at' in printed.getvalue())
-
-
-def test_silence_is_explained_with_the_existing_nodes(robot):
-    printer = PlanePrinter('front', io.StringIO(), context=robot.context)
-    robot.add(printer)
-    assert printer.why_nothing() == 'nobody publishes /front/planes; is it running?'
-    robot.node.create_publisher(PointCloud2, '/rear/planes', 1)
-    assert robot.spin(lambda: printer.why_nothing().endswith('; there is: --node /rear'))
-    robot.node.create_publisher(PointCloud2, '/front/planes', 1)
-    assert robot.spin(lambda: printer.why_nothing().startswith('no planes on /front/planes yet'))
-
-
-def test_silence_is_logged_until_there_are_planes(robot):
-    printed = io.StringIO()
-    printer = PlanePrinter('front', printed, context=robot.context)
-    told = []
-    printer.get_logger().warning = told.append
-    robot.add(printer)
-    assert robot.spin(lambda: told)
-    robot.publish('/front/planes', two_planes())
-    assert robot.spin(printed.getvalue)
-    assert len(told) == len(set(told))
-    assert printer._silence.is_canceled()
-
-
-def test_arguments_that_show_does_not_know_are_refused(capsys):
-    with pytest.raises(SystemExit) as ended:
-        main(['--nodes', 'front', '--bogus'])
-    assert ended.value.code == 2
-    printed = capsys.readouterr().err
-    assert printed.startswith('usage: ros2 run plane_detector show')
-    assert '--bogus' in printed
 
 
 @pytest.fixture

@@ -35,14 +35,6 @@ def test_motion_of_planes_that_fix_it():
     assert estimate_motion(before.picked([]), before.picked([]), np.zeros(0)) is NO_MOTION
 
 
-def test_planes_that_do_not_move_give_no_motion():
-    room = planes(FLOOR, LEFT, BACK, BOX)
-    motion = estimate_motion(room, room, np.ones(4))
-    assert motion.rotation == pytest.approx(np.eye(3), abs=1e-12)
-    assert motion.translation_m == pytest.approx(0, abs=1e-12)
-    assert motion.scale == pytest.approx(1, abs=1e-12)
-
-
 def test_a_moved_plane_keeps_its_equation_and_its_size_grows_with_the_unit():
     motion = PlaneMotion(cv2.Rodrigues(np.radians([5.0, 40.0, -20.0]))[0],
                          np.array([0.3, -0.2, 0.1]), 2.0)

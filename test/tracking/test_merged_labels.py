@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """When two labels become one, the remaining plane names the merged label."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -41,14 +40,6 @@ def test_the_merged_label_is_named(halves, whole):
     assert merged_labels(halves, whole, CONFIG) == (7,)
 
 
-def test_without_a_past_or_tracking_there_is_none(halves, whole):
-    assert merged_labels(None, whole, CONFIG) == (0,)
-    assert merged_labels(halves, replace(whole, track_labels=()), CONFIG) == (0,)
-    assert merged_labels(replace(halves, track_labels=()), whole, CONFIG) == (0,)
-    small = detection(np.zeros((30, 50), np.int32), (wall(),), (3,))
-    assert merged_labels(halves, small, CONFIG) == (0,)
-
-
 def test_an_occluding_plane_does_not_merge_the_one_behind(halves):
     """A box moves in front of the left half: it hides it and is another plane."""
     labels = halves.labels.copy()
@@ -57,18 +48,6 @@ def test_an_occluding_plane_does_not_merge_the_one_behind(halves):
     assert merged_labels(halves, hidden, CONFIG) == (0, 0)
     known_before = detection(labels, (wall(1.0), wall()), (3, 9))
     assert merged_labels(halves, known_before, CONFIG) == (0, 0), 'not in its plane'
-
-
-def test_a_label_still_present_is_not_merged(halves):
-    labels = np.ones((60, 100), np.int32)
-    labels[:, :5] = 0
-    assert merged_labels(halves, detection(labels, halves.planes, (7, 3)), CONFIG) == (0, 0)
-
-
-def test_pixels_are_counted_only_if_a_label_is_gone(halves, monkeypatch):
-    """Counting is slow, and in nearly every frame no label is gone."""
-    monkeypatch.setattr(np, 'bincount', lambda *_, **__: pytest.fail('counts pixels'))
-    assert merged_labels(halves, halves, CONFIG) == (0, 0)
 
 
 def test_pixels_of_shapes_merge_no_label(halves):

@@ -44,12 +44,6 @@ def test_a_missed_shape_gets_its_label_back_and_others_do_not_take_it():
     assert names == [(1,), (), (2,), (1, 2)]
 
 
-def test_a_label_is_free_again_after_it_was_kept():
-    names = run(((ball(0.0),), labels_at(10)), ((), labels_at()), ((), labels_at()),
-                ((ball(1.5),), labels_at(60)), keep_frames=1)
-    assert names[-1] == (1,)
-
-
 def test_another_type_or_size_at_the_same_place_is_another_shape():
     for other in (ball(0.0, kind=ShapeType.CYLINDER), ball(0.0, radius_m=0.5)):
         assert run(((ball(0.0),), labels_at(10)), ((other,), labels_at(10))) == [(1,), (2,)]

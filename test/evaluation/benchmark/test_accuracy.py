@@ -10,15 +10,14 @@ import pytest
 from plane_detector.evaluation import peers
 from plane_detector.evaluation.benchmark import samples as benchmark_samples
 from plane_detector.evaluation.benchmark.accuracy import grouped, report
-from plane_detector.evaluation.benchmark.plots import by_method, recall_by_size, write_plots
+from plane_detector.evaluation.benchmark.plots import by_method, write_plots
 from plane_detector.evaluation.benchmark.samples import Sample, plan, run_job, run_jobs
-from plane_detector.evaluation.datasets import UNKNOWN, Frame, LabelledFrame
+from plane_detector.evaluation.datasets import UNKNOWN, LabelledFrame
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.types import CameraIntrinsics
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 WALL = single_wall(SMALL, yaw_deg=20, distance_m=2.0)
-FRAME = Frame('kinect', '7', WALL.rgb, WALL.depth_m, SMALL)
 COUNTS = {'rooms': 2, 'lived-in rooms': 1, 'curved': 2}
 
 
@@ -41,16 +40,6 @@ def sample(covering=0.5, shares=(), found=(), **differences):
     return replace(usual, **differences)
 
 
-def test_the_plan_leaves_absent_methods_out_and_slow_ones_to_the_first_scenes():
-    slow, absent = Fixed(), Fixed()
-    slow.slow, absent.absent = True, 'not installed'
-    jobs = plan([peers.Ours(), slow, absent], COUNTS, 9000, 1, [FRAME])
-    assert [(job.kind, job.scene if job.kind != 'kinect' else 'frame', len(job.methods))
-            for job in jobs] == [('rooms', 9000, 2), ('rooms', 9001, 1),
-                                 ('lived-in rooms', 9000, 2), ('curved', 0, 1), ('curved', 35, 1),
-                                 ('kinect', 'frame', 1)]
-
-
 def test_a_scene_is_measured_at_every_noise(monkeypatch):
     monkeypatch.setitem(benchmark_samples._SCENES, 'rooms', lambda seed: WALL)
     job, *_ = plan([Fixed()], COUNTS, 9000, 1, [])
@@ -61,25 +50,12 @@ def test_a_scene_is_measured_at_every_noise(monkeypatch):
     assert all(one.plane_shares == [1] and one.found == [True] for one in found)
 
 
-def test_a_scene_is_seen_through_sensors(monkeypatch):
-    monkeypatch.setitem(benchmark_samples._SCENES, 'rooms', lambda seed: WALL)
-    job, *_ = plan([peers.Ours()], COUNTS, 9000, 1, [], rendered=False, sensors=('whole mm',))
-    found, = run_job(job)
-    assert found.noise == 'whole mm' and found.numbers['SC'] > 0.9
-
-
 def test_a_frame_labelled_by_hand_is_scored_on_its_labels():
     labels = WALL.labels.copy()
     labels[:, :40] = UNKNOWN
     frame = LabelledFrame('office', '1', WALL.rgb, WALL.depth_m, SMALL, labels)
     found, = run_job(plan([Fixed()], dict.fromkeys(COUNTS, 0), 9000, 1, [frame])[0])
     assert found.numbers == {'SC': 1, 'recall': 1, 'pieces': 1, 'merged': 0, 'unlabelled': 0}
-
-
-def test_a_real_frame_is_measured_by_its_sensor():
-    one, = run_job(plan([Fixed()], dict.fromkeys(COUNTS, 0), 9000, 1, [FRAME])[0])
-    assert (one.kind, one.scene) == ('kinect', '7')
-    assert one.numbers == {'planes': 1, 'labelled': 1, 'purity': 1}
 
 
 def test_two_processes_find_the_same_as_one():
@@ -104,12 +80,6 @@ def test_tables_compare_all_methods_and_show_the_first_in_detail(capsys):
     assert 'Columns' not in ' '.join(lines)
     assert list(grouped(found)) == [('rooms', noise, method) for noise in (0.004, 0.01)
                                     for method in ('ours', 'other')]
-
-
-def test_recall_by_size_by_hand():
-    recall = recall_by_size([sample(shares=(0.005, 0.03, 0.03), found=(0, 1, 0)),
-                             sample(shares=(0.03, 0.5), found=(1, 1))])
-    np.testing.assert_allclose(recall, [0, np.nan, 2 / 3, np.nan, np.nan, 1])
 
 
 def test_figures_are_written_and_hold_every_method(tmp_path):

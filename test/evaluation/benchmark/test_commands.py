@@ -7,7 +7,6 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,13 +15,6 @@ from plane_detector.evaluation.benchmark import __main__ as program
 from plane_detector.evaluation.benchmark.__main__ import COMMANDS, main
 
 MODULE = 'plane_detector.evaluation.benchmark'
-
-
-def test_help_lists_every_subcommand(capsys):
-    with pytest.raises(SystemExit, match='0'):
-        main(['--help'])
-    text = capsys.readouterr().out
-    assert all(f'{name} ' in text and summary in text for name, (_, summary) in COMMANDS.items())
 
 
 @pytest.mark.parametrize('name', COMMANDS)
@@ -67,19 +59,6 @@ def test_wrong_input_ends_a_process_with_a_line():
     assert run.returncode == 1
     assert 'Traceback' not in run.stderr
     assert 'no_such_network' in run.stderr
-
-
-def test_a_run_names_its_command_machine_and_commit_first(monkeypatch, capsys):
-    given = []
-    command = SimpleNamespace(
-        add_arguments=lambda parser: parser.add_argument('--size', type=int),
-        run=lambda options: (given.append(options.size), print('the results')))
-    monkeypatch.setattr(program.importlib, 'import_module', lambda name: command)
-    main(['scale', '--size', '3'])
-    first, *_, last = capsys.readouterr().out.strip().splitlines()
-    assert first == f'`python3 -m {MODULE} scale --size 3`'
-    assert last == 'the results'
-    assert given == [3]
 
 
 def test_the_provenance_of_a_result_is_stated():

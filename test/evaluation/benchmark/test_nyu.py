@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The program on NYU Depth V2 and on label folders, on a file made of rendered rooms."""
 
-import json
 
 import cv2
 import numpy as np
@@ -10,10 +9,9 @@ import pytest
 from nyu_files import nyu_room, write_nyu
 
 from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.evaluation.benchmark import nyu, nyu_frames
+from plane_detector.evaluation.benchmark import nyu_frames
 from plane_detector.evaluation.benchmark.__main__ import main
-from plane_detector.evaluation.benchmark.label_scores import mean, numbers_of, pooled
-from plane_detector.evaluation.benchmark.nyu_frames import Task, evaluate, opened, true_planes
+from plane_detector.evaluation.benchmark.nyu_frames import Task, evaluate
 from plane_detector.evaluation.nyu_depth import COLUMNS, ROWS
 from plane_detector.evaluation.peers import OpenCv
 
@@ -71,40 +69,6 @@ def test_the_split_chooses_the_frames(file, run, tmp_path):
         run(*arguments, tmp_path / 'frames.txt')
 
 
-def test_an_interrupted_run_is_continued(file, tmp_path, monkeypatch):
-    task, journal = Task(file, methods=('ours',)), tmp_path / 'frames.jsonl'
-    whole = nyu.evaluate_all(task, (1, 2, 3), tmp_path / 'whole.jsonl', 1, False)
-
-    def interrupted(task, number):
-        if number == 3:
-            raise KeyboardInterrupt
-        return evaluate(task, number)
-    monkeypatch.setattr(nyu, 'evaluate', interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        nyu.evaluate_all(task, (1, 2, 3), journal, 1, False)
-    with journal.open('a') as file_:
-        file_.write('{"number": 3, "rows": {"plane')
-    asked = []
-    monkeypatch.setattr(nyu, 'evaluate', lambda task, number: (
-        asked.append(number), evaluate(task, number))[1])
-    resumed = nyu.evaluate_all(task, (1, 2, 3), journal, 1, False)
-    assert asked == [3]
-    assert [one.number for one in resumed] == [1, 2, 3]
-    assert [one.rows for one in resumed] == [one.rows for one in whole]
-    assert [json.loads(line).get('number') for line in journal.read_text().splitlines()] == [
-        None, 1, 2, 3]
-
-
-def test_a_journal_with_other_settings_is_refused_or_replaced(file, tmp_path, monkeypatch):
-    monkeypatch.setattr(nyu, 'evaluate', lambda task, number: nyu.FrameResult(number, {}, {}))
-    journal = tmp_path / 'frames.jsonl'
-    nyu.evaluate_all(Task(file), (1,), journal, 1, False)
-    other = Task(file, depth='filled', methods=('ours',))
-    with pytest.raises(ValueError, match='another depth, methods'):
-        nyu.evaluate_all(other, (2,), journal, 1, False)
-    assert [one.number for one in nyu.evaluate_all(other, (2,), journal, 1, True)] == [2]
-
-
 @needs_find_planes
 def test_a_label_folder_is_scored_like_the_method_that_wrote_it(file, run, tmp_path):
     written = run('nyu', file, '--model', 'none', '--methods', 'ours,opencv', '--processes', 1,
@@ -133,44 +97,12 @@ def test_planes_missing_in_a_folder_are_fitted_and_reported(file, run, tmp_path)
     assert 'flatter' in text
 
 
-@pytest.mark.parametrize('cut', [False, True])
-def test_labels_with_and_without_border_are_the_same(file, tmp_path, cut):
-    labels = (nyu_room(SEEDS[0]).labels + 1).astype(np.uint16)
-    cv2.imwrite(str(tmp_path / '1.png'), labels[ROWS, COLUMNS] if cut else labels)
-    task = Task(file, methods=(), outside=(('x', tmp_path),))
-    assert evaluate(task, 1).rows['x']['SC'] > 0.99
-
-
-def test_a_folder_may_be_the_truth(file, run, tmp_path):
-    scene = nyu_room(SEEDS[1])
-    cv2.imwrite(str(tmp_path / '2.png'), (scene.labels + 1).astype(np.uint16))
-    task = Task(file, truth=str(tmp_path))
-    truth = true_planes(task, opened(file).frame(2))
-    assert numbers_of(truth, truth.labels, truth.planes)['SC'] == 1
-    with pytest.raises(ValueError, match='no label image of frame 1'):
-        true_planes(task, opened(file).frame(1))
-    with pytest.raises(SystemExit, match='no label image has the number'):
-        (tmp_path / '2.png').rename(tmp_path / '9.png')
-        run('labels', tmp_path, '--nyu', file)
-
-
 def test_the_published_annotation_may_be_the_truth(file, tmp_path):
     labels = nyu_room(SEEDS[1]).labels[ROWS, COLUMNS].astype(np.int16) + 1
     np.savez(tmp_path / 'plane_instance_2.npz', plane_param=np.zeros((labels.max(), 3)),
              plane_instance=cv2.resize(labels, (256, 192), interpolation=cv2.INTER_NEAREST))
     task = Task(file, depth='filled', truth=str(tmp_path), methods=('ours',))
     assert evaluate(task, 2).rows[OURS]['SC'] > 0.95
-
-
-def test_without_annotations_the_truth_must_be_another(tmp_path, run):
-    path = tmp_path / 'plain.mat'
-    write_nyu(path, SEEDS[:1], annotated=False)
-    with pytest.raises(ValueError, match='--truth sensor'):
-        evaluate(Task(path, methods=()), 1)
-    result = evaluate(Task(path, truth='sensor', methods=('ours',)), 1)
-    assert result.rows[OURS]['SC'] == 1, 'ours is judged by itself then'
-    assert 'says nothing' in run('nyu', path, '--truth', 'sensor', '--methods', 'ours', '--model',
-                                 'none', '--processes', 1, '--output', tmp_path)
 
 
 @needs_find_planes
@@ -190,11 +122,3 @@ def test_the_network_has_rows_of_its_own(file, run, tmp_path, monkeypatch):
     assert float(rows(text, 'plane_detector, network')[0][1]) > 0.9
     assert float(rows(text, 'OpenCV findPlanes, 3 cm, network')[0][1]) > 0.5
     assert float(rows(text, 'net')[0][1]) < 0.5
-
-
-def test_means_ignore_undefined_values():
-    frames = {1: {'recall': 0.5, 'true planes': 1.0}, 2: {'recall': 1.0, 'true planes': 3.0},
-              3: {'recall': np.nan, 'true planes': 0.0}}
-    assert mean(frames, 'recall') == 0.75
-    assert pooled(frames, 'recall', 'true planes') == 0.875
-    assert np.isnan(pooled({3: frames[3]}, 'recall', 'true planes'))

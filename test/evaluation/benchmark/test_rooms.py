@@ -25,15 +25,6 @@ def test_the_truth_has_a_perfect_score(scene_of):
     assert best.normal_error_deg == pytest.approx(0, abs=1e-4)
 
 
-def test_curved_pixels_count_as_no_plane():
-    scene = furnished(0)
-    planes = np.vstack([scene.planes, [0, 0, -1, 2]])
-    labels = np.where(scene.labels < 0, len(scene.planes), scene.labels)
-    seen = np.isfinite(scene.depth_m)
-    called_flat = score(scene.labels, scene.planes, labels, planes, seen)
-    assert called_flat.precision == pytest.approx(len(scene.planes) / len(planes))
-
-
 @pytest.mark.parametrize('index', range(0, len(CURVED), 7))
 def test_the_labels_of_a_curved_scene_are_judged(index):
     scene = curved_scene(index)

@@ -10,8 +10,6 @@ from plane_detector.evaluation.scenes.rooms import (
     VGA,
     Rectangle,
     attic,
-    box,
-    bumps,
     camera_rotation,
     hexagon_room,
     random_room,
@@ -54,12 +52,6 @@ def test_planes_are_unit_look_at_the_camera_and_are_all_visible(name):
     assert scene.rgb.dtype == np.uint8
 
 
-def test_a_wall_straight_ahead_has_its_distance_everywhere():
-    scene = single_wall(SMALL, yaw_deg=0, distance_m=2.5)
-    np.testing.assert_allclose(scene.depth_m, 2.5)
-    np.testing.assert_allclose(scene.planes, [[0, 0, -1, 2.5]], atol=1e-9)
-
-
 def test_a_turned_wall_keeps_its_distance():
     scene = single_wall(SMALL, yaw_deg=20, distance_m=3)
     normal = scene.planes[0, :3]
@@ -77,42 +69,11 @@ def test_the_nearest_surface_hides_the_others():
     assert (scene.labels == 1).sum() == pytest.approx((0.4 * 131)**2, rel=0.05)
 
 
-def test_rays_without_a_hit_have_no_depth_and_no_label():
-    scene = render(box(np.array([0, 3.0, 0]), np.ones(3)), camera_rotation(0, 0, 0), np.zeros(3),
-                   SMALL, np.random.default_rng(0))
-    assert np.isnan(scene.depth_m[0, 0])
-    assert scene.labels[0, 0] == -1
-    assert len(scene.planes) == 1, 'of a box seen from the front only the front is visible'
-
-
-def test_stairs_alternate_between_risers_and_treads():
-    scene = staircase(SMALL, steps=4)
-    upright = np.abs(scene.planes[:, :3] @ scene.gravity_camera) < 1e-6
-    level = scene.planes[:, :3] @ scene.gravity_camera < -1 + 1e-6
-    assert (upright | level).all()
-    assert upright.sum() == 4
-    assert level.sum() == 5, 'four treads and the floor'
-
-
-def test_gravity_points_down_in_the_image():
-    room = random_room(np.random.default_rng(5), SMALL)
-    assert room.gravity_camera[1] > 0.8
-    assert np.linalg.norm(room.gravity_camera) == pytest.approx(1)
-
-
 def test_rooms_repeat_with_the_seed_and_differ_without():
     first, again, other = (random_room(np.random.default_rng(s), SMALL) for s in (1, 1, 2))
     np.testing.assert_array_equal(first.depth_m, again.depth_m)
     np.testing.assert_array_equal(first.rgb, again.rgb)
     assert not np.array_equal(first.depth_m, other.depth_m)
-
-
-def test_bumps_have_depth_but_no_plane():
-    scene = bumps(SMALL)
-    assert np.isfinite(scene.depth_m).all()
-    assert (scene.depth_m > 0).all()
-    assert (scene.labels == -1).all()
-    assert scene.planes.shape == (0, 4)
 
 
 @pytest.mark.parametrize('smooth_share', [0.0, 0.5, 1.0])
@@ -127,12 +88,3 @@ def test_noise_beyond_infinity_gives_invalid_depth():
     noisy_m = with_disparity_noise(far_m, 0.02, np.random.default_rng(0))
     assert 0.1 < np.isnan(noisy_m).mean() < 0.9
     assert (noisy_m[np.isfinite(noisy_m)] > 0).all()
-
-
-def test_noise_leaves_holes_and_input_alone():
-    depth_m = np.full((20, 20), 2.0, np.float32)
-    depth_m[3, 4] = np.nan
-    before = depth_m.copy()
-    noisy_m = with_disparity_noise(depth_m, 0.01, np.random.default_rng(0))
-    np.testing.assert_array_equal(depth_m, before)
-    np.testing.assert_array_equal(np.isnan(noisy_m), np.isnan(depth_m))

@@ -11,8 +11,6 @@ from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.evaluation.scenes.sensors import (
     KINECT_BASELINE_M,
     SENSORS,
-    fill,
-    shadowed,
 )
 
 
@@ -51,19 +49,3 @@ def test_structured_light_errs_like_a_kinect_in_every_band():
     # 1/km; a real wall of this size has 0.8 0.8 0.8 1.4 and a bend of 0.7 to 2.
     np.testing.assert_array_less(found[2:], [1.6, 1.2, 1.2, 3.5, 3.0])
     np.testing.assert_array_less([0.7, 0.5, 0.5, 1.0, 0.5], found[2:])
-
-
-def test_a_box_throws_its_shadow_to_the_left():
-    depth_m = np.full((4, 60), 2.0)
-    depth_m[:, 30:40] = 1.0
-    # 16 px m: the shift is 16 px at 1 m and 8 px at 2 m.
-    np.testing.assert_array_equal(np.nonzero(shadowed(depth_m, 16.0)[0])[0], np.arange(23, 30))
-
-
-def test_holes_are_filled_between_what_is_seen():
-    values = np.tile(np.linspace(1, 2, 64, dtype=np.float32), (48, 1))
-    seen = np.ones(values.shape, bool)
-    seen[:, 20:40] = False
-    filled = fill(np.where(seen, values, 0), seen)
-    np.testing.assert_array_equal(filled[seen], values[seen])
-    assert np.abs(filled - values).max() < 0.2

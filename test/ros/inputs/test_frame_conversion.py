@@ -5,12 +5,9 @@
 import cv2
 import numpy as np
 import pytest
-from ros_helpers import camera_info_msg, header, image_msg
-from sensor_msgs.msg import CompressedImage
+from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.config import NodeConfig
-from plane_detector.ros.calibration import NO_DISTORTION, Distortion
-from plane_detector.ros.inputs import frame_conversion as conversion
 from plane_detector.ros.inputs.frame_conversion import FrameConverter, is_rectified_name
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.types import CameraIntrinsics
@@ -58,23 +55,6 @@ def test_auto_leaves_an_image_without_distortion(d):
     np.testing.assert_array_equal(image.rgb, RGB)
 
 
-@pytest.mark.parametrize('binning', [1, 2])
-def test_a_calibration_without_size_has_that_of_the_image(binning):
-    bare = frame()
-    bare.camera_info.width = bare.camera_info.height = 0
-    bare.camera_info.binning_x = bare.camera_info.binning_y = binning
-    image = convert(bare)
-    assert (image.intrinsics.width, image.intrinsics.height) == (80, 60)
-    assert image.intrinsics.fx == CAMERA.fx / binning
-    assert bare.camera_info.width == 0, 'the message is not changed'
-
-
-def test_auto_leaves_an_image_that_is_rectified_already():
-    image = convert(frame(DISTORTION['plumb_bob']), topic='/camera/image_rect')
-    assert image.intrinsics == NEW
-    np.testing.assert_array_equal(image.rgb, RGB)
-
-
 def test_rectifying_can_be_switched_off_and_forced():
     distorted = frame(DISTORTION['plumb_bob'])
     off = convert(distorted, rectify='false')
@@ -83,21 +63,6 @@ def test_rectifying_can_be_switched_off_and_forced():
     forced = convert(frame(), rectify='true')
     assert forced.intrinsics == NEW
     assert (forced.rgb != RGB).any()
-
-
-def test_maps_are_computed_once_per_calibration(monkeypatch):
-    made = []
-
-    def make(*arguments, original=conversion.make_rectification):
-        made.append(arguments)
-        return original(*arguments)
-
-    monkeypatch.setattr(conversion, 'make_rectification', make)
-    converter = FrameConverter('image')
-    first, other = frame(DISTORTION['plumb_bob']), frame([-0.1, 0.0, 0.0, 0.0, 0.0])
-    for each in (first, first, other, other):
-        converter.convert(each, NodeConfig())
-    assert len(made) == 2
 
 
 def test_a_cropped_and_binned_distorted_image_is_that_part_of_the_whole():
@@ -116,34 +81,10 @@ def test_a_cropped_and_binned_distorted_image_is_that_part_of_the_whole():
     assert error[5:-5, 5:-5].max() <= 1
 
 
-def test_an_unknown_lens_model_is_refused():
-    with pytest.raises(ValueError, match='double_sphere'):
-        convert(frame([0.1, 0.2], 'double_sphere'))
-
-
-def test_an_image_of_another_size_than_its_calibration_is_refused():
-    wrong = frame()
-    wrong.camera_info.width = 100
-    with pytest.raises(ValueError, match='80 x 60, its CameraInfo is for 100 x 60'):
-        convert(wrong)
-
-
-def test_compressed_images_are_decoded():
-    _, data = cv2.imencode('.png', RGB[..., ::-1])
-    image = CompressedImage(header=header(), format='png', data=data.tobytes())
-    image = convert(Frame(image, frame().camera_info, None, None, 0))
-    np.testing.assert_array_equal(image.rgb, RGB)
-
-
 @pytest.mark.parametrize('shape', [(60, 80), (30, 40), (120, 160), (45, 60)])
 def test_depth_with_the_same_view_is_resized_to_the_image(shape):
     image = convert(frame(depth=np.full(shape, 2.0, np.float32)))
     np.testing.assert_allclose(image.depth_m, np.full((60, 80), 2.0), rtol=1e-6)
-
-
-def test_depth_of_another_view_is_refused():
-    with pytest.raises(ValueError, match='registered'):
-        convert(frame(depth=np.ones((60, 60), np.float32)))
 
 
 def test_depth_is_rectified_with_its_image():
@@ -172,11 +113,3 @@ def test_a_large_image_is_reduced_first_with_its_depth_and_camera(distortion):
     assert np.abs(small.rgb[inside] - expected[inside]).mean() < (30 if distortion else 1)
     expected_m = whole.depth_m.reshape(30, 2, 40, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(small.depth_m[inside], expected_m[inside], atol=0.03)
-
-
-def test_the_remaining_distortion_is_reported():
-    distortion = DISTORTION['plumb_bob']
-    assert convert(frame(distortion)).distortion == NO_DISTORTION
-    assert convert(frame(distortion), 'camera/image_rect').distortion == NO_DISTORTION
-    left = convert(frame(distortion), rectify='false').distortion
-    assert left == Distortion('plumb_bob', tuple(distortion))

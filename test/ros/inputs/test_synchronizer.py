@@ -25,15 +25,6 @@ def info(stamp_s):
     return camera_info_msg(CAMERA, stamp_s)
 
 
-def test_images_before_the_first_calibration_are_dropped():
-    synchronizer = FrameSynchronizer()
-    for stamp_s in (1.0, 1.1, 1.2):
-        assert synchronizer.add_image(image(stamp_s)) == []
-    assert synchronizer.add_camera_info(info(1.3)) == []
-    assert synchronizer.take_dropped() == 3
-    assert len(synchronizer.add_image(image(1.3))) == 1
-
-
 def test_the_first_image_waits_for_its_own_calibration():
     synchronizer = FrameSynchronizer()
     first = image(1.0)
@@ -73,44 +64,6 @@ def test_an_image_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
     assert synchronizer.take_dropped() == 0
 
 
-def test_without_depth_only_the_newest_image_of_another_size_waits():
-    synchronizer = FrameSynchronizer()
-    synchronizer.add_camera_info(info(1.0))
-    for stamp_s in (1.1, 1.2, 1.3):
-        assert synchronizer.add_image(large_image(stamp_s)) == []
-    assert synchronizer.take_dropped() == 2
-    (frame,) = synchronizer.add_camera_info(camera_info_msg(LARGE, 1.2))
-    assert frame.image.header == header(1.3)
-
-
-def test_with_depth_they_wait_together_and_are_refused_together():
-    synchronizer = FrameSynchronizer('optional')
-    synchronizer.add_camera_info(info(1.0))
-    for stamp_s in (1.1, 1.2):
-        assert synchronizer.add_image(large_image(stamp_s)) == []
-    stamps = [frame.image.header for frame in synchronizer.add_image(large_image(2.0))]
-    assert stamps == [header(1.1), header(1.2), header(2.0)]
-
-
-def test_an_image_without_a_matching_calibration_is_passed_on_to_be_refused():
-    for later in ('info', 'image', 'end'):
-        synchronizer = FrameSynchronizer()
-        synchronizer.add_camera_info(info(1.0))
-        assert synchronizer.add_image(large_image(1.1)) == []
-        (frame,) = {'info': lambda a=synchronizer: a.add_camera_info(info(1.2)),
-                    'image': lambda a=synchronizer: a.add_image(large_image(2.1)),
-                    'end': synchronizer.finish}[later]()
-        assert (frame.image.width, frame.camera_info.width) == (16, 8), later
-
-
-@pytest.mark.parametrize('info_s, image_s', [(1.0, 1.0), (1.1, 1.0), (1.0, 3.0)])
-def test_an_image_does_not_wait_for_messages_that_cannot_come(info_s, image_s):
-    """It has its own, they are ahead in time, or they have come once, long ago."""
-    synchronizer = FrameSynchronizer()
-    synchronizer.add_camera_info(info(info_s))
-    assert len(synchronizer.add_image(large_image(image_s))) == 1
-
-
 def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
     synchronizer = FrameSynchronizer(depth='required')
     synchronizer.add_camera_info(info(0.0))
@@ -138,15 +91,6 @@ def test_the_nearest_depth_within_the_slop_is_used_if_none_matches():
     synchronizer.add_image(image(1.0))
     (frame,) = synchronizer.add_depth(depth(1.03))
     assert frame.depth is near
-
-
-def test_an_image_without_depth_within_the_slop_is_dropped():
-    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.01)
-    synchronizer.add_camera_info(info(0.0))
-    synchronizer.add_depth(depth(0.98))
-    synchronizer.add_image(image(1.0))
-    assert synchronizer.add_depth(depth(1.03)) == []
-    assert synchronizer.take_dropped() == 1
 
 
 def test_the_number_of_images_waiting_for_depth_is_limited():
@@ -203,24 +147,3 @@ def test_gravity_of_the_imu_goes_with_the_frames():
     np.testing.assert_allclose(synchronizer.add_image(image(1.11))[0].gravity_camera, [0, 1, 0],
                                atol=1e-9, err_msg='a jolt is not gravity')
     assert synchronizer.add_image(image(5.0))[0].gravity_camera is None, 'the IMU has gone silent'
-
-
-def test_at_the_end_waiting_frames_are_returned():
-    synchronizer = FrameSynchronizer('required', stamp_slop_s=0.05)
-    synchronizer.add_camera_info(info(0.0))
-    near = depth(0.98)
-    synchronizer.add_depth(near)
-    assert synchronizer.add_image(image(1.0)) == []
-    assert synchronizer.add_image(image(2.0)) == []
-    (frame,) = synchronizer.finish()
-    assert frame.depth is near
-    assert synchronizer.take_dropped() == 1
-    assert synchronizer.finish() == []
-
-
-def test_an_image_does_not_wait_for_a_calibration_with_a_size():
-    synchronizer = FrameSynchronizer()
-    bare = info(1.0)
-    bare.width = bare.height = 0
-    synchronizer.add_camera_info(bare)
-    assert len(synchronizer.add_image(image(1.1))) == 1

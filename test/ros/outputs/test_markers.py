@@ -2,10 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Markers: outlines, normals and captions of planes, surfaces of shapes."""
 
-import json
-import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import output_scene as scene
@@ -18,7 +15,6 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import ShapeType
 
-LAYOUT = Path(__file__).resolve().parents[3] / 'config' / 'foxglove_layout.json'
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 
 
@@ -79,20 +75,6 @@ def test_normals_look_at_the_camera(to_target):
                                    atol=1e-9)
 
 
-@BOTH_FRAMES
-def test_a_caption_is_white_in_front_of_its_plane(to_target):
-    for label, index in ((7, scene.WALL), (3, scene.FLOOR)):
-        caption = shown('caption', to_target)[label]
-        colour = caption.color
-        assert (colour.r, colour.g, colour.b, colour.a) == (1, 1, 1, 1)
-        (centre_m,) = in_camera([caption.pose.position], to_target)
-        normal, offset_m = scene.EQUATIONS[index]
-        half_m = 0.6 * len(caption.text) * caption.scale.z / 2
-        for end_m in (centre_m - [half_m, 0, 0], centre_m + [half_m, 0, 0]):
-            assert end_m @ normal + offset_m > 0, 'on the side of the camera'
-        assert centre_m @ normal + offset_m < 0.3 * offset_m, 'near its plane'
-
-
 def test_texts_of_captions():
     def texts(**changes):
         found = shown('caption', found=scene.detection(**changes))
@@ -102,66 +84,6 @@ def test_texts_of_captions():
     assert texts(classes=(PlaneClass.OTHER, PlaneClass.OTHER_HORIZONTAL)) == [
         '7: 3.00 m', '3 horizontal: 0.60 m']
     assert texts(scale_method='relative') == ['7 wall: 3.00', '3 floor: 0.60']
-
-
-def eye_of_layout():
-    """Return the position of the layout's camera, and its axes right, down and forward."""
-    camera = json.loads(LAYOUT.read_text('utf-8'))['configById']['3D!planes']['cameraState']
-    assert camera['thetaOffset'] == 0 and camera['target'] == [0, 0, 0]
-    phi = math.radians(camera['phi'])
-    back = np.array([0.0, -math.sin(phi), math.cos(phi)])
-    eye_m = np.array(camera['targetOffset']) + camera['distance'] * back
-    return eye_m, np.array([[1, 0, 0], np.cross(-back, [1, 0, 0]), -back])
-
-
-def test_captions_look_equally_large_from_the_layout_and_do_not_overlap_there():
-    """Planes beside each other, from close to far, half of them too near to their neighbours."""
-    eye_m, axes = eye_of_layout()
-    labels = np.full((72, 110), -1, np.int32)
-    depth_m, planes = np.full((72, 110), np.nan, np.float32), []
-    for index in range(10):
-        rows, columns = slice(7 * index, 7 * index + 7), slice(11 * index, 11 * index + 11)
-        labels[rows, columns], depth_m[rows, columns] = index, 0.5 + index
-        planes.append(replace(scene.plane(scene.WALL), normal=np.array([0.0, 0.0, -1.0]),
-                              offset_m=0.5 + index, area_m2=9.0, inlier_count=100 + index))
-    found = scene.detection(planes=tuple(planes), labels=labels, depth_m=depth_m, shapes=(),
-                            classes=(), track_labels=(), shape_labels=())
-    captions = shown('caption', found=found)
-    assert 3 < len(captions) < 10
-    assert 10 in captions, 'that of the largest plane'
-    boxes, sizes = [], []
-    for caption in captions.values():
-        x, y, z = axes @ (at(caption) - eye_m)
-        height, width = caption.scale.z / z, 0.6 * len(caption.text) * caption.scale.z / z
-        half = np.array([width, height]) / 2
-        boxes.append((*(np.array([x, y]) / z - half), *(np.array([x, y]) / z + half)))
-        sizes.append(caption.scale.z / np.linalg.norm(at(caption) - eye_m))
-    np.testing.assert_allclose(sizes, sizes[0], rtol=1e-3)
-    for k, (left, top, right, bottom) in enumerate(boxes):
-        for other in boxes[k + 1:]:
-            assert (left > other[2] or other[0] > right or top > other[3] or other[1] > bottom)
-
-
-def test_a_small_plane_has_no_caption_and_no_text_is_larger_than_its_plane():
-    wall, floor = scene.plane(scene.WALL), scene.plane(scene.FLOOR)
-    small = replace(floor, inlier_count=79)
-    assert set(shown('caption', found=scene.detection(planes=(wall, small)))) == {7}
-    shelf = replace(wall, area_m2=0.01)
-    height_m = shown('caption', found=scene.detection(planes=(shelf, floor)))[7].scale.z
-    assert height_m == pytest.approx(0.2 * 0.1, rel=0.3), 'nearer to the eye and smaller'
-
-
-def test_a_plane_of_one_pixel_has_no_outline():
-    labels = np.full((72, 110), -1, np.int32)
-    labels[5, 7] = 0
-    found = scene.detection(labels=labels, shapes=(), shape_labels=())
-    assert shown('outline', found=found) == {}
-    assert set(shown('normal', found=found)) == {7, 3}
-
-
-def test_lifetime():
-    lifetime = shown('normal', marker_lifetime=1.5)[7].lifetime
-    assert (lifetime.sec, lifetime.nanosec) == (1, 500_000_000)
 
 
 @BOTH_FRAMES

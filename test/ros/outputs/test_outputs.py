@@ -95,12 +95,6 @@ def test_ground_and_drops(to_target):
     assert make('drops', found=scene.detection(drop_note='why')) is None
 
 
-@pytest.mark.parametrize('unknown', [{'classes': ()}, {'scale_method': 'relative'}])
-def test_there_are_no_obstacles_while_floor_or_unit_is_unknown(unknown):
-    for name in ('points_without_floor', 'ground'):
-        assert make(name, found=scene.detection(**unknown)) is None
-
-
 @BOTH_FRAMES
 def test_planes(to_target):
     msg = make('planes', to_target=to_target)
@@ -165,15 +159,6 @@ def test_plane_poses(to_target):
         np.testing.assert_allclose(axes[:, 2], xyz(row, 'normal_'), atol=1e-6)
 
 
-@pytest.mark.parametrize('normal', [[0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, -1, 0]])
-def test_a_pose_along_an_axis(normal):
-    wall = replace(scene.plane(scene.WALL), normal=np.array(normal, float))
-    (pose,) = make('plane_poses', found=scene.detection(planes=(wall,))).poses
-    turn = pose.orientation
-    axes = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
-    np.testing.assert_allclose(axes[:, 2], normal, atol=1e-12)
-
-
 @BOTH_FRAMES
 def test_the_images_stay_in_the_frame_of_the_camera(to_target):
     labels = make('labels', to_target=to_target)
@@ -231,15 +216,6 @@ def test_shapes(to_target):
                                atol=1e-6)
     turned = axis if to_target is None else to_target.rotation @ axis
     np.testing.assert_allclose(xyz(table, 'axis_'), [np.zeros(3), turned], atol=1e-6)
-
-
-def test_without_tracking_labels_are_counted_from_1():
-    found = scene.detection(track_labels=(), shape_labels=())
-    expected = np.vectorize({scene.WALL: 1, scene.FLOOR: 2, scene.BALL: 32769, scene.NOTHING: 0
-                             }.get)(found.labels)
-    np.testing.assert_array_equal(image_array(make('labels', found=found), '<u2')[..., 0],
-                                  expected)
-    assert cloud_array(make('planes', found=found))['label'].tolist() == [[1, 2]]
 
 
 def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():

@@ -11,7 +11,7 @@ from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
-from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
+from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_quantisation
 from plane_detector.segmentation.cells.plane_fit import fit_planes
@@ -36,7 +36,7 @@ def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
     assert len(segment_planes(depth_m, VGA).planes) == 1
 
 
-@pytest.mark.parametrize('seed', range(4))
+@pytest.mark.parametrize('seed', range(2))
 def test_rounded_rooms_do_not_fall_into_stripes(seed):
     scene = random_room(np.random.default_rng(seed))
     found = segment_planes(rounded(scene.depth_m, 0.003), scene.intrinsics)
@@ -46,7 +46,7 @@ def test_rounded_rooms_do_not_fall_into_stripes(seed):
     assert result.precision > 0.9
 
 
-@pytest.mark.parametrize('yaw_deg', [0, 1, 5, 20])
+@pytest.mark.parametrize('yaw_deg', [0, 5])
 @pytest.mark.parametrize('distance_m', [1.0, 6.0])
 @pytest.mark.parametrize('in_millimetres', [False, True])
 def test_exact_walls_are_not_rounded(yaw_deg, distance_m, in_millimetres):
@@ -56,35 +56,13 @@ def test_exact_walls_are_not_rounded(yaw_deg, distance_m, in_millimetres):
     assert source_sigma(depth_m) == 0
 
 
-@pytest.mark.parametrize('seed', range(8))
+@pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('sigma', [0.0, 0.004])
 def test_rooms_are_not_rounded(seed, sigma):
     depth_m = random_room(np.random.default_rng(seed)).depth_m
     if sigma:
         depth_m = with_disparity_noise(depth_m, sigma, np.random.default_rng(seed))
     assert source_sigma(depth_m) == 0
-
-
-def test_what_is_known_is_not_lowered():
-    depth_m = rounded(single_wall(yaw_deg=20).depth_m, 0.003)
-    assert source_sigma(depth_m, Noise(0.0005, source_sigma=0.008)) == 0.008
-
-
-@pytest.mark.parametrize('shape', [(1, 1), (2, 2), (1, 500), (300, 2)])
-def test_small_images_are_taken(shape):
-    disparity = np.full(shape, 0.5, np.float32)
-    assert with_quantisation(FLOOR, DisparityImage(disparity, np.ones(shape, bool))) == FLOOR
-    assert with_quantisation(
-        FLOOR, DisparityImage(0 * disparity, np.zeros(shape, bool))) == FLOOR
-
-
-def test_noise_is_estimated_between_columns_without_depth():
-    depth_m = with_disparity_noise(single_wall(yaw_deg=0).depth_m, 0.01, np.random.default_rng(0))
-    whole = estimate_noise(build_cell_grid(disparity_image(depth_m)), FLOOR)
-    depth_m[:, (np.arange(640) // 24) % 3 == 0] = np.nan
-    holed = estimate_noise(build_cell_grid(disparity_image(depth_m)), FLOOR)
-    assert holed.mean_sigma == pytest.approx(whole.mean_sigma, rel=0.4)
-    assert len(segment_planes(depth_m, VGA).planes) >= 1
 
 
 def test_cells_of_few_pixels_are_known_to_be_noisier():
@@ -101,11 +79,3 @@ def test_cells_of_few_pixels_are_known_to_be_noisier():
     assert np.mean(residual**2 * table[:, 5]) == pytest.approx(1, abs=0.3)
     tilt = ((grid.slope - plane[:2])**2).sum(axis=1) / 2
     assert np.mean(tilt * table[:, 6]) == pytest.approx(1, abs=0.3)
-
-
-def test_noise_smoother_than_many_cells_is_seen():
-    scene = single_wall(yaw_deg=0)
-    smooth = with_disparity_noise(scene.depth_m, 0.004, np.random.default_rng(0), 1.0, 24.0)
-    noise = estimate_noise(build_cell_grid(disparity_image(smooth)), FLOOR)
-    assert noise.mean_sigma > 0.0012
-    assert (segment_planes(smooth, VGA).labels >= 0).mean() > 0.9

@@ -70,29 +70,6 @@ def test_a_plane_narrower_than_the_reach_is_not_lost():
     assert (snapped[true == 3] == 3).all()
 
 
-@pytest.mark.parametrize('reach_px', [0.0, 0.9])
-def test_without_reach_nothing_moves(reach_px):
-    true, rgb = scene()
-    wrong = shifted(true, 0, 5)
-    np.testing.assert_array_equal(snapped_labels(wrong, GuideImage(rgb, reach_px)), wrong)
-
-
-@pytest.mark.parametrize('shape', [(1, 1), (2, 2), (3, 400), (5, 5)])
-def test_small_images_are_taken(shape):
-    labels = np.arange(np.prod(shape), dtype=np.int32).reshape(shape) % 3 - 1
-    rgb = np.zeros((*shape, 3), np.uint8)
-    snapped = snapped_labels(labels, GuideImage(rgb, 10.0))
-    assert set(np.unique(snapped)) <= set(np.unique(labels))
-
-
-def test_input_is_not_modified():
-    true, rgb = scene()
-    labels, image = true.copy(), rgb.copy()
-    snapped_labels(labels, GuideImage(image, 10.0))
-    np.testing.assert_array_equal(labels, true)
-    np.testing.assert_array_equal(image, rgb)
-
-
 @pytest.mark.parametrize(('blur_px', 'column'), [(4.0, 80), (0.0, 86)])
 def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column):
     rgb = np.full((120, 160, 3), 60, np.uint8)

@@ -58,29 +58,3 @@ def test_a_ragged_border_returns_to_the_step(seed, reach, most_wrong):
     assert (ragged != true).sum() > 35 * reach
     assert (found.labels != true).sum() <= most_wrong
     np.testing.assert_allclose(found.coefficients[:, 2], [1 / FAR_M, 1 / NEAR_M], atol=SIGMA / 2)
-
-
-def test_cells_on_no_plane_stay_on_none():
-    model = cells_of(0.0)
-    labels = np.zeros(model.grid.shape, np.int32)
-    labels[:, HALF:] = 1
-    labels[:20, 35:45] = -1
-    assert ((reassigned(model, labels).labels < 0) == (labels < 0)).all()
-
-
-def test_without_a_correlation_or_a_second_plane_nothing_changes():
-    model = cells_of(0.0)
-    labels = np.zeros(model.grid.shape, np.int32)
-    regions = PlaneRegions(labels, np.array([[0, 0, 1 / FAR_M]]))
-    assert reassign_cells(frame_of(None, model, NOISE), regions, CORRELATION) is regions
-    two = PlaneRegions(labels, np.zeros((2, 3)))
-    assert reassign_cells(frame_of(None, model, NOISE), two, None) is two
-
-
-def test_the_input_is_not_modified():
-    model = cells_of(50.0)
-    labels = np.zeros(model.grid.shape, np.int32)
-    labels[20:24, 30:34] = 1
-    given = labels.copy()
-    reassigned(model, labels)
-    np.testing.assert_array_equal(labels, given)

@@ -7,9 +7,11 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, hand_made, view, wall
+from cell_helpers import EXACT, cell_model, fold, hand_made, view, wall
 
+from plane_detector import CameraIntrinsics, Config, segment_planes
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.merging import (
@@ -27,7 +29,6 @@ from plane_detector.segmentation.regions.region_graph import (
 
 SIGMAS = (0.0, 0.004, 0.01)
 JOINT = OnePlane(PLANE, MAX_JOINT_VARIANCES, min_pairs=0)
-WEIGHED = replace(EXACT, mean_sigma=0.005, slope_sigma=0.2, pixel_sigma=0.005)
 
 
 def stripes(shape, count):
@@ -87,37 +88,6 @@ def test_stripes_of_two_walls_become_two(step_m, sigma, turned):
     left, right = result.labels[:, :40], result.labels[:, 40:]
     assert (left == left[0, 0]).all()
     assert (right == 1 - left[0, 0]).all()
-
-
-def bulging_wall(height, width_px, is_dish):
-    """Return the cells of a wall with a bulge of so many deviations, and how far each is off."""
-    v, u = np.mgrid[:480, :640]
-    off_px = np.hypot(u - 320, v - 240)
-    bulge = np.exp(-off_px**2 / (2 * width_px**2))
-    if is_dish:
-        bulge = (off_px < width_px) * off_px / width_px
-    disparity = 0.4 + height * WEIGHED.mean_sigma * bulge
-    return cell_model((1 / disparity).astype(np.float32), WEIGHED), off_px[4::8, 4::8]
-
-
-@pytest.mark.parametrize(('height', 'width_px', 'radius_px', 'is_dish', 'count'), [
-    (4, 60, 60, False, 1), (5, 60, 60, False, 2), (5, 150, 150, False, 1),
-    (3.0, 60, 60, True, 1), (6.0, 60, 60, True, 2)])
-def test_a_low_bulge_is_part_of_the_wall(height, width_px, radius_px, is_dish, count):
-    model, off_px = bulging_wall(height, width_px, is_dish)
-    regions = hand_made(model, (off_px < radius_px).astype(int))
-    assert len(merged_regions(model, regions, None).coefficients) == count
-
-
-@pytest.mark.parametrize(('bend', 'count'), [(0.01, 1), (0.04, 3), (0.15, 5), (0.4, 8)])
-def test_of_what_bends_only_neighbours_merge_and_fit_what_they_hold(bend, count):
-    disparity = np.tile(0.4 + bend * np.linspace(-0.5, 0.5, 640) ** 2, (480, 1))
-    model = cell_model((1 / disparity).astype(np.float32), replace(WEIGHED, mean_sigma=0.001))
-    result = merged_regions(model, hand_made(model, stripes(model.grid.shape, 8)), None)
-    assert len(result.coefficients) == count
-    assert np.count_nonzero(np.diff(result.labels[0])) == count - 1
-    refitted = hand_made(model, result.labels).coefficients
-    np.testing.assert_allclose(result.coefficients, refitted, atol=1e-9)
 
 
 @pytest.mark.parametrize(('distance_m', 'width', 'count'), [
@@ -199,3 +169,32 @@ def test_adjacency_equals_a_loop_over_pairs_of_cells():
     for (i, j), ends in pairs.items():
         assert found[i, j, 0] == found[j, i, 0] == len(ends)
         np.testing.assert_allclose([found[i, j, 1:], found[j, i, 1:]], np.sum(ends, axis=0))
+
+
+CAMERA = CameraIntrinsics.from_field_of_view(320, 240, 60.0)
+DIPPED = view(fold(3), intrinsics=CAMERA)
+STEP = view([wall(2.0, right_m=0), wall(2.01, 0)], intrinsics=CAMERA)
+
+
+@pytest.mark.parametrize(('scene', 'distance_m', 'angle_deg', 'count'), [
+    (DIPPED, 0.05, 4.0, 1), (DIPPED, 0.05, 2.0, 2), (DIPPED, 0.002, 4.0, 2),
+    (DIPPED, 0.0, 4.0, 2), (STEP, 0.05, 4.0, 2)],
+    ids=['flat enough', 'too steep', 'too far off', 'never', 'step'])
+def test_a_surface_as_flat_as_the_user_tolerates_is_one_plane(scene, distance_m, angle_deg,
+                                                              count):
+    settings = replace(Config().segmentation, flatness_distance=distance_m,
+                       flatness_angle=angle_deg)
+    found = segment_planes(scene.depth_m, CAMERA, replace(Config(), segmentation=settings))
+    assert len(found.planes) == count
+    assert (found.labels >= 0).mean() > 0.99
+
+
+@pytest.mark.parametrize('height', [0.06, 0.09])
+@pytest.mark.parametrize('angles_deg', [(0, 0, 0), (30, 0, 0), (0, -50, 0)])
+def test_a_wall_that_a_network_bows_is_one_plane(angles_deg, height):
+    """Its disparity rises to the sides by so much per metre."""
+    x = np.linspace(-1, 1, VGA.width)
+    depth_m = 1 / (1 / view([wall(2)], angles_deg=angles_deg).depth_m + height * x * x)
+    found = segment_planes(depth_m.astype(np.float32), VGA, disparity_noise=0.008)
+    assert len(found.planes) == 1
+    assert (found.labels == 0).mean() > 0.97

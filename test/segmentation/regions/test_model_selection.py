@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Steps and creases within the noise keep regions apart, the noise's own borders do not."""
 
-import cv2
 import numpy as np
 import pytest
 from cell_helpers import (
@@ -11,9 +10,7 @@ from cell_helpers import (
     fold,
     hand_made,
     noisy,
-    one_patch,
     rectangle,
-    rough_wall,
     view,
     wall,
 )
@@ -58,42 +55,6 @@ def test_a_border_drawn_on_a_wall_is_none(labels):
     assert not any(two(noisy(bare_wall(), seed), labels) for seed in SEEDS)
 
 
-def own_border(depth_m):
-    """Return as label 1 the largest piece of a wall that its noise lifts off it."""
-    model, _ = cells_and_noise(depth_m)
-    (a, b, c), (x, y, d) = one_patch(model).coefficients[0], model.grid.mean.T
-    lifted = (d - (a * x + b * y + c)).reshape(model.grid.shape)
-    lifted = cv2.medianBlur(lifted.astype(np.float32), 5) > 0.5 * lifted.std()
-    _, pieces, statistics, _ = cv2.connectedComponentsWithStats(lifted.view(np.uint8))
-    return (pieces == 1 + statistics[1:, 4].argmax()).astype(int)
-
-
-def test_borders_that_the_noise_draws_are_hardly_ever_any(monkeypatch):
-    """Rough noise jumps along its own borders: more is asked of it than of blurred noise."""
-    blurred, jumping = ([depth(seed) for seed in SEEDS] for depth in (
-        lambda seed: noisy(bare_wall(), seed), lambda seed: rough_wall(0.85, seed)))
-    assert sum(two(depth_m, own_border(depth_m)) for depth_m in blurred) <= 3
-    assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) <= 3
-    monkeypatch.setattr(seams, 'MIN_LOG_LIKELIHOOD_GAIN', 0.85 / 2 * seams.MIN_LOG_LIKELIHOOD_GAIN)
-    assert sum(two(depth_m, own_border(depth_m)) for depth_m in jumping) > 3
-
-
-def test_small_regions_say_nothing():
-    scene = view([wall(2, right_m=0), wall(2.3, 0)])
-    depth_m = noisy(scene, 0)
-    assert two(depth_m, LEFT)
-    small = np.full(LEFT.shape, -1)
-    small[20:27, 33:40], small[20:27, 40:47] = 0, 1
-    assert not two(depth_m, small)
-
-
-def test_patches_that_do_not_touch_are_not_kept_apart():
-    depth_m = noisy(view([wall(2, right_m=0), wall(2.3, 0)]), 0)
-    apart = LEFT.copy()
-    apart[:, 35:45] = -1
-    assert not two(depth_m, apart)
-
-
 def test_the_gain_is_that_of_the_likelihood():
     """Twice the logarithm of the ratio of two normal densities, one by one."""
     model, noise = cells_and_noise(noisy(view([wall(WALL_M), wall(WALL_M - 0.08, 0, 0.7)]), 3))
@@ -118,12 +79,3 @@ def test_the_gain_is_that_of_the_likelihood():
     assert expected > 10
     found = seams._gain(model.table, cell, small, correlation.table)
     assert found == pytest.approx(expected, rel=1e-3), 'in single precision'
-
-
-def test_only_the_cells_nearest_to_a_long_border_are_used():
-    model, _ = cells_and_noise(noisy(bare_wall(), 0))
-    cell, small = seams._cells_about(LEFT.astype(np.int32), model.is_planar, np.array([0, 1]))
-    column = cell % 80
-    assert len(cell) <= seams.MAX_CELLS
-    assert (np.abs(column - 39.5) <= seams.REACH_CELLS).all()
-    np.testing.assert_array_equal(small, small[0] ^ ((column >= 40) != (column[0] >= 40)))

@@ -36,7 +36,7 @@ def numbered(labels):
 
 
 @pytest.mark.parametrize('eps', [1.0, 1.5, 2.5])
-@pytest.mark.parametrize('min_samples', [1, 2, 3, 5, 7])
+@pytest.mark.parametrize('min_samples', [1, 3, 7])
 @pytest.mark.parametrize('share', [0.5, 0.75, 1.0])
 def test_every_label_is_clustered_as_scikit_learn_does(eps, min_samples, share):
     labels = random_labels(np.random.default_rng(int(100 * share)), share=share)
@@ -66,15 +66,3 @@ def test_corners_link_when_the_radius_reaches_them(eps, pieces):
     assert len(np.unique(clusters[labels == 0])) == pieces
     assert len(np.unique(clusters[labels == 1])) == pieces
     assert not set(clusters[labels == 0]) & set(clusters[labels == 1])
-
-
-@pytest.mark.parametrize('eps', [1.0, 1.5, 2.5])
-def test_no_label_is_no_cluster(eps):
-    assert (label_clusters(np.full((4, 5), -1, np.int32), eps, 3) == -1).all()
-
-
-def test_input_is_not_modified():
-    labels = random_labels(np.random.default_rng(0))
-    before = labels.copy()
-    label_clusters(labels, 1.5, 3)
-    np.testing.assert_array_equal(labels, before)

@@ -7,11 +7,11 @@ import pytest
 from cell_helpers import EXACT, best_iou, disparity_image, view, wall
 
 from plane_detector import CameraIntrinsics, segment_planes
-from plane_detector.config import Config, SegmentationConfig
+from plane_detector.config import Config
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.cells.grid import build_cell_grid
-from plane_detector.segmentation.cells.noise import DepthKind, Noise
+from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 
@@ -69,14 +69,6 @@ def test_a_wall_under_smooth_noise_is_one_plane(sigma):
     assert np.mean(shares) > 0.97
 
 
-@pytest.mark.parametrize('seed', ROOMS)
-def test_known_noise_bounds_the_noise(room, seed):
-    scene = room(seed)
-    _, regions, noise = found(scene.depth_m, Noise(EXACT.depth_floor_m, source_sigma=0.008))
-    assert noise.mean_sigma >= 0.008
-    assert len(regions.coefficients) >= 5
-
-
 @pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.1, False)])
 def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
     """What is left of the image is far too noisy for a plane."""
@@ -89,38 +81,8 @@ def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
     assert len(regions.coefficients) >= 1
 
 
-@pytest.mark.parametrize('sigma', [0.0, 0.004])
-@pytest.mark.parametrize('most', [1, 2, 5])
-def test_no_more_than_wanted_and_the_large_ones_first(room, sigma, most):
-    scene = room(ROOMS[0])
-    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(0))
-    config = Config(segmentation=SegmentationConfig(max_planes=most))
-    _, regions, _ = found(depth_m, config=config)
-    assert len(regions.coefficients) == most
-    assert regions.labels.max() == most - 1
-    _, all_of_them, _ = found(depth_m)
-    sizes = np.bincount(all_of_them.labels[all_of_them.labels >= 0])
-    assert (regions.labels >= 0).sum() >= 0.5 * np.sort(sizes)[::-1][:most].sum()
-
-
-@pytest.mark.parametrize('known', [0.0, 0.01])
-def test_an_image_without_depth_has_no_plane(known):
-    depth_m = np.full((120, 160), np.nan, np.float32)
-    _, regions, noise = found(depth_m, Noise(EXACT.depth_floor_m, source_sigma=known))
-    assert regions.coefficients.shape == (0, 3)
-    assert (regions.labels == -1).all()
-    assert noise.mean_sigma == known
-
-
-def test_same_generator_same_planes(room):
-    depth_m = with_disparity_noise(room(ROOMS[0]).depth_m, 0.004, np.random.default_rng(1))
-    first, second = found(depth_m)[1], found(depth_m)[1]
-    np.testing.assert_array_equal(first.labels, second.labels)
-    np.testing.assert_array_equal(first.coefficients, second.coefficients)
-
-
-@pytest.mark.parametrize('sigma', [0.0001, 0.0003, 0.001])
-@pytest.mark.parametrize('seed', ROOMS)
+@pytest.mark.parametrize('sigma', [0.0001, 0.001])
+@pytest.mark.parametrize('seed', ROOMS[:1])
 def test_slight_noise_is_estimated_too(room, seed, sigma):
     """Between exact and noisy there is no gap: all parts of the noise are known at any level."""
     noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))

@@ -15,21 +15,15 @@ import cv2
 import numpy as np
 import pytest
 
-from plane_detector.geometry.projection import points_to_pixels
 from plane_detector.tools.demo.photographs import (
-    LONGEST_SIDE_PX,
-    STATED_FIELD_OF_VIEW_DEG,
     Lens,
-    Photograph,
     folder_images,
     library_images,
-    shrunk,
 )
 from plane_detector.tools.ply import write_ply
 from plane_detector.types import CameraIntrinsics
 
 ROOT = Path(__file__).resolve().parents[3]
-CAMERA = CameraIntrinsics(100.0, 100.0, 79.5, 59.5, 160, 120)
 
 
 @pytest.fixture(scope='module')
@@ -47,15 +41,6 @@ def read_ply(path: Path) -> tuple[list[str], np.ndarray]:
     return lines, np.frombuffer(body, dtype)
 
 
-def test_library_images_fit_their_intrinsics(images):
-    assert set(images) == {'china', 'stereo_motorcycle'}
-    for photograph in images.values():
-        size = photograph.intrinsics.height, photograph.intrinsics.width
-        assert photograph.rgb.shape == (*size, 3)
-        assert photograph.rgb.dtype == np.uint8
-    assert 'not calibrated' in images['china'].calibration
-
-
 def test_motorcycle_has_depth_by_its_published_calibration(images):
     true_depth_m = images['stereo_motorcycle'].true_depth_m
     from skimage.data import stereo_motorcycle
@@ -66,36 +51,12 @@ def test_motorcycle_has_depth_by_its_published_calibration(images):
         true_depth_m[known], 994.978 * 0.193001 / (disparity_px[known] + 31.086), rtol=1e-5)
 
 
-def test_lens_without_calibration_is_the_stated_field_of_view():
-    intrinsics = Lens().intrinsics(640, 480)
-    half_deg = np.degrees(np.arctan(320 / intrinsics.fx))
-    assert half_deg == pytest.approx(STATED_FIELD_OF_VIEW_DEG / 2)
-    assert f'{STATED_FIELD_OF_VIEW_DEG:g} degrees' in str(Lens())
-
-
-def test_a_lens_has_defaults_for_missing_values():
-    assert Lens(fx=500).intrinsics(640, 480) == CameraIntrinsics(500, 500, 319.5, 239.5, 640, 480)
-    assert Lens(fx=500, fy=510, cx=0.0, cy=7).intrinsics(640, 480) == CameraIntrinsics(
-        500, 510, 0, 7, 640, 480)
-
-
 @pytest.mark.parametrize('wrong', [
     {'cx': 3.0}, {'fy': 3.0}, {'fx': 500.0, 'field_of_view_deg': 60.0},
     {'field_of_view_deg': 180.0}, {'field_of_view_deg': 0.0}])
 def test_contradictory_lens_is_refused(wrong):
     with pytest.raises(ValueError, match='fx|field of view'):
         Lens(**wrong)
-
-
-def test_shrinking_keeps_what_a_pixel_sees():
-    lens = CameraIntrinsics(2000.0, 1900.0, 1010.0, 700.0, 2000, 1500)
-    large = Photograph('x', np.zeros((1500, 2000, 3), np.uint8), lens, 'known')
-    small = shrunk(large)
-    assert small.rgb.shape == (600, LONGEST_SIDE_PX, 3)
-    point_m = np.array([0.3, -0.2, 2.0])
-    edges_px = (points_to_pixels(point_m, lens) + 0.5) * (LONGEST_SIDE_PX / 2000)
-    np.testing.assert_allclose(points_to_pixels(point_m, small.intrinsics) + 0.5, edges_px)
-    assert shrunk(small) is small
 
 
 def test_folder_images_are_read_in_order_as_rgb(tmp_path):
@@ -107,26 +68,6 @@ def test_folder_images_are_read_in_order_as_rgb(tmp_path):
     np.testing.assert_array_equal(found[1].rgb[0, 0], (0, 0, 255))
     assert found[0].rgb[0, 0, 0] > 250
     assert found[0].intrinsics == CameraIntrinsics(33, 33, 19.5, 14.5, 40, 30)
-
-
-def test_images_of_one_stem_keep_results_apart(tmp_path):
-    for name in ('a.jpg', 'a.png', 'b.png'):
-        cv2.imwrite(str(tmp_path / name), np.zeros((30, 40, 3), np.uint8))
-    names = [photograph.name for photograph in folder_images(tmp_path, Lens())]
-    assert names == ['a.jpg', 'a.png', 'b']
-
-
-def test_folder_without_images_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError, match='no image'):
-        folder_images(tmp_path, Lens())
-    with pytest.raises(FileNotFoundError, match='no folder'):
-        folder_images(tmp_path / 'missing', Lens())
-
-
-def test_damaged_image_is_named(tmp_path):
-    (tmp_path / 'broken.jpg').write_bytes(b'not a jpeg')
-    with pytest.raises(ValueError, match=r'broken\.jpg'):
-        folder_images(tmp_path, Lens())
 
 
 def test_ply_holds_the_valid_points(tmp_path):

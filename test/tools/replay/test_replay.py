@@ -12,7 +12,6 @@ import pytest
 from bags import FORMATS, ROS1, messages_of, read_bag, write_bag
 from onnx_models import millimetres_as_rgb, write_depth_network
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
 from replay_helpers import (
     CAMERA,
     DEPTH,
@@ -50,14 +49,6 @@ def test_planes_of_every_format_are_true(tmp_path, scenes, replay, bag_format):
     assert all(len(messages) == len(scenes) for messages in written.values())
     assert_true(target, scenes)
     assert f'{len(scenes)} frames in' in text
-
-
-@pytest.mark.parametrize('options', [
-    ('--storage', 'sqlite3'), ('--compress',), ('--storage', 'sqlite3', '--compress')])
-def test_the_new_bag_in_other_formats(bag, scenes, replay, options):
-    code, target, _ = replay(bag, *options)
-    assert code == 0
-    assert_true(target, scenes)
 
 
 def test_depth_from_a_network_and_compressed_images(tmp_path, scenes, replay):
@@ -115,12 +106,6 @@ def test_the_live_node_gives_the_same(bag, scenes, replay):
         robot.shutdown()
 
 
-def test_inputs_are_copied_on_request(bag, replay):
-    _, target, _ = replay(bag, '--copy')
-    source, copied = read_bag(bag), read_bag(target)
-    assert {topic: copied[topic] for topic in source} == source
-
-
 def test_other_topics_are_copied_by_name_whatever_their_type(tmp_path, scenes, replay):
     messages = camera_messages(scenes) + [('/bumper', time_ns(2), 'bang')]
     source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
@@ -130,24 +115,6 @@ def test_other_topics_are_copied_by_name_whatever_their_type(tmp_path, scenes, r
     assert IMAGE not in read_bag(target)
     code, _, text = replay(source, '--copy', '/nothing')
     assert code == 1
-
-
-def test_part_of_a_bag(bag, replay):
-    _, target, _ = replay(bag, '--start', 0.05, '--duration', 0.2)
-    assert stamps_of(planes_of(target)) == [0.1, 0.2]
-
-
-@pytest.mark.parametrize('asked', [
-    ('--start', 5), ('--start', 0.1, '--duration', 0), ('--start', 0.11, '--duration', 0.05),
-    ('--start', 1e300)])
-def test_a_part_without_images_is_reported_and_not_written(bag, replay, tmp_path, asked):
-    code, target, text = replay(bag, *asked, '--figures', tmp_path / 'figures')
-    assert code == 1
-    asked_for = ' '.join(f'{word:g}' if isinstance(word, float) else str(word) for word in asked)
-    assert text.startswith(f'replay: {bag} spans 0 to 0.300 s, and in the requested part, '
-                           f'{asked_for}')
-    assert text.count('\n') == 1
-    assert list(tmp_path.iterdir()) == [bag], target
 
 
 def test_every_nth_frame_and_chosen_outputs(bag, replay):
@@ -167,24 +134,6 @@ def test_a_calibration_that_comes_once_serves_all_images(tmp_path, scenes, repla
     shutil.rmtree(target)
     _, target, _ = replay(source, '--start', 0.25)
     assert stamps_of(planes_of(target)) == [0.3]
-
-
-def test_a_late_start_decodes_no_calibration_but_the_last_one(tmp_path, scenes, replay,
-                                                              monkeypatch):
-    decoded = []
-
-    def counted(data, message_class):
-        decoded.append(message_class.__name__)
-        return deserialize_message(data, message_class)
-
-    monkeypatch.setattr('plane_detector.tools.replay.bag_reader.deserialize_message', counted)
-    early = [(INFO, time_ns(index), camera_info_msg(CAMERA, stamp_s(index)))
-             for index in range(-50, 0)]
-    source = write_bag(tmp_path / 'walk', early + camera_messages(scenes))
-    code, target, text = replay(source, '--start', 5)
-    assert code == 0, text
-    assert_true(target, scenes)
-    assert decoded.count('CameraInfo') <= len(scenes) + 2
 
 
 def test_figures_clouds_and_table(bag, scenes, replay, tmp_path):
@@ -234,14 +183,3 @@ def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
     for scene, msg in zip(scenes, planes_of(target), strict=True):
         offsets_m = cloud_array(msg)[0]['d'][:3]
         assert (np.abs(offsets_m[:, None] - scene.planes[:, 3]).min(axis=1) < 0.05).all()
-
-
-@pytest.mark.parametrize('options, told', [
-    (('-p', 'segmentation.max_plane:=1'), 'max_plane (meant: segmentation.max_planes?)'),
-    (('-p', 'segmentation.max_planes:=0'), 'max_planes must be in'),
-    (('-p', 'segmentation.max_planes=1'), 'NAME:=VALUE'),
-    (('--params-file', 'nowhere.yaml'), 'nowhere.yaml')])
-def test_wrong_parameters_are_reported(bag, replay, options, told):
-    code, target, text = replay(bag, *options)
-    assert (code, target.exists()) == (1, False)
-    assert told in text

@@ -3,9 +3,7 @@
 """The inputs that a replay reads from a bag, and errors in bags."""
 
 import shutil
-import sys
 
-import numpy as np
 import pytest
 from bags import CUSTOM_TYPE, ROS1, write_bag
 from replay_helpers import (
@@ -15,11 +13,9 @@ from replay_helpers import (
     assert_true,
     camera_messages,
     planes_of,
-    stamp_s,
     stamps_of,
     time_ns,
 )
-from ros_helpers import image_msg
 
 
 def test_an_unusable_frame_is_reported_and_skipped(tmp_path, scenes, replay):
@@ -32,23 +28,6 @@ def test_an_unusable_frame_is_reported_and_skipped(tmp_path, scenes, replay):
     assert told in text.splitlines()[-1]
 
 
-def test_no_planes_are_claimed_where_no_frame_could_be_used(tmp_path, scenes, replay):
-    messages = camera_messages(scenes[:1])
-    messages[0][2].encoding = 'rainbow'
-    code, _, text = replay(write_bag(tmp_path / 'walk', messages))
-    assert code == 1
-    assert 'no frame could be processed' in text
-    assert 'The planes are in' not in text
-
-
-def test_images_without_depth_are_counted(tmp_path, scenes, replay):
-    messages = [entry for index, entry in enumerate(camera_messages(scenes)) if index != 5]
-    code, target, text = replay(write_bag(tmp_path / 'walk', messages))
-    assert code == 0
-    assert stamps_of(planes_of(target)) == [0.0, 0.2, 0.3]
-    assert '1 images had no calibration or depth' in text
-
-
 def test_depth_in_the_frame_of_the_image_is_found(tmp_path, scenes, replay):
     other = camera_messages(scenes)
     for entry in other:
@@ -59,18 +38,6 @@ def test_depth_in_the_frame_of_the_image_is_found(tmp_path, scenes, replay):
     code, target, text = replay(source, '-p', 'depth.source:=topic', depth='')
     assert code == 0, text
     assert_true(target, scenes)
-
-
-def test_the_rectified_colour_image_is_preferred(tmp_path, scenes, replay):
-    messages = camera_messages(scenes)
-    for index, scene in enumerate(scenes):
-        for name, pixels, encoding in (('/cam/image_rect', scene.rgb, 'rgb8'),
-                                       ('/cam/grey_rect', scene.rgb[..., 0], 'mono8')):
-            messages.append((name, time_ns(index) + 3000,
-                             image_msg(np.ascontiguousarray(pixels), encoding, stamp_s(index))))
-    code, _, text = replay(write_bag(tmp_path / 'walk', messages))
-    assert code == 0
-    assert 'Reading /cam/image_rect, /cam/camera_info, /cam/depth' in text
 
 
 def test_one_of_two_cameras_must_be_named(tmp_path, scenes, replay):
@@ -98,17 +65,6 @@ def test_wrong_topics_are_reported_with_the_existing_ones(tmp_path, scenes, repl
     for topic in (IMAGE, INFO, DEPTH, '/bumper'):
         assert topic in text.partition(' has ')[2]
     assert f'{CUSTOM_TYPE}, 1 messages' in text
-
-
-@pytest.mark.parametrize('missing, told', [
-    (IMAGE, 'no topic for --image'), (INFO, 'no topic for --camera-info'),
-    (DEPTH, 'no topic for --depth')])
-def test_missing_topics_are_reported(tmp_path, scenes, replay, missing, told):
-    messages = [entry for entry in camera_messages(scenes) if entry[0] != missing]
-    source = write_bag(tmp_path / 'walk', messages)
-    code, target, text = replay(source, '-p', 'depth.source:=topic', depth='')
-    assert (code, target.exists()) == (1, False)
-    assert told in text
 
 
 def damaged(tmp_path, scenes, kind):
@@ -170,31 +126,3 @@ def test_a_recording_without_metadata_and_a_single_file_are_read(
     shutil.rmtree(target)
     (file,) = folder.iterdir()
     assert replay(file)[0] == 0
-
-
-def test_files_that_are_not_bags_are_reported(tmp_path, replay):
-    (tmp_path / 'folder').mkdir()
-    (tmp_path / 'folder' / 'notes.txt').write_text('no bag')
-    (tmp_path / 'walk.avi').write_bytes(b'RIFF')
-    for name, told in (('nowhere', 'there is no bag'), ('folder', 'There is notes.txt (6 bytes)'),
-                       ('walk.avi', 'is not a bag')):
-        code, _, text = replay(tmp_path / name)
-        assert code == 1
-        assert told in text
-
-
-def test_an_empty_bag_is_reported(tmp_path, replay):
-    code, _, text = replay(write_bag(tmp_path / 'empty', []))
-    assert code == 1
-    assert 'has no topics' in text
-
-
-def test_without_rosbags_the_remedy_is_printed(bag, replay, monkeypatch):
-    modules = ('rosbags', 'plane_detector.tools.replay.')
-    for name in [name for name in sys.modules if name.startswith(modules)
-                 and not name.endswith(('command_line', 'options'))]:
-        monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setitem(sys.modules, 'rosbags', None)
-    code, _, text = replay(bag)
-    assert code == 1
-    assert 'pip install rosbags' in text

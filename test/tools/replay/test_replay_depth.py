@@ -11,13 +11,8 @@ from replay_helpers import (
     IMAGE,
     assert_true,
     camera_messages,
-    planes_of,
-    stamps_of,
 )
 from ros_helpers import image_msg
-from sensor_msgs.msg import PointCloud2
-
-from plane_detector.tools.replay.options import load_settings
 
 
 @pytest.fixture
@@ -57,28 +52,6 @@ def test_available_measured_depth_is_used(bag, scenes, replay):
     assert {one['scale'] for one in facts} == {'metres, as measured'}
 
 
-def test_the_diagnostics_have_the_stamps_of_the_images(bag, replay):
-    _, target, _ = replay(bag)
-    messages = messages_of(target, '/diagnostics', DiagnosticArray)
-    assert stamps_of(messages) == [0.0, 0.1, 0.2, 0.3]
-    assert {(msg.status[0].hardware_id, msg.status[0].name) for msg in messages} == {
-        ('plane_detector', 'replay')}
-    assert messages[-1].status[0].message == 'replayed'
-    assert all(value.value for msg in messages for value in msg.status[0].values)
-
-
-def test_the_planes_of_each_frame_are_a_table_in_the_diagnostics(bag, replay):
-    _, target, _ = replay(bag)
-    tables = [msg.status[1] for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
-    counts = [msg.width for msg in messages_of(target, '/plane_detector/planes', PointCloud2)]
-    assert {(table.name, table.hardware_id) for table in tables} == {
-        ('replay: planes', 'plane_detector planes')}
-    assert [(table.values[0].value, table.values[1].key, table.values[1].value)
-            for table in tables] == [(str(count), 'planes_in_all', str(sum(counts[:k + 1])))
-                                     for k, count in enumerate(counts)]
-    assert [len(table.values) for table in tables] == [2 + count for count in counts]
-
-
 def test_a_network_is_used_on_request_despite_measured_depth(
         tmp_path, scenes, replay, network):
     options, path = network
@@ -91,20 +64,6 @@ def test_a_network_is_used_on_request_despite_measured_depth(
     assert 'not measured depth, as requested' in text
     assert 'Scale of 4 frames: metric' in text
     assert_true(target, scenes)
-
-
-def test_what_a_relative_network_lacks_is_reported_once(
-        tmp_path, scenes, replay, network):
-    options, path = network
-    source = write_bag(tmp_path / 'walk', coded(scenes[:2], depth=False))
-    code, _, text = replay(
-        source, '--network', path, *options, '-p', 'depth.output:=relative_disparity', '-p',
-        'directions.gravity:=false', depth='')
-    assert code == 0, text
-    assert text.count('Scale of') == 1, 'though the notes of the frames differ'
-    assert 'Scale of 2 frames: relative' in text
-    assert text.count('planes have no class') == 1
-    assert 'give scale.camera_height and scale.gravity' in text
 
 
 @pytest.mark.parametrize('change, told', [
@@ -132,45 +91,6 @@ def test_without_registered_depth_a_network_is_used_with_the_reason(
     assert told in facts_of(target)[0]['depth']
 
 
-def test_one_of_two_registered_depths_must_be_named(tmp_path, scenes, replay):
-    messages = camera_messages(scenes)
-    messages += [('/cam/depth_filtered', when, msg) for topic, when, msg in messages
-                 if topic == DEPTH]
-    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
-    code, target, text = replay(source, depth='')
-    assert (code, target.exists()) == (1, False)
-    assert '/cam/depth, /cam/depth_filtered all fit: select one by --depth' in text
-    assert replay(source, depth=DEPTH)[0] == 0
-
-
-def test_a_skipped_frame_has_diagnostics_too(tmp_path, scenes, replay):
-    messages = camera_messages(scenes)
-    messages[3][2].encoding = 'rainbow'
-    _, target, _ = replay(write_bag(tmp_path / 'walk', messages))
-    states = [msg.status[0] for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
-    assert [status.level for status in states] == [b'\0', b'\1', b'\0', b'\0']
-    assert states[1].message.startswith("frame skipped: image encoding 'rainbow'")
-    facts = {pair.key: pair.value for pair in states[1].values}
-    assert facts['last_error'].startswith("image encoding 'rainbow'")
-    assert len(planes_of(target)) == 3
-
-
-def test_an_integer_is_accepted_for_a_float(bag, replay):
-    config, _ = load_settings(None, ['scale.camera_height:=1', 'scale.gravity:=[0, 1, 0]'])
-    assert config.scale.camera_height == 1.0
-    assert config.scale.gravity == (0.0, 1.0, 0.0)
-    code, _, text = replay(bag, '-p', 'scale.camera_height:=1')
-    assert code == 0, text
-
-
-def test_of_every_other_frame_the_inputs_are_copied(bag, scenes, replay):
-    from bags import read_bag
-    _, target, _ = replay(bag, '--every', 2, '--copy')
-    source, copied = read_bag(bag), read_bag(target)
-    assert {topic: copied[topic] for topic in source} == {
-        topic: messages[::2] for topic, messages in source.items()}
-
-
 def test_other_topics_are_copied_whole_with_every_other_frame(tmp_path, scenes, replay):
     from bags import read_bag
     messages = camera_messages(scenes) + [
@@ -181,13 +101,3 @@ def test_other_topics_are_copied_whole_with_every_other_frame(tmp_path, scenes, 
     copied = read_bag(target)
     assert copied['/bumper'] == read_bag(source)['/bumper']
     assert copied[IMAGE] == read_bag(source)[IMAGE][::2]
-
-
-def test_a_calibration_that_came_once_is_copied_once(tmp_path, scenes, replay):
-    from bags import read_bag
-    messages = camera_messages(scenes)
-    messages = [entry for index, entry in enumerate(messages)
-                if entry[0] != '/cam/camera_info' or index == 1]
-    source = write_bag(tmp_path / 'walk', messages)
-    _, target, _ = replay(source, '--every', 2, '--copy')
-    assert read_bag(target)['/cam/camera_info'] == read_bag(source)['/cam/camera_info']

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from bags import read_bag, write_bag
+from bags import write_bag
 from replay_helpers import (
     DEPTH,
     IMAGE,
@@ -36,7 +36,6 @@ FrameProcessor.process = counted
 from plane_detector.tools.replay.command_line import main
 sys.exit(main(sys.argv[1:]))
 """
-HANG = 'print("hangs", flush=True); threading.Event().wait()'
 
 
 def kill(number):
@@ -72,14 +71,6 @@ def test_a_signal_leaves_a_whole_bag_of_the_frames_so_far(bag, scenes, replay, r
     assert_true(target, scenes)
 
 
-def test_an_ignored_interrupt_stays_ignored(run, scenes, tmp_path):
-    """As under nohup."""
-    ended = run(kill(signal.SIGINT),
-                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_IGN))
-    assert ended.returncode == 0, ended.stderr
-    assert_true(tmp_path / 'planes', scenes)
-
-
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_after_a_kill_nothing_has_the_name_and_the_next_run_does_all(
         bag, scenes, replay, run, tmp_path, storage):
@@ -93,29 +84,6 @@ def test_after_a_kill_nothing_has_the_name_and_the_next_run_does_all(
     assert {path.name for path in tmp_path.iterdir()} == {'walk', 'planes', 'planes.csv'}
 
 
-def test_an_endless_frame_does_not_delay_the_end(bag, tmp_path):
-    with subprocess.Popen(
-            [sys.executable, '-c', SCRIPT.format(frame=1, at=HANG), str(bag),
-             str(tmp_path / 'planes')], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True) as process:
-        assert process.stdout.readline() == 'hangs\n'
-        process.send_signal(signal.SIGTERM)
-        printed = process.communicate(timeout=60)
-    assert process.returncode == 130, printed
-    assert 'Traceback' not in printed[1]
-    assert not (tmp_path / 'planes').exists()
-
-
-def test_two_processes_do_not_write_the_same_bag(bag, run, replay, tmp_path):
-    """The second one starts while the first is at its first frame."""
-    second = ('import subprocess; print(subprocess.run([sys.executable, "-m", '
-              '"plane_detector.tools.replay", *sys.argv[1:]], capture_output=True, text=True))')
-    first = run(second, frame=0)
-    assert first.returncode == 0, first.stderr
-    assert 'returncode=1' in first.stdout
-    assert 'is being written by another process' in first.stdout
-
-
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
 def test_a_full_disk_is_reported_in_a_line_and_leaves_nothing(run, tmp_path, storage):
     """The limit takes the place of the disk: of four frames some fit."""
@@ -125,26 +93,6 @@ def test_a_full_disk_is_reported_in_a_line_and_leaves_nothing(run, tmp_path, sto
     assert 'Traceback' not in ended.stderr
     assert 'planes cannot be written: ' in ended.stderr.splitlines()[-1]
     assert [path.name for path in tmp_path.iterdir()] == ['walk']
-
-
-def test_figures_into_a_place_that_cannot_be_written(bag, replay, tmp_path):
-    (tmp_path / 'file').write_text('')
-    for place in (tmp_path / 'file', Path('/proc/figures')):
-        code, target, text = replay(bag, '--figures', place)
-        assert code == 1
-        assert text.splitlines()[-1].startswith('replay: ')
-        assert 'Traceback' not in text
-        assert {path.name for path in tmp_path.iterdir()} == {'walk', 'file'}, target
-
-
-def test_a_failure_to_write_figures_ends_the_replay(bag, replay, tmp_path, monkeypatch):
-    monkeypatch.setattr('cv2.imwrite', lambda path, image: '000001' not in path
-                        and bool(Path(path).write_text('jpg')))
-    code, target, text = replay(bag, '--figures', tmp_path / 'figures')
-    assert code == 1
-    assert '000001.jpg cannot be written' in text
-    assert not target.exists()
-    assert [path.name for path in (tmp_path / 'figures').iterdir()] == ['000000.jpg']
 
 
 def test_an_output_that_exists_is_not_touched(bag, replay, tmp_path):
@@ -164,20 +112,6 @@ def in_database(source, *command):
         return database.execute(*command).fetchall()
 
 
-@pytest.mark.parametrize('topic, told', [
-    (IMAGE, 'no topic for --image was found, and no message is recorded on '
-            '/cam/image_raw'),
-    (INFO, 'and no message is recorded on /cam/camera_info')])
-def test_announced_but_missing_messages_are_reported(tmp_path, scenes, replay, topic, told):
-    source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3')
-    in_database(source, 'DELETE FROM messages WHERE topic_id = '
-                '(SELECT id FROM topics WHERE name = ?)', (topic,))
-    code, target, text = replay(source)
-    assert (code, target.exists()) == (1, False)
-    assert told in text
-    assert 'Traceback' not in text
-
-
 @pytest.mark.parametrize('topic', [IMAGE, INFO, DEPTH])
 def test_a_damaged_message_is_skipped_and_counted(tmp_path, scenes, replay, topic):
     source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3')
@@ -190,20 +124,3 @@ def test_a_damaged_message_is_skipped_and_counted(tmp_path, scenes, replay, topi
     assert '1 damaged messages were skipped' in text
     # the calibration of another image serves
     assert stamps_of(planes_of(target)) == [0.0] * (topic == INFO) + [0.1, 0.2, 0.3]
-
-
-@pytest.mark.parametrize('damaged, left', [([6], [0.0, 0.1, 0.3]), (range(6, 12), [0.0, 0.1])])
-def test_reading_continues_after_messages_that_cannot_be_unpacked(tmp_path, scenes, replay,
-                                                                  damaged, left):
-    """The library that unpacks them gives up at the first; the rest may be lost."""
-    source = write_bag(tmp_path / 'walk', camera_messages(scenes), 'sqlite3_zstd_messages')
-    for index in damaged:
-        ((row,),) = in_database(source, 'SELECT id FROM messages ORDER BY timestamp '
-                                'LIMIT 1 OFFSET ?', (index,))
-        in_database(source, 'UPDATE messages SET data = ? WHERE id = ?', (b'garbage', row))
-    code, target, text = replay(source)
-    assert code == 3, text
-    assert 'Traceback' not in text
-    assert stamps_of(planes_of(target)) == left
-    assert {len(messages) for topic, messages in read_bag(target).items()
-            if 'plane_detector' in topic} == {len(left)}

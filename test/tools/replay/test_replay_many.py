@@ -11,12 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
-import yaml
 from bags import read_bag, write_bag
 from replay_helpers import DEPTH, assert_true, camera_messages
 
 from plane_detector.tools.replay.bag_reader import BagError
-from plane_detector.tools.replay.command_line import main, parse
+from plane_detector.tools.replay.command_line import main
 from plane_detector.tools.replay.many_bags import find_bags, is_collection
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -106,25 +105,6 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
     assert (out / 'first' / 'metadata.yaml').stat().st_mtime_ns == before
 
 
-def test_a_bag_of_other_options_or_another_version_is_not_treated_as_done(bag, tmp_path):
-    words = ['--output-folder', str(tmp_path / 'out'), str(bag), '--jobs', '1']
-    assert main([*words, '--outputs', 'planes']) == 0
-    assert main([*words, '--outputs', 'labels']) == 1
-    assert 'with other options' in rows_of(tmp_path / 'out')['walk']['error']
-    metadata = tmp_path / 'out' / 'walk' / 'metadata.yaml'
-    content = yaml.safe_load(metadata.read_text(encoding='utf-8'))
-    information = content['rosbag2_bagfile_information']
-    information['custom_data'] = {key: value for key, value in information['custom_data'].items()
-                                  if key in ('replay.state', 'replay.source', 'replay.options')}
-    metadata.write_text(yaml.safe_dump(content), encoding='utf-8')
-    assert main([*words, '--outputs', 'planes']) == 0
-    assert rows_of(tmp_path / 'out')['walk']['state'] == 'done before'
-    information['custom_data'] = {'replay.state': 'finished'}
-    metadata.write_text(yaml.safe_dump(content), encoding='utf-8')
-    assert main([*words, '--outputs', 'planes']) == 1
-    assert 'made from elsewhere' in rows_of(tmp_path / 'out')['walk']['error']
-
-
 def start(bags, out):
     return subprocess.Popen(
         [sys.executable, '-m', 'plane_detector.tools.replay', '--jobs', '2',
@@ -179,20 +159,3 @@ def test_after_a_signal_or_a_killed_worker_the_same_command_does_the_rest(bags, 
     for name in ('first', 'second', 'monday_walk'):
         assert_true(out / name, scenes)
     assert not list(out.glob('.*.part'))
-
-
-@pytest.mark.parametrize('words, network, paths', [
-    (['in', 'out'], None, ['in', 'out']), (['--network', 'in', 'out'], '', ['in', 'out']),
-    (['in', 'out', '--network'], '', ['in', 'out']),
-    (['in', '--network', 'fastdepth', 'out'], 'fastdepth', ['in', 'out']),
-    (['--network', 'a/b.onnx', 'in'], 'a/b.onnx', ['in'])])
-def test_network_takes_the_name_of_one_only(words, network, paths):
-    arguments = parse(words)
-    assert (arguments.network, arguments.paths) == (network, paths)
-
-
-@pytest.mark.parametrize('backend, module', [('dask', 'dask'), ('ray', 'ray')])
-def test_a_missing_backend_is_reported(bag, tmp_path, capsys, monkeypatch, backend, module):
-    monkeypatch.setitem(sys.modules, module, None)
-    assert main(['--backend', backend, '--output-folder', str(tmp_path / 'out'), str(bag)]) == 1
-    assert 'needs pip install' in capsys.readouterr().err

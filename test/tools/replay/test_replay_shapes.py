@@ -51,10 +51,3 @@ def test_shapes_have_a_table_and_their_labels_are_in_the_cloud(replay, tmp_path)
     labels = vertices_of(tmp_path / 'ply' / '000000.ply')['label']
     assert (labels == int(rows[0]['label'])).sum() == int(rows[0]['num_inliers']) > 900
     assert rows[0]['label'] not in {row['label'] for row in rows_of(tmp_path / 'planes.csv')}
-
-
-def test_without_shapes_there_is_no_table_of_them(bag, replay, tmp_path):
-    code, _, text = replay(bag, '--csv', tmp_path / 'planes.csv')
-    assert code == 0, text
-    assert rows_of(tmp_path / 'planes.csv')
-    assert not (tmp_path / 'planes_shapes.csv').exists()

@@ -119,16 +119,3 @@ def test_an_ancestor_without_data_is_no_obstacle(tmp_path, scenes, replay):
     assert code == 3
     assert f'1 frames skipped: no transform from {FRAME_ID} to odom' in text.splitlines()[-1]
     assert len(planes_of(target)) == len(scenes) - 1
-
-
-def test_a_bag_without_transforms_is_reported(bag, replay):
-    code, target, text = replay(bag, '-p', 'base_frame:=base_link')
-    assert (code, target.exists()) == (1, False)
-    assert 'base_frame and target_frame need transforms' in text
-
-
-def test_an_unconnected_frame_is_reported(bag_with_tf, replay):
-    code, _, text = replay(bag_with_tf, '-p', 'base_frame:=odom')
-    assert code == 1
-    assert f'no transform from {FRAME_ID} to odom' in text
-    assert f'there are base_link, {FRAME_ID}' in text
