@@ -78,7 +78,7 @@ def _flat_regions(frame: Frame, most: int, min_turn_deg: float) -> RegionGraph:
     regions = add_planes(frame, no_planes(frame.grid), most)
     graph = RegionGraph.of(frame.cells, regions)
     is_flat = np.ones(len(graph.planes), bool)
-    is_flat[find_curved(graph, 0.0, min_turn_deg)] = False
+    is_flat[find_curved(graph, 0.0, min_turn_deg, frame.noise.bending)] = False
     return graph.only(is_flat)
 
 

@@ -175,7 +175,7 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
     labels, planes = add_small_planes(frame, labels, graph.planes, min_turn_deg)
-    curved = find_curved(graph, noise_density, min_turn_deg)
+    curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending)
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:
         owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,

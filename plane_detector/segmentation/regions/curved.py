@@ -87,7 +87,8 @@ def fit_quadric(first, second, noise_share):
     return gain, of_quadric / total, worst
 
 
-def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -> np.ndarray:
+def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
+                bending: float = 1.0) -> np.ndarray:
     """
     Find regions that a quadric explains better than a plane, alone or together with neighbours.
 
@@ -99,6 +100,9 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -
         cell counts. Infinite: regions are not tested alone.
     min_turn_deg : float
         Surfaces that turn by less are planes with a dent.
+    bending : float
+        Of the noise. The systematic errors of neighbouring regions are the same: the fits of a
+        pair are judged by the errors about planes alone.
 
     Returns
     -------
@@ -106,7 +110,9 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float) -
         Their indices.
 
     """
-    return np.flatnonzero(_in_bends(_bends(graph.planes, graph.sums, graph.borders, graph.lens,
+    sums = graph.sums.copy()
+    sums[:, VARIANCE] /= bending**2
+    return np.flatnonzero(_in_bends(_bends(graph.planes, sums, graph.borders, graph.lens,
                                            (noise_density, min_turn_deg))))
 
 
