@@ -5,12 +5,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
+from functools import partial
 from typing import NamedTuple
 
 from plane_detector.ros.diagnostics import Statistics
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
+from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor, SeenFrame
 from plane_detector.ros.frame_requests import FrameRequests, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import LARGE_PX, REDUCED_PX, Health
@@ -56,7 +57,7 @@ class FrameFlow:
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
         self._records = records
-        self.worker = FrameWorker(self._process)
+        self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
 
     def accept(self, frame: Frame) -> None:
         """Pass a frame to the worker if it is wanted; called in the executor's thread."""
@@ -91,13 +92,21 @@ class FrameFlow:
             return True
         return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
-    def _process(self, frame: Frame) -> None:
-        """Process and publish a frame, or log why not: one frame must not end the node."""
-        statistics, requests, faults, health = self._records
+    def _begin(self, frame: Frame) -> Callable[[], None]:
+        """Find the depth of a frame; return the function that publishes its planes."""
         try:
             self._live.apply_to(self._processor)
+            seen = self._processor.see(frame)
+        except Exception as error:
+            return partial(self._skip, frame, error)
+        return partial(self._finish, seen)
+
+    def _finish(self, seen: SeenFrame) -> None:
+        """Find and publish the planes of a frame, or log why not."""
+        statistics, requests, _, health = self._records
+        try:
             wanted = self._outputs.wanted()
-            processed = self._processor.process(frame, wanted)
+            processed = self._processor.finish(seen, wanted)
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
                 self._outputs.publish(processed.messages)
@@ -106,11 +115,15 @@ class FrameFlow:
                 health.note(processed.result.detection, wanted)
                 statistics.add_processed({**processed.stage_seconds, 'publish': publish_s},
                                          processed.result)
-                requests.finish(frame, True, describe_frame(processed.result))
+                requests.finish(seen.frame, True, describe_frame(processed.result))
             if max(processed.result.detection.labels.shape) > LARGE_PX and not health.advice:
-                health.advice = self._reduced_time(frame, wanted, processed)
+                health.advice = self._reduced_time(seen.frame, wanted, processed)
         except Exception as error:
-            with current_stop().uncut():
-                reason = faults.tell(error, f'image of {stamp_text(frame.image)}')
-                statistics.add_skipped(reason)
-                requests.finish(frame, False, f'frame skipped: {reason}')
+            self._skip(seen.frame, error)
+
+    def _skip(self, frame: Frame, error: Exception) -> None:
+        """Log why a frame has no result: one frame must not end the node."""
+        with current_stop().uncut():
+            reason = self._records.faults.tell(error, f'image of {stamp_text(frame.image)}')
+            self._records.statistics.add_skipped(reason)
+            self._records.requests.finish(frame, False, f'frame skipped: {reason}')

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,9 +13,10 @@ import numpy as np
 
 from plane_detector.config import NodeConfig
 from plane_detector.depth.input_rate import median_seconds
-from plane_detector.depth.observation import ModelDepth
+from plane_detector.depth.observation import ModelDepth, Observation
+from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.inputs.frame_conversion import FrameConverter
+from plane_detector.ros.inputs.frame_conversion import ConvertedFrame, FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
@@ -24,6 +25,19 @@ from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stage_timer import StageTimer
 from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection
+
+
+@dataclass(frozen=True)
+class SeenFrame:
+    """A frame with its depth, and what belongs to it: the result of `FrameProcessor.see`."""
+
+    frame: Frame
+    converted: ConvertedFrame
+    observation: Observation
+    settings: NodeConfig
+    transforms: Callable[[], tuple[CameraPose | None, RigidTransform | None]]
+    starts_anew: bool
+    stage_seconds: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -68,6 +82,11 @@ class FrameProcessor:
         """Kind of depth that the source returns."""
         return self.detector.source.output
 
+    @property
+    def has_network(self) -> bool:
+        """Whether the depth is from a network, which takes long."""
+        return isinstance(self.detector.source, ModelDepth)
+
     def process(self, frame: Frame, wanted: Collection[str] = tuple(OUTPUTS)) -> FrameOutputs:
         """
         Find the planes of a frame and make the messages of the requested outputs.
@@ -78,17 +97,33 @@ class FrameProcessor:
             The messages are invalid or do not fit together, or a transform is missing.
 
         """
-        self._forget_the_past_of(frame)
-        stages, header, settings = StageTimer(), frame.image.header, self.settings
+        return self.finish(self.see(frame), wanted)
+
+    def see(self, frame: Frame) -> SeenFrame:
+        """Run the first half of :meth:`process`; another thread may finish the frame before."""
+        settings, stages, starts_anew = self.settings, StageTimer(), self._starts_anew(frame)
+        if starts_anew:
+            self.detector.reset_depth()
         with stages('convert'):
             # 1. The messages as arrays.
             converted = self._converter.convert(frame, settings)
-            transforms_of_frame = self._transforms.awaited(header, settings)
+            transforms = self._transforms.awaited(frame.image.header, settings)
         # 2. Depth; meanwhile TF may receive the transforms of this image.
         seen = self.detector.observe(converted.rgb, converted.intrinsics, converted.depth_m,
                                      converted.covered)
+        return SeenFrame(frame, converted, seen, settings, transforms, starts_anew,
+                         stages.seconds)
+
+    def finish(self, begun: SeenFrame, wanted: Collection[str]) -> FrameOutputs:
+        """Run the second half of :meth:`process`, on frames in order."""
+        frame, seen, stages = begun.frame, begun.observation, StageTimer()
+        stages.seconds |= begun.stage_seconds
+        if begun.starts_anew:
+            self._lines_s, self._before = -math.inf, None
+            self.detector.reset_directions()
+            self.detector.reset_planes()
         with stages('wait'):
-            pose, to_target = transforms_of_frame()
+            pose, to_target = begun.transforms()
         # 3. Gravity and lines, those found shortly before if nothing moves; then planes.
         stamp_s = _stamp_s(frame)
         may_hold = ((seen.is_measured or seen.is_still)
@@ -104,8 +139,8 @@ class FrameProcessor:
             merged = merged_labels(self._before, detection, seen.config.tracking)
             self._before = detection
         # 4. The messages that somebody wants.
-        result = ProcessedFrame(header, seen.rgb, seen.intrinsics, detection, settings,
-                                to_target, converted.distortion, merged)
+        result = ProcessedFrame(frame.image.header, seen.rgb, seen.intrinsics, detection,
+                                begun.settings, to_target, begun.converted.distortion, merged)
         with stages('messages'):
             made = {name: msg for name in wanted
                     if (msg := OUTPUTS[name].make(result)) is not None}
@@ -113,8 +148,7 @@ class FrameProcessor:
 
     def seconds_with(self, max_side: int, frame: Frame, wanted: Collection[str]) -> float:
         """Return the time that a frame would take if its image were reduced to this side first."""
-        source = self.detector.source
-        model = source.model if isinstance(source, ModelDepth) else None
+        model = self.detector.source.model if self.has_network else None
         other = FrameProcessor(PlaneDetector(self.detector.config, model),
                                replace(self.settings, max_side=max_side), self._image_topic,
                                self._transforms)
@@ -124,13 +158,11 @@ class FrameProcessor:
         """Discard the history before the next frame; thread-safe."""
         self._is_reset = True
 
-    def _forget_the_past_of(self, frame: Frame) -> None:
-        """Discard the history if time jumped back before this frame, or a reset was asked for."""
-        if frame.epoch == self._epoch and not self._is_reset:
-            return
+    def _starts_anew(self, frame: Frame) -> bool:
+        """Return whether time jumped back before this frame, or a reset was asked for."""
+        starts_anew = frame.epoch != self._epoch or self._is_reset
         self._epoch, self._is_reset = frame.epoch, False
-        self._lines_s, self._before = -math.inf, None
-        self.detector.reset()
+        return starts_anew
 
 
 def _sum(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The worker processes one frame at a time, keeps the newest, and drops outdated ones."""
+"""The worker processes frames in order, keeps the newest, and drops outdated ones."""
 
 import threading
 
@@ -23,6 +23,9 @@ class Work:
         self.done, self.dropped = [], []
 
     def __call__(self, frame):
+        return lambda: self.hold(frame)
+
+    def hold(self, frame):
         self.begun.release()
         try:
             while not self.free.acquire(timeout=0.01):
@@ -33,10 +36,10 @@ class Work:
             self.ended.release()
 
 
-def started(listens=True):
+def started(listens=True, overlaps=False):
     """Return a worker that is busy with a frame."""
     work = Work(listens)
-    worker = FrameWorker(work)
+    worker = FrameWorker(work, overlaps)
     assert not worker.put('first')
     assert work.begun.acquire(timeout=STUCK_S)
     return work, worker
@@ -53,9 +56,30 @@ def test_the_newest_frame_waits():
     assert work.done == ['first', 'third']
 
 
+def test_the_next_frame_is_begun_while_one_is_finished_and_finished_after_it():
+    begun, free, finished = threading.Semaphore(0), threading.Event(), []
+
+    def begin(frame):
+        begun.release()
+        return lambda: (free.wait(STUCK_S), finished.append(frame))
+
+    worker = FrameWorker(begin, overlaps=True)
+    for frame in ('first', 'second'):
+        worker.put(frame)
+        assert begun.acquire(timeout=STUCK_S)
+    assert not worker.put('third')
+    assert not begun.acquire(timeout=0.05), 'begun before the first one is finished'
+    free.set()
+    assert begun.acquire(timeout=STUCK_S)
+    worker.stop()
+    assert worker.wait(STUCK_S)
+    assert finished[:2] == ['first', 'second']
+
+
+@pytest.mark.parametrize('overlaps', [True, False])
 @pytest.mark.parametrize('listens', [True, False])
-def test_a_dropped_frame_is_known_as_such_and_the_next_one_comes_after_it(listens):
-    work, worker = started(listens)
+def test_a_dropped_frame_is_known_as_such_and_the_next_one_comes_after_it(listens, overlaps):
+    work, worker = started(listens, overlaps)
     worker.put('waiting')
     worker.drop()
     worker.put('next')
@@ -70,8 +94,9 @@ def test_a_dropped_frame_is_known_as_such_and_the_next_one_comes_after_it(listen
     assert work.dropped == ([] if listens else ['first'])
 
 
-def test_stop_does_not_wait_for_work_that_ignores_it():
-    work, worker = started(listens=False)
+@pytest.mark.parametrize('overlaps', [True, False])
+def test_stop_does_not_wait_for_work_that_ignores_it(overlaps):
+    work, worker = started(listens=False, overlaps=overlaps)
     worker.stop()
     assert not worker.wait(0.05)
     work.free.release()
