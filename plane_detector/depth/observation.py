@@ -12,11 +12,16 @@ import numpy as np
 
 from plane_detector.config import Config
 from plane_detector.depth.depth_function import wrapped
-from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.far import knowable
 from plane_detector.depth.focal_correction import lens_factor
 from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
-from plane_detector.geometry.disparity import noise_reference, to_depth, to_disparity, valid_depth
+from plane_detector.geometry.disparity import (
+    limited_depth,
+    limited_disparity,
+    noise_reference,
+    to_depth,
+    to_disparity,
+)
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
 
@@ -108,9 +113,7 @@ class SensorDepth:
         """
         if depth_m is None:
             raise ValueError('depth.source is topic, but no depth image was given')
-        depth_m = np.asarray(depth_m, np.float32)
-        prediction = Prediction(
-            self.output, _without_the_far(depth_m, self.output, config.depth.max_depth))
+        prediction = Prediction(self.output, limited_depth(depth_m, config.depth.max_depth))
         return Observation(rgb, intrinsics, config, prediction, is_measured=True)
 
     def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
@@ -224,19 +227,19 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
         :class:`~plane_detector.depth.estimator.DepthEstimator`.
 
     """
+    if model is None and config.depth.source == 'topic':
+        return SensorDepth()
     if model is None:
-        return (SensorDepth() if config.depth.source == 'topic'
-                else ModelDepth(DepthEstimator(config.depth)))
+        from plane_detector.depth.estimator import DepthEstimator  # imports ONNX Runtime
+        return ModelDepth(DepthEstimator(config.depth))
     if not isinstance(model, DepthModel):
         model = wrapped(model, config.depth.output)
     return ModelDepth(model)
 
 
 def _without_the_far(values: np.ndarray, output: str, max_depth_m: float) -> np.ndarray:
-    """Return depth or disparity with NaN where invalid or beyond the largest depth."""
+    """Return the depth or disparity of a model with NaN beyond the largest depth."""
     if output == 'relative_disparity':
         return values
-    valid = values >= np.float32(1 / max_depth_m)
-    if output == 'metric_depth':
-        valid = valid_depth(values) & (values <= max_depth_m)
-    return values if valid.all() else np.where(valid, values, np.float32(np.nan))
+    limited = limited_depth if output == 'metric_depth' else limited_disparity
+    return limited(values, max_depth_m)

@@ -39,6 +39,35 @@ def valid_depth(depth_m: np.ndarray) -> np.ndarray:
     return (depth_m >= MIN_DEPTH_M) & (depth_m < np.inf)
 
 
+def limited_depth(depth_m: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
+    """
+    Return depth (H, W) float32, NaN where it is not valid or larger than `max_depth_m`.
+
+    Examples
+    --------
+    >>> limited_depth(np.array([[2.0, 0.0, 9.0]]), max_depth_m=8.0)
+    array([[ 2., nan, nan]], dtype=float32)
+
+    """
+    return _limited(_float32(depth_m), MIN_DEPTH_M, min(max_depth_m, _LARGEST))
+
+
+def limited_disparity(disparity: np.ndarray, max_depth_m: float) -> np.ndarray:
+    """Return 1/z (H, W) float32, NaN where it is not finite or the depth is larger."""
+    return _limited(_float32(disparity), 1 / max_depth_m, _LARGEST)
+
+
+@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float32)")
+def _limited(values, least, most):
+    """Return the values, NaN unless from the least to the most."""
+    limited = np.empty(values.shape, np.float32)
+    for v in range(values.shape[0]):
+        for u in range(values.shape[1]):
+            is_valid = (values[v, u] >= least) & (values[v, u] <= most)
+            limited[v, u] = values[v, u] if is_valid else np.float32(np.nan)
+    return limited
+
+
 def to_disparity(depth_m: np.ndarray) -> np.ndarray:
     """
     Return 1/z.

@@ -102,14 +102,7 @@ def hulls(labels: np.ndarray, intrinsics: CameraIntrinsics,
 
     """
     ends = _row_ends(np.ascontiguousarray(labels, np.int32), len(planes))
-    index, row = np.nonzero(ends[:, :, 1] >= 0)
-    corners_px = np.empty((len(row), 2, 2, 2), np.float32)
-    corners_px[..., 0] = (ends[index, row] + [-0.5, 0.5])[:, None]
-    corners_px[..., 1] = (row[:, None] + [-0.5, 0.5])[:, :, None]
-    parts = np.split(corners_px.reshape(-1, 2),
-                     4 * np.searchsorted(index, np.arange(1, len(planes))))
-    return _on_planes([cv2.convexHull(part)[:, 0] if len(part) else part for part in parts],
-                      planes, intrinsics) if len(planes) else []
+    return _on_planes([_hull_px(ends[index]) for index in range(len(planes))], planes, intrinsics)
 
 
 def _on_planes(pixels: Sequence[np.ndarray], planes: Sequence[Plane],
@@ -173,6 +166,31 @@ def _row_ends(labels, count):
                 ends[label, v, 1] = u
             first = u + 1
     return ends
+
+
+@kernel('float64[:, ::1](int32[:, ::1])', is_short=True)
+def _hull_px(ends):
+    """
+    Return the convex hull (N, 2) of a plane's pixels with their borders, column and row.
+
+    The ends of the rows are sorted already (Andrew's monotone chain). First are the corners of the
+    left side, downwards, then those of the right side, downwards too.
+    """
+    corners, count = np.empty((4 * len(ends), 2)), 0
+    for side in range(2):
+        first, turn = count, 1.0 - 2.0 * side
+        for v in range(2 * len(ends)):
+            if ends[v // 2, side] < 0:
+                continue
+            x, y = ends[v // 2, side] + side - 0.5, v // 2 + v % 2 - 0.5
+            while count > first + 1:
+                x0, y0 = corners[count - 2, 0], corners[count - 2, 1]
+                if turn * ((corners[count - 1, 0] - x0) * (y - y0)
+                           - (corners[count - 1, 1] - y0) * (x - x0)) < 0:
+                    break
+                count -= 1
+            corners[count, 0], corners[count, 1], count = x, y, count + 1
+    return corners[:count].copy()
 
 
 def _simple_outlines(mask: np.ndarray, first_pixel: tuple[int, int]

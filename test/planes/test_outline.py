@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The outlines of a plane's pixels, and the rectangle around them."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -50,6 +51,20 @@ def test_polygons_have_holes_and_all_patches_the_largest_first():
     assert corners[0] == {(10, 10), (10, 59), (59, 59), (59, 10)}
     assert corners[1] >= {(19, 20), (50, 20)} or len(corners[1]) >= 4
     assert corners[2] == {(80, 70), (80, 74), (94, 74), (94, 70)}
+
+
+def test_the_hull_is_that_of_the_corners_of_all_pixels():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        labels = np.full((80, 100), -1, np.int32)
+        cv2.fillPoly(labels, [rng.integers(0, (100, 80), (5, 2)).astype(np.int32)], 0)
+        labels[rng.random(labels.shape) < 0.5] = -1
+        v, u = np.nonzero(labels == 0)
+        around = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+        corners = (np.stack([u, v], axis=1)[:, None] + around).reshape(-1, 2).astype(np.float32)
+        (hull_m,) = hulls(labels, CAMERA, [WALL])
+        expected = {tuple(corner) for corner in cv2.convexHull(corners)[:, 0].tolist()}
+        assert {tuple(corner) for corner in in_pixels(hull_m).round(1).tolist()} == expected
 
 
 def test_a_plane_seen_edge_on_has_finite_corners():

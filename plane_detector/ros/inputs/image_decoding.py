@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from sensor_msgs.msg import CompressedImage, Image
 
-from plane_detector.geometry.disparity import valid_depth
+from plane_detector.geometry.disparity import limited_depth
 from plane_detector.ros.inputs.compressed_size import compressed_size
 
 _CHANNELS = {'rgb8': 3, 'bgr8': 3, 'rgba8': 4, 'bgra8': 4, 'mono8': 1,
@@ -155,14 +155,13 @@ def depth_from_msg(msg: Image) -> np.ndarray:
     """
     encoding = msg.encoding.upper()
     if encoding == '32FC1':
-        depth_m = _pixels(msg, 'f4', 1)[..., 0].astype(np.float32)
+        depth_m = _pixels(msg, 'f4', 1)[..., 0]
     elif encoding in ('16UC1', 'MONO16'):
         depth_m = _pixels(msg, 'u2', 1)[..., 0] * np.float32(0.001)
     else:
         raise ValueError(f'depth encoding {msg.encoding!r} is not known: 32FC1 (metres) and '
                          '16UC1 (millimetres) are')
-    depth_m[~valid_depth(depth_m)] = np.nan
-    return depth_m
+    return limited_depth(depth_m)
 
 
 def _pixels(msg: Image, channel_type: str, channels: int, rows: int | None = None) -> np.ndarray:
