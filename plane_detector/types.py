@@ -242,12 +242,15 @@ class PlaneSegmentation:
         Index into ``planes``, -1 for no plane and where depth is invalid.
     disparity_noise : float
         Standard deviation of 1/depth used by the segmentation, 1/m.
+    systematic_noise : float
+        The part of it with which the sensor bends whole planes, 1/m.
 
     """
 
     planes: tuple[Plane, ...]
     labels: np.ndarray
     disparity_noise: float
+    systematic_noise: float
 
 
 @dataclass(frozen=True)

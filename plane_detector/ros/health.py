@@ -68,6 +68,9 @@ class Health:
         """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
         facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
                  'gravity': detection.gravity_source}
+        if detection.scale_method != RELATIVE:
+            facts['noise'] = (f'{detection.disparity_noise:.4f} 1/m, of which '
+                              f'{detection.systematic_noise:.4f} bend planes')
         if detection.gravity_note:
             facts['gravity_note'] = detection.gravity_note
         if detection.camera_height_m == detection.camera_height_m:  # not NaN

@@ -60,7 +60,8 @@ STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     'small planes': (f'{_SEGMENT}.add_small_planes',
                      lambda frame, labels, planes, min_turn_deg: (labels, planes)),
     'curved regions': (f'{_SEGMENT}.find_curved',
-                       lambda graph, noise_density, min_turn_deg: np.zeros(0, np.int64)),
+                       lambda graph, *limits: np.zeros(0, np.int64)),
+    'narrow gaps': (f'{_SEGMENT}.close_gaps', lambda labels, *others: labels),
     'nearly flat regions': (
         f'{_SEGMENT}.join_nearly_flat',
         lambda cells, graph, removed, correlation, config: (graph.owner, graph.planes)),

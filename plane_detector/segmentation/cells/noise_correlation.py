@@ -34,8 +34,8 @@ MIN_POWER, MAX_POWER = 0.5, 2.0
 # less than a cell or two has 0.
 # tuned: eight NYU frames, two table tops and fifteen ABW images labelled by hand, simulated
 # sensors, and rooms and lived-in rooms with blurred noise below seed 9000: flat from 1.4 to 1.5
-# and from 2.5 to 3.5, largest 2.5 to 3: SC of the NYU frames .911 to .927; chosen on seven of them,
-# the eighth has .931 in the mean. NYU -0.03 at 1.35; rooms of sensors -0.01 at 3.5.
+# and from 2.5 to 3.5, largest 2.5 to 3: SC of the NYU frames .911 to .927; chosen on seven of
+# them, the eighth has .931 in the mean. NYU -0.03 at 1.35; rooms of sensors -0.01 at 3.5.
 ROUGHNESS_LAGS = 1, 4, 8
 SMOOTH_POWER, BENDING_PER_POWER, MAX_BENDING, GROWTH_POWER = 1.45, 2.5, 3.0, 0.35
 
