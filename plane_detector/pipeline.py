@@ -164,7 +164,7 @@ class PlaneDetector:
             # 6. Labels that are stable from image to image.
             planes, track_labels = self._tracker.update(planes, config.tracking)
         return Detection(planes.planes, planes.labels, planes.disparity_noise,
-                         planes.systematic_noise, depth_m=depth_m,
+                         systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
                          scale_event=self._scale.event, classes=ground.classes, shapes=shapes,
                          track_labels=track_labels, shape_labels=shape_labels,

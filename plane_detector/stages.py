@@ -88,4 +88,5 @@ def measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     """Measure the planes that are large enough, rotated by the lines of the image if given."""
     min_pixels = config.segmentation.min_plane_share * regions.labels.size
     turned = measure_turned(regions, intrinsics, min_pixels, lines)
-    return PlaneSegmentation(*turned, regions.noise.mean_sigma, regions.noise.systematic_sigma)
+    return PlaneSegmentation(*turned, regions.noise.mean_sigma,
+                             systematic_noise=regions.noise.systematic_sigma)

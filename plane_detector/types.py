@@ -250,7 +250,7 @@ class PlaneSegmentation:
     planes: tuple[Plane, ...]
     labels: np.ndarray
     disparity_noise: float
-    systematic_noise: float
+    systematic_noise: float = field(default=0.0, kw_only=True)
 
 
 @dataclass(frozen=True)

@@ -98,7 +98,7 @@ class PlaneTracker:
     --------
     >>> normal, centroid_m = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 2.0])
     >>> wall = Plane(normal, 2.0, centroid_m, 12, 0.0, 1.0, np.eye(4), 1.0)
-    >>> one_wall = PlaneSegmentation((wall,), np.zeros((3, 4), np.int32), 0.0, 0.0)
+    >>> one_wall = PlaneSegmentation((wall,), np.zeros((3, 4), np.int32), 0.0)
     >>> tracker = PlaneTracker()
     >>> [tracker.update(one_wall, TrackingConfig())[1] for _ in range(2)]
     [(1,), (1,)]

@@ -22,7 +22,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
                            scale_method=scale, scale_note='why', scale_event='',
                            gravity_source='none', gravity_note=gravity_note,
                            camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
-                           drop_note='')
+                           drop_note='', disparity_noise=0.002, systematic_noise=0.001)
 
 
 @pytest.mark.parametrize('found, wanted, told', [

@@ -44,7 +44,7 @@ def image(*planes, patches=PATCHES, shape=SHAPE):
     labels = np.full(shape, -1, np.int32)
     for index, patch in enumerate(patches[:len(planes)]):
         labels[patch] = index
-    return PlaneSegmentation(planes, labels, 0.001, 0.0)
+    return PlaneSegmentation(planes, labels, 0.001)
 
 
 def after_motion(motion, planes):
