@@ -160,27 +160,19 @@ def read_split(path: Path, part: str = 'test') -> tuple[int, ...]:
         It contains no numbers.
 
     """
+    from scipy.io import loadmat
     if not path.is_file():
         raise FileNotFoundError(f'there is no file {path}')
     try:
         if path.suffix == '.mat':
-            numbers = np.ravel(_split_of_matlab(path, _SPLITS[part])).astype(int)
+            numbers = np.ravel(loadmat(path)[_SPLITS[part]]).astype(int)
         else:
             numbers = np.array(path.read_text().replace(',', ' ').split(), int)
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, NotImplementedError) as error:
         raise ValueError(f'{path} is not a list of frame numbers: {error}') from error
     if not numbers.size:
         raise ValueError(f'{path} is empty')
     return tuple(numbers.tolist())
-
-
-def _split_of_matlab(path: Path, name: str) -> np.ndarray:
-    from scipy.io import loadmat
-    try:
-        return loadmat(path, variable_names=[name])[name]
-    except NotImplementedError:  # MATLAB 7.3
-        with _h5py().File(path, 'r') as file:
-            return file[name][()]
 
 
 def _h5py() -> Any:

@@ -71,14 +71,10 @@ def test_errors_of_a_file_are_explained(path, tmp_path):
         file.frame(1, 'other')
 
 
-def test_splits_of_matlab_of_both_formats_and_of_text(tmp_path):
+def test_splits_of_matlab_and_of_text(tmp_path):
     from scipy.io import savemat
-    old, new, text = (tmp_path / name for name in ('splits.mat', 'splits73.mat', 'frames.txt'))
-    savemat(old, {'testNdxs': np.array([[1], [2], [9]], np.uint16), 'trainNdxs': [[3], [4]]})
-    with h5py.File(new, 'w', userblock_size=512) as file:
-        file['testNdxs'] = np.array([[1.0, 2.0, 9.0]])
-    with new.open('r+b') as file:
-        file.write(b'MATLAB 7.3 MAT-file'.ljust(124) + b'\x00\x02IM')
+    matlab, text = tmp_path / 'splits.mat', tmp_path / 'frames.txt'
+    savemat(matlab, {'testNdxs': np.array([[1], [2], [9]], np.uint16), 'trainNdxs': [[3], [4]]})
     text.write_text('1, 2\n9\n')
-    assert read_split(old) == read_split(new) == read_split(text) == (1, 2, 9)
-    assert read_split(old, 'train') == (3, 4)
+    assert read_split(matlab) == read_split(text) == (1, 2, 9)
+    assert read_split(matlab, 'train') == (3, 4)

@@ -10,21 +10,18 @@ from __future__ import annotations
 
 import argparse
 import os
-from functools import partial
 from pathlib import Path
-
-from tqdm import tqdm
 
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.nyu import (
     add_nyu,
     chosen_frames,
+    evaluate_all,
     named_folder,
     report,
     resolved,
 )
-from plane_detector.evaluation.benchmark.nyu_frames import Task, evaluate
-from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.nyu_frames import Task
 from plane_detector.evaluation.benchmark.tables import emit
 from plane_detector.evaluation.label_folder import label_files, read_plane_table
 
@@ -53,9 +50,7 @@ def run(options: argparse.Namespace) -> None:
                if number in given]
     if not numbers:
         raise ValueError('no label image has the number of a frame that counts')
-    with mapping(options.processes) as apply:
-        results = list(tqdm(apply(partial(evaluate, task), numbers), 'frames',
-                            total=len(numbers)))
+    results = evaluate_all(task, numbers, options.processes)
     report(f'NYU Depth V2, {len(numbers)} frames, {task.depth} depth, truth: {options.truth}',
            results, options.worst)
     for name, folder in folders:

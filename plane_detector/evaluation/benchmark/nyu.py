@@ -3,18 +3,15 @@
 """
 Planes of NYU Depth V2: our method, the paper's method, RANSAC alone and findPlanes.
 
-Each is run on the depth of the sensor and of the network. OUTPUT/frames.jsonl has a line for each
-finished frame, so that an interrupted run can be continued.
+Each is run on the depth of the sensor and of the network.
 """
 
 from __future__ import annotations
 
 import argparse
-import functools
-import json
 import os
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +29,6 @@ from plane_detector.evaluation.benchmark.nyu_frames import (
     opened,
 )
 from plane_detector.evaluation.benchmark.parallel import mapping
-from plane_detector.evaluation.benchmark.provenance import commit
 from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.nyu_depth import DEPTHS, read_split
 
@@ -51,7 +47,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         metavar='NAME=FOLDER', help='label images of another method')
     parser.add_argument('--write-labels', action='store_true',
                         help='write the labels and planes of every method to OUTPUT/labels')
-    parser.add_argument('--restart', action='store_true', help='forget an earlier run')
     parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
     parser.add_argument('--output', type=Path, default=Path('benchmark_output/nyu'))
 
@@ -85,15 +80,13 @@ def named_folder(text: str) -> tuple[str, Path]:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Evaluate the remaining frames, print the tables."""
-    output = options.output
-    write_to = (output / 'labels').resolve() if options.write_labels else None
+    """Evaluate the frames, print the tables."""
+    write_to = (options.output / 'labels').resolve() if options.write_labels else None
     task = Task(options.file.resolve(), options.depth, resolved(options.truth), options.methods,
                 '' if options.model == NO_MODEL else options.model, tuple(options.outside),
                 write_to)
     numbers = chosen_frames(task.path, options.split, options.part)
-    results = evaluate_all(task, numbers, output / 'frames.jsonl', options.processes,
-                           options.restart)
+    results = evaluate_all(task, numbers, options.processes)
     for name in task.methods:
         if METHODS[name]().absent:
             emit(f'{name}: absent, {METHODS[name]().absent}.')
@@ -118,69 +111,10 @@ def chosen_frames(path: Path, split: Path | None, part: str) -> Sequence[int]:
     return numbers
 
 
-def evaluate_all(task: Task, numbers: Iterable[int], journal: Path, processes: int,
-                 restart: bool) -> list[FrameResult]:
-    """
-    Evaluate frames; results in the journal are reused.
-
-    Raises
-    ------
-    ValueError
-        The journal is from a run with other settings.
-
-    """
-    numbers = list(numbers)
-    finished = {} if restart else read_journal(journal, task)
-    journal.parent.mkdir(parents=True, exist_ok=True)
-    waiting = [number for number in numbers if number not in finished]
-    # Rewritten, to remove an incomplete line of an interrupted run.
-    with journal.open('w', encoding='utf-8') as file, mapping(processes) as apply:
-        _write(file, settings_of(task))
-        for result in finished.values():
-            _write(file, asdict(result))
-        results = apply(functools.partial(evaluate, task), waiting)
-        for result in tqdm(results, 'frames', total=len(numbers),
-                           initial=len(numbers) - len(waiting)):
-            finished[result.number] = result
-            _write(file, asdict(result))
-    return [finished[number] for number in numbers]
-
-
-def settings_of(task: Task) -> dict[str, object]:
-    """Return the settings that must be equal to continue a run."""
-    return {'file': task.path.name, 'bytes': task.path.stat().st_size, 'depth': task.depth,
-            'truth': task.truth, 'methods': list(task.methods), 'model': task.model,
-            'outside': [[name, str(folder)] for name, folder in task.outside],
-            'written': str(task.write_to), 'commit': commit()}
-
-
-def read_journal(path: Path, task: Task) -> dict[int, FrameResult]:
-    """Return the finished frames of an earlier run with the same settings."""
-    if not path.is_file():
-        return {}
-    first, *lines = path.read_text(encoding='utf-8').split('\n')
-    wanted, settings = settings_of(task), _parsed(first)
-    if settings is None:
-        return {}
-    changed = [name for name in wanted if settings.get(name) != wanted[name]]
-    if changed:
-        raise ValueError(f'{path} is of a run with another {", ".join(changed)}: choose another '
-                         '--output, or --restart')
-    # The last line may be incomplete.
-    results = [FrameResult(**parsed) for parsed in map(_parsed, lines) if parsed]
-    return {result.number: result for result in results}
-
-
-def _parsed(line: str) -> dict | None:
-    try:
-        return json.loads(line)
-    except json.JSONDecodeError:
-        return None
-
-
-def _write(file, content: dict) -> None:
-    file.write(json.dumps(content) + '\n')
-    file.flush()
+def evaluate_all(task: Task, numbers: Sequence[int], processes: int) -> list[FrameResult]:
+    """Evaluate frames in several processes."""
+    with mapping(processes) as apply:
+        return list(tqdm(apply(partial(evaluate, task), numbers), 'frames', total=len(numbers)))
 
 
 def report(title: str, results: Sequence[FrameResult], worst: int) -> None:

@@ -6,15 +6,15 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector import PlaneDetector
-from plane_detector.config import ShapesConfig
+from plane_detector import Config, PlaneDetector
+from plane_detector.config import DepthConfig, ShapesConfig
 from plane_detector.evaluation.benchmark.options import at_least_one
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
@@ -22,14 +22,23 @@ from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
-from plane_detector.evaluation.shape_methods import CONFIG, PyRansac, ShapeGuess, ours
 from plane_detector.process import one_thread
-from plane_detector.types import CameraIntrinsics, ShapeType
+from plane_detector.types import ShapeType
 
 SIGMAS = (0.0, 0.001, 0.004)
 MIN_PIXELS = 900
 """Smaller true shapes are not counted as missed."""
-Method = Callable[[np.ndarray, CameraIntrinsics], list[ShapeGuess]]
+CONFIG = Config(depth=DepthConfig(source='topic'), shapes=ShapesConfig(types='all'))
+
+
+@dataclass(frozen=True)
+class ShapeGuess:
+    """One shape found: radius 0 for a cone, axis 0 for a sphere; ``mask`` is (H, W) bool."""
+
+    type: ShapeType
+    mask: np.ndarray
+    radius_m: float
+    axis: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -48,20 +57,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--scenes', type=at_least_one, default=40)
     parser.add_argument('--first-seed', type=int, default=HELD_OUT,
                         help='scenes from %(default)s on were not tuned on')
-    parser.add_argument('--peer-scenes', type=int, default=5, help='scenes for pyRANSAC-3D')
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables."""
     seeds = range(options.first_seed, options.first_seed + options.scenes)
-    methods: list[tuple[str, Method, Sequence[int]]] = [('plane_detector', ours, seeds)]
-    if options.peer_scenes:
-        methods.append(('pyRANSAC-3D', PyRansac(), seeds[:options.peer_scenes]))
     with one_thread():
-        rows = [_row(name, method, some, sigma) for name, method, some in methods
-                for sigma in SIGMAS]
+        rows = [_row(seeds, sigma) for sigma in SIGMAS]
         emit(f'### Spheres, cylinders and cones, scenes {seeds[0]} to {seeds[-1]}',
-             table(('method', 'noise (1/m)', 'scenes', 'shapes', 'recall', 'spheres', 'cylinders',
+             table(('noise (1/m)', 'scenes', 'shapes', 'recall', 'spheres', 'cylinders',
                     'cones', 'precision', 'radius error, median / worst',
                     'axis error, median / worst'), rows),
              f'Recall counts true shapes of at least {MIN_PIXELS} pixels; a match has IoU > 0.5 '
@@ -100,16 +104,25 @@ def _noisy(seed: int, sigma: float) -> np.ndarray:
         depth_m)
 
 
-def _row(name: str, method: Method, seeds: Sequence[int], sigma: float) -> list[str]:
-    judged = [match(_scene(seed), method(_noisy(seed, sigma), _scene(seed).scene.intrinsics))
-              for seed in tqdm(seeds, f'{name}, {sigma:g}', leave=False)]
+def found_shapes(seed: int, sigma: float) -> list[ShapeGuess]:
+    """Return the shapes that the package finds in a scene with its default settings."""
+    depth_m = _noisy(seed, sigma)
+    detection = PlaneDetector(CONFIG).detect(np.zeros((*depth_m.shape, 3), np.uint8),
+                                             _scene(seed).scene.intrinsics, depth_m)
+    return [ShapeGuess(shape.type, detection.labels == len(detection.planes) + k, shape.radius_m,
+                       shape.axis) for k, shape in enumerate(detection.shapes)]
+
+
+def _row(seeds: Sequence[int], sigma: float) -> list[str]:
+    judged = [match(_scene(seed), found_shapes(seed, sigma))
+              for seed in tqdm(seeds, f'{sigma:g}', leave=False)]
     matched = [kind for one in judged for kind in one.matched]
     missed = [kind for one in judged for kind in one.missed]
     wrong = sum(one.wrong for one in judged)
     found = len(matched) + wrong
     by_kind = [f'{matched.count(kind)} of {matched.count(kind) + missed.count(kind)}'
                for kind in ShapeType]
-    return [name, f'{sigma:g}', str(len(seeds)), str(len(matched) + len(missed)),
+    return [f'{sigma:g}', str(len(seeds)), str(len(matched) + len(missed)),
             f'{len(matched) / max(len(matched) + len(missed), 1):.2f}', *by_kind,
             f'{len(matched) / found:.2f}' if found else '-',
             _errors([100 * e for one in judged for e in one.radius_errors], ' %'),

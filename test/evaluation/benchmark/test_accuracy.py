@@ -11,7 +11,7 @@ from plane_detector.evaluation import peers
 from plane_detector.evaluation.benchmark import samples as benchmark_samples
 from plane_detector.evaluation.benchmark.accuracy import grouped, report
 from plane_detector.evaluation.benchmark.plots import by_method, write_plots
-from plane_detector.evaluation.benchmark.samples import Sample, plan, run_job, run_jobs
+from plane_detector.evaluation.benchmark.samples import Sample, plan, run_job
 from plane_detector.evaluation.datasets import UNKNOWN, LabelledFrame
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.types import CameraIntrinsics
@@ -56,13 +56,6 @@ def test_a_frame_labelled_by_hand_is_scored_on_its_labels():
     frame = LabelledFrame('office', '1', WALL.rgb, WALL.depth_m, SMALL, labels)
     found, = run_job(plan([Fixed()], dict.fromkeys(COUNTS, 0), 9000, 1, [frame])[0])
     assert found.numbers == {'SC': 1, 'recall': 1, 'pieces': 1, 'merged': 0, 'unlabelled': 0}
-
-
-def test_two_processes_find_the_same_as_one():
-    jobs = plan([peers.Ours()], {'rooms': 1, 'lived-in rooms': 0, 'curved': 1}, 1300, 1, [])
-    one, two = (run_jobs(jobs, processes) for processes in (1, 2))
-    assert [(s.kind, s.scene, s.noise, s.numbers) for s in one] == [
-        (s.kind, s.scene, s.noise, s.numbers) for s in two]
 
 
 def test_tables_compare_all_methods_and_show_the_first_in_detail(capsys):

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from plane_detector.evaluation.benchmark import shapes
+from plane_detector.evaluation.benchmark.shapes import ShapeGuess
 from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
-from plane_detector.evaluation.shape_methods import ShapeGuess
 from plane_detector.types import ShapeType
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -28,7 +28,7 @@ def truth(kind, rows, radius=0.2, axis=UP):
 
 
 def guess(kind, rows, radius=0.2, axis=UP):
-    return ShapeGuess(kind, mask_of(rows), radius, 0.0, axis)
+    return ShapeGuess(kind, mask_of(rows), radius, axis)
 
 
 def test_matches_need_the_type_and_half_of_the_pixels():
@@ -63,22 +63,7 @@ def test_scenes_hold_visible_shapes_with_their_geometry():
 
 
 def test_a_run_prints_both_tables(capsys):
-    shapes.run(SimpleNamespace(scenes=1, first_seed=0, peer_scenes=0))
+    shapes.run(SimpleNamespace(scenes=1, first_seed=0))
     printed = capsys.readouterr().out
-    assert '| plane_detector | 0 | 1 |' in printed
+    assert '| 0 | 1 |' in printed
     assert 'The planes without and with the search for shapes' in printed
-
-
-def test_the_baseline_finds_a_ball():
-    pytest.importorskip('pyransac3d')
-    from plane_detector.evaluation.shape_methods import PyRansac
-    from plane_detector.types import CameraIntrinsics
-    camera = CameraIntrinsics(80.0, 80.0, 39.5, 29.5, 80, 60)
-    v, u = np.mgrid[:60, :80]
-    ray_x, ray_y = (u - 39.5) / 80, (v - 29.5) / 80
-    square, half, rest = ray_x**2 + ray_y**2 + 1, 2.0, 4.0 - 0.5**2
-    with np.errstate(invalid='ignore'):
-        depth_m = ((half - np.sqrt(half**2 - square * rest)) / square).astype(np.float32)
-    found = PyRansac()(depth_m, camera)
-    assert found[0].type == ShapeType.SPHERE
-    assert found[0].radius_m == pytest.approx(0.5, abs=0.05)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A replay that is stopped, killed, or fills the disk; damaged messages."""
 
-import resource
 import signal
 import sqlite3
 import subprocess
@@ -82,17 +81,6 @@ def test_after_a_kill_nothing_has_the_name_and_the_next_run_does_all(
     assert code == 0, text
     assert_true(target, scenes)
     assert {path.name for path in tmp_path.iterdir()} == {'walk', 'planes', 'planes.csv'}
-
-
-@pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_a_full_disk_is_reported_in_a_line_and_leaves_nothing(run, tmp_path, storage):
-    """The limit takes the place of the disk: of four frames some fit."""
-    ended = run('pass', '--storage', storage, preexec_fn=lambda: resource.setrlimit(
-        resource.RLIMIT_FSIZE, (1_200_000, 1_200_000)))
-    assert ended.returncode == 1, ended.stdout + ended.stderr
-    assert 'Traceback' not in ended.stderr
-    assert 'planes cannot be written: ' in ended.stderr.splitlines()[-1]
-    assert [path.name for path in tmp_path.iterdir()] == ['walk']
 
 
 def test_an_output_that_exists_is_not_touched(bag, replay, tmp_path):
