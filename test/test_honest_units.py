@@ -78,11 +78,7 @@ def captions(robot):
     (ATTIC, {'scale__method': 'none'}, 'requested by scale.method'),
     (ROOM, {}, 'manhattan, unit unknown'),
     (ROOM, {'scale__method': 'metric'}, 'the network does not give metres'),
-    (ROOM, {'scale__method': 'depth_topic'}, 'no measured depth'),
-    (ROOM, {'scale__method': 'fixed'}, 'scale.disparity_scale is not given'),
     (ROOM, {'scale__camera_height': 1.4, 'directions__gravity': False}, 'unit unknown'),
-    (ROOM, {'scale__method': 'camera_height', 'scale__gravity': GRAVITY}, 'not both known'),
-    (ROOM, {'scale__gravity': GRAVITY, 'scale__gravity_tolerance': 30.0}, 'unit unknown'),
     (ROOM, {'scale__gravity': [0.0, -1.0, 0.0], 'scale__camera_height': 0.01,
             'scale__method': 'camera_height'}, 'no plane can be the floor')])
 def test_no_metres_are_claimed_where_nothing_fixes_the_scale(robot, drawn, scene, values,

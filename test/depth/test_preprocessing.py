@@ -63,16 +63,6 @@ def test_input_is_that_of_the_published_recipe(size):
     np.testing.assert_allclose(planes, expected, rtol=0, atol=1e-4)
 
 
-def test_sizes_keep_the_aspect_and_never_fall_below_the_short_side():
-    assert lower_bound_size(640, 480, 518, 14) == (686, 518)
-    assert lower_bound_size(480, 640, 252, 14) == (252, 336)
-    assert lower_bound_size(640, 640, 518, 14) == (518, 518)
-    assert lower_bound_size(640, 480, 250, 14) == (336, 252)  # 250 is no multiple: rounded up
-    assert lower_bound_size(100, 100, 224, 32) == (224, 224)
-    with pytest.raises(ValueError, match='4000 x 2 is too elongated'):
-        lower_bound_size(4000, 2, 518, 14)
-
-
 def test_depth_of_a_plane_stays_a_plane_when_it_is_enlarged():
     # 1/z = 0.2 + 0.01 u at pixel centres; enlarged 4 times, away from the repeated border.
     small_u = np.arange(16) * 4 + 1.5

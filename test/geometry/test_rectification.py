@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from plane_detector.geometry.depth_resizing import resize_depth
 from plane_detector.geometry.rectification import make_rectification
 
 MATRIX = np.array([[300.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]])
@@ -81,22 +80,3 @@ def test_a_calibration_that_leaves_nothing_of_the_image_is_refused(d, rotation):
     """Else every frame has no depth and no planes, and nothing says why."""
     with pytest.raises(ValueError, match='would be empty'):
         make_rectification('plumb_bob', d, MATRIX, rotation, NEW_MATRIX, SIZE)
-
-
-@pytest.mark.parametrize('size', [(640, 480), (160, 120), (500, 377)])
-def test_resizing_creates_no_new_depths(size):
-    depth_m = np.full((240, 320), 1.0, np.float32)
-    depth_m[:, 150:] = 3.0
-    depth_m[:20] = np.nan
-    resized = resize_depth(depth_m, size)
-    assert resized.shape == size[::-1]
-    np.testing.assert_allclose(np.unique(resized[~np.isnan(resized)].round(5)), [1.0, 3.0])
-    assert abs(np.isnan(resized).mean() - 20 / 240) < 0.01
-
-
-def test_a_slanted_plane_stays_a_plane_when_enlarged():
-    columns = np.arange(320)
-    depth_m = np.broadcast_to(1 / (0.2 + 0.001 * columns), (240, 320)).astype(np.float32)
-    resized = resize_depth(depth_m, (640, 480))
-    expected = 1 / (0.2 + 0.001 * ((np.arange(640) + 0.5) / 2 - 0.5))
-    np.testing.assert_allclose(resized[240, 1:-1], expected[1:-1], rtol=1e-4)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from plane_detector.ros.diagnostics import HARDWARE_ID, PLANES_ID
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -40,11 +39,3 @@ def test_overlay_cloud_markers_planes_and_state_are_shown(layout):
         '/plane_detector/points', '/plane_detector/markers'}
     points = topics['/plane_detector/points']
     assert (points['colorMode'], points['colorField']) == ('rgb', 'rgb'), 'see points_color'
-
-
-def test_the_panels_of_planes_and_state_find_node_and_replay_by_their_hardware_ids(layout):
-    for name, hardware_id in (('planes', PLANES_ID), ('state', HARDWARE_ID)):
-        panel = layout['configById'][f'DiagnosticStatusPanel!{name}']
-        assert panel['selectedHardwareId'] == hardware_id
-        assert panel['topicToRender'] == '/diagnostics'
-        assert 'selectedName' not in panel, 'the node may have any name'

@@ -6,37 +6,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
-from node_helpers import small_room, start
+from node_helpers import start
 from onnx_models import write_depth_network
-
-from plane_detector import Config, PlaneDetector
-from plane_detector.config import DepthConfig
-from plane_detector.ros import network_pace
-from plane_detector.ros.network_pace import fit_to_rate
-
-
-def fitted(monkeypatch, rate_hz, source='model'):
-    """Return what a detector is asked to fit to, and the frames that were processed for it."""
-    asked, made = [], []
-    process = network_pace.FrameProcessor.process
-    monkeypatch.setattr(network_pace.FrameProcessor, 'process',
-                        lambda self, frame: made.append(process(self, frame)))
-    detector = PlaneDetector(Config(depth=DepthConfig(source=source, target_rate=rate_hz)),
-                             lambda rgb: small_room().depth_m)
-    detector.source.fit_to_rate = lambda *given: asked.append(given)
-    fit_to_rate(detector)
-    return asked, made
-
-
-def test_all_that_a_frame_needs_beside_the_network_is_timed(monkeypatch):
-    ((rate_hz, other_s),), (made, *_) = fitted(monkeypatch, 5.0)
-    found = made.result.detection
-    assert rate_hz == 5.0
-    assert other_s > 0
-    assert set(made.messages) >= {'planes', 'points', 'overlay/compressed'}
-    assert found.gravity_source == 'image', 'the lines of the image are found too'
-    assert len(found.planes) >= 3, 'four faces of the corridor and its end'
-    assert found.disparity_noise > 0.001
 
 
 def test_log_and_diagnostics_name_the_choice(robot, tmp_path):

@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node under control: parameters, services, lifecycle, quality of service."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, change_state, send, small_room, start
-from onnx_models import millimetres_as_rgb, write_depth_network
-from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
@@ -133,45 +130,6 @@ def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_pat
     assert not change_state(robot, Transition.TRANSITION_CONFIGURE)
 
 
-def test_settings_read_at_configure_can_be_set_before(robot, room, tmp_path):
-    """A wrong network is mended without a restart; a dump loads quietly into an active node."""
-    network = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
-    node = start(robot, wait=False, depth__model=str(tmp_path / 'missing.onnx'),
-                 depth__output='metric_depth', depth__mean=[0, 0, 0], depth__std=[1, 1, 1])
-    assert robot.is_logged('cannot be configured')
-    model = Parameter('depth.model', value=str(network))
-    assert node.set_parameters([model])[0].successful
-    assert change_state(robot, Transition.TRANSITION_CONFIGURE)
-    assert change_state(robot, Transition.TRANSITION_ACTIVATE)
-    assert node.set_parameters([model])[0].successful, 'the same value again'
-    assert node.set_parameters([Parameter('scale.camera_height', value=1)])[0].successful
-    assert node.get_parameter('scale.camera_height').value == 1.0
-    check_that_a_dump_loads(robot, node)
-    send(robot, replace(room, rgb=millimetres_as_rgb(room.depth_m)), 1.0)
-    robot.wait_for('planes')
-    for transition in (Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP):
-        assert change_state(robot, transition)
-    assert node.set_parameters([Parameter('depth.source', value='topic')])[0].successful
-    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
-        assert change_state(robot, transition)
-    assert 'topic' in robot.diagnosis()[1]['depth_model']
-
-
-def check_that_a_dump_loads(robot, node):
-    """As `ros2 param load` does: all that there is, the read-only qos_overrides among it."""
-    names = list(node.get_parameters_by_prefix(''))
-    before = node.get_parameters(names)
-    request = SetParameters.Request(parameters=[value.to_parameter_msg() for value in before])
-    results = robot.call(SetParameters, 'plane_detector/set_parameters', request).results
-    assert any(name.startswith('qos_overrides') for name in names)
-    assert [result.reason for result in results if not result.successful] == []
-    after = node.get_parameters(names)
-    assert all(map(np.array_equal, [p.value for p in after], [p.value for p in before]))
-    fixed = next(value for value in before if value.name.endswith('.depth') and value.value == 2)
-    (result,) = node.set_parameters([Parameter(fixed.name, value=3)])
-    assert 'read-only' in result.reason, 'another value is refused as before'
-
-
 def test_lifecycle_without_autostart(robot, room):
     node = start(robot, lambda rgb: room.depth_m, wait=False, autostart=False)
     robot.spin(timeout_s=0.3)
@@ -216,13 +174,6 @@ def test_reliability_follows_the_publishers(robot, room):
     robot.publish('image', image_msg(room.rgb, 'rgb8', 4.0))
     planes = robot.wait_for('planes', 4)
     assert [msg.header for msg in planes] == [header(s) for s in (1.0, 2.0, 3.0, 4.0)]
-
-
-def test_reliable_asked_for_of_a_best_effort_camera_names_the_parameter(robot):
-    start(robot, lambda rgb: None, input_reliability='reliable')
-    robot.node.create_publisher(
-        Image, 'image', QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT))
-    assert robot.is_logged('the parameter input_reliability asks for reliable')
 
 
 def test_a_paused_simulation_does_not_stop_the_node(robot, room):

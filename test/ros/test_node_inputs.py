@@ -26,21 +26,6 @@ def robot(robot, monkeypatch):
     return robot
 
 
-def test_frames_before_the_first_camera_info_are_dropped_with_a_warning(robot, room):
-    start(robot, lambda rgb: room.depth_m)
-    for index in range(3):
-        robot.publish('image', image_msg(room.rgb, 'rgb8', index))
-        robot.spin(timeout_s=0.1)
-    assert robot.is_logged('nobody publishes /camera_info')
-    assert robot.log().count('nobody publishes /camera_info') == 1
-    status, _ = robot.diagnosis()
-    assert status.level == DiagnosticStatus.WARN
-    assert '/camera_info' in status.message
-    send(robot, room, 5.0)
-    assert robot.wait_for('planes')[0].header == header(5.0)
-    assert robot.spin(lambda: robot.diagnosis()[1]['frames_dropped'] == '3')
-
-
 def bad_frames(room):
     """Yield a name, a message and what the log must say of it."""
     yield 'encoding', image_msg(room.rgb, 'rgb32', 2.0), 'rgb32'
@@ -71,19 +56,6 @@ def test_bad_frames_are_logged_and_skipped(robot, room):
     assert not robot.received['planes']
     send(robot, room, 3.0)
     assert robot.wait_for('planes')[0].header == header(3.0)
-
-
-def test_text_from_messages_is_cut_and_escaped(robot, room):
-    start(robot, lambda rgb: room.depth_m)
-    robot.publish('camera_info', camera_info_msg(CAMERA, 2.0))
-    encoding = '\x1b[31mred\n[INFO] all is well' + 10**6 * 'x'
-    robot.publish('image', image_msg(room.rgb, encoding, 2.0))
-    assert robot.is_logged('frame skipped')
-    lines = robot.log().splitlines()
-    assert '[INFO] all is well' not in {line[:18] for line in lines}
-    assert max(map(len, lines)) < 600
-    assert not any('\x1b[31mred' in line for line in lines)
-    assert len(robot.diagnosis()[1]['last_error']) < 500
 
 
 def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_path):

@@ -88,23 +88,6 @@ def test_a_plane_missed_for_a_while_comes_back_under_its_label():
     assert labels_of(tracker, ROOM) == (1, 2, 3, 4)
 
 
-def test_the_label_of_a_missed_plane_is_not_given_away():
-    tracker = Tracked(keep_frames=3)
-    tracker.update(ROOM)
-    tracker.update(image(FLOOR, LEFT, BACK))
-    other = plane([0, -1, -1], 3.0, (1, 0, 3))
-    assert labels_of(tracker, image(FLOOR, LEFT, BACK, other)) == (1, 2, 3, 5)
-
-
-@pytest.mark.parametrize('stranger', [
-    plane([0, 0, -1], 3.2, (0, 0, 3.2)), plane([0, 0, -1], 5.0, (0, 0, 5)),
-    plane([1, 0, -1], 3.0, (0, 0, 4)), plane([0, 1, 0], 1.2, (0, -1.2, 4))])
-def test_another_plane_at_the_same_pixels_gets_another_label(stranger):
-    tracker = Tracked()
-    tracker.update(ROOM)
-    assert labels_of(tracker, image(FLOOR, LEFT, stranger, BOX)) == (1, 2, 5, 4)
-
-
 @pytest.mark.parametrize('factor', [0.4, 0.9, 1.3, 5.0])
 def test_a_change_of_unit_changes_no_label(factor):
     tracker = Tracked()

@@ -57,18 +57,6 @@ def test_all_tables_are_printed_for_every_method(file, run, tmp_path):
     assert len(rows(text, 'OpenCV findPlanes, 3 cm, sensor')) == 4
 
 
-def test_the_split_chooses_the_frames(file, run, tmp_path):
-    (tmp_path / 'frames.txt').write_text('3 1')
-    arguments = ('nyu', file, '--model', 'none', '--methods', 'ours', '--processes', 1,
-                 '--output', tmp_path / 'out', '--split')
-    text = run(*arguments, tmp_path / 'frames.txt')
-    assert '2 frames' in text
-    assert '(2)' not in rows(text, OURS)[0][2]
-    (tmp_path / 'frames.txt').write_text('4')
-    with pytest.raises(SystemExit, match='it has 3'):
-        run(*arguments, tmp_path / 'frames.txt')
-
-
 @needs_find_planes
 def test_a_label_folder_is_scored_like_the_method_that_wrote_it(file, run, tmp_path):
     written = run('nyu', file, '--model', 'none', '--methods', 'ours,opencv', '--processes', 1,
@@ -84,17 +72,6 @@ def test_a_label_folder_is_scored_like_the_method_that_wrote_it(file, run, tmp_p
                                                 'a')))
     # Normals that are read are normalised again, which rounds.
     assert inside == pytest.approx(outside, rel=1e-6, nan_ok=True)
-
-
-def test_planes_missing_in_a_folder_are_fitted_and_reported(file, run, tmp_path):
-    scene = nyu_room(SEEDS[0])
-    cv2.imwrite(str(tmp_path / 'frame1.png'), (scene.labels + 1).astype(np.uint16))
-    text = run('labels', tmp_path, '--nyu', file, '--depth', 'filled', '--processes', 1)
-    (frames, covering, *_, normal_deg, offset_cm), *_ = rows(text, tmp_path.name)
-    assert frames == '1'
-    assert float(covering) > 0.99
-    assert float(normal_deg) < 0.01 and float(offset_cm) < 0.1
-    assert 'flatter' in text
 
 
 def test_the_published_annotation_may_be_the_truth(file, tmp_path):

@@ -11,7 +11,6 @@ from ros_helpers import header
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import ShapeType
 
@@ -73,17 +72,6 @@ def test_normals_look_at_the_camera(to_target):
         along_m = tip_m - tail_m
         np.testing.assert_allclose(along_m / np.linalg.norm(along_m), scene.EQUATIONS[index][0],
                                    atol=1e-9)
-
-
-def test_texts_of_captions():
-    def texts(**changes):
-        found = shown('caption', found=scene.detection(**changes))
-        return [found[label].text for label in scene.TRACKS]
-    assert texts() == ['7 wall: 3.00 m', '3 floor: 0.60 m']
-    assert texts(classes=()) == ['7: 3.00 m', '3: 0.60 m']
-    assert texts(classes=(PlaneClass.OTHER, PlaneClass.OTHER_HORIZONTAL)) == [
-        '7: 3.00 m', '3 horizontal: 0.60 m']
-    assert texts(scale_method='relative') == ['7 wall: 3.00', '3 floor: 0.60']
 
 
 @BOTH_FRAMES

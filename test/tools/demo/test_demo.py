@@ -41,16 +41,6 @@ def read_ply(path: Path) -> tuple[list[str], np.ndarray]:
     return lines, np.frombuffer(body, dtype)
 
 
-def test_motorcycle_has_depth_by_its_published_calibration(images):
-    true_depth_m = images['stereo_motorcycle'].true_depth_m
-    from skimage.data import stereo_motorcycle
-    disparity_px = stereo_motorcycle()[2]
-    known = np.isfinite(disparity_px)
-    np.testing.assert_array_equal(np.isfinite(true_depth_m), known)
-    np.testing.assert_allclose(
-        true_depth_m[known], 994.978 * 0.193001 / (disparity_px[known] + 31.086), rtol=1e-5)
-
-
 @pytest.mark.parametrize('wrong', [
     {'cx': 3.0}, {'fy': 3.0}, {'fx': 500.0, 'field_of_view_deg': 60.0},
     {'field_of_view_deg': 180.0}, {'field_of_view_deg': 0.0}])

@@ -7,7 +7,6 @@ import csv
 import shutil
 
 import cv2
-import numpy as np
 import pytest
 from bags import FORMATS, ROS1, messages_of, read_bag, write_bag
 from onnx_models import millimetres_as_rgb, write_depth_network
@@ -25,8 +24,8 @@ from replay_helpers import (
     stamps_of,
     time_ns,
 )
-from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg
-from sensor_msgs.msg import CompressedImage, Image
+from ros_helpers import Robot, camera_info_msg, header
+from sensor_msgs.msg import CompressedImage
 
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -66,20 +65,6 @@ def test_depth_from_a_network_and_compressed_images(tmp_path, scenes, replay):
         '-p', 'depth.std:=[1.0, 1.0, 1.0]', '-p', 'directions.orient_planes:=false', depth='')
     assert code == 0, text
     assert_true(target, scenes)
-
-
-def test_a_plane_keeps_its_label(bag, scenes, replay):
-    _, target, _ = replay(bag)
-    seen = {}
-    for scene, msg in zip(scenes, messages_of(target, '/plane_detector/labels', Image),
-                          strict=True):
-        pixels = np.frombuffer(msg.data, '<u2').reshape(scene.labels.shape)
-        for k, rectangle in enumerate(scene.rectangles):
-            if (scene.labels == k).mean() > 0.03:
-                label = np.bincount(pixels[scene.labels == k]).argmax()
-                seen.setdefault(rectangle, set()).add(label)
-    assert len(seen) >= 4
-    assert all(len(labels) == 1 for labels in seen.values())
 
 
 def test_the_live_node_gives_the_same(bag, scenes, replay):
@@ -165,21 +150,3 @@ def test_parameters_from_a_file(bag, replay, tmp_path):
     code, _, text = replay(bag, '--params-file', file)
     assert code == 1
     assert f'{file} has no section for /plane_detector; it has: other_node' in text
-
-
-def test_measured_depth_may_only_give_the_unit(tmp_path, scenes, replay):
-    """The network's relative disparity is 3 / z: its unit is that of the depth topic."""
-    messages = camera_messages(scenes)
-    for (_, _, msg), scene in zip(messages[::3], scenes, strict=True):
-        msg.data = image_msg(millimetres_as_rgb(3 / scene.depth_m), 'rgb8').data
-    network = write_depth_network(tmp_path / 'disparity.onnx', height=120, width=160)
-    code, target, text = replay(
-        write_bag(tmp_path / 'walk', messages), '-p', 'depth.source:=model',
-        '-p', f'depth.model:={network}', '-p', 'depth.output:=relative_disparity',
-        '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]',
-        '-p', 'directions.orient_planes:=false', '-p', 'directions.gravity:=false')
-    assert code == 0, text
-    assert f'Reading {IMAGE}, {INFO}, {DEPTH}' in text
-    for scene, msg in zip(scenes, planes_of(target), strict=True):
-        offsets_m = cloud_array(msg)[0]['d'][:3]
-        assert (np.abs(offsets_m[:, None] - scene.planes[:, 3]).min(axis=1) < 0.05).all()
