@@ -8,6 +8,7 @@ import ast
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,7 @@ EXTRAS = {'dask', 'h5py', 'matplotlib', 'onnx', 'open3d', 'pyransac3d', 'ray', '
           'transformers'}
 
 
+@cache
 def modules_imported(path: Path) -> set[str]:
     """Return the full names of all modules that a file imports, wherever in it."""
     names = set()
@@ -67,6 +69,7 @@ def room_of(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix('').parts[0]
 
 
+@cache
 def imports_of_package(path: Path) -> set[str]:
     """Return the package's modules that a file imports."""
     modules = {module_of(source) for source in SOURCES}
