@@ -60,8 +60,10 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
 
     """
     # If some values are negative, 0 is not infinitely far: the shift is unknown.
-    nearest_unknown = -np.inf if (disparity < 0).any() else FAR_DEVIATIONS * noise
-    known = ~(disparity < nearest_unknown)
+    least = np.fmin.reduce(disparity, axis=None)
+    nearest_unknown = -np.inf if least < 0 else FAR_DEVIATIONS * noise
+    known = (~(disparity < nearest_unknown) if least < nearest_unknown
+             else np.ones(disparity.shape, bool))
     sky = find_sky(rgb, disparity)
     return known & ~sky if sky is not None else known
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import cv2
 import numpy as np
 
 from plane_detector.config import Config
@@ -23,6 +24,9 @@ from plane_detector.geometry.disparity import (
     to_disparity,
 )
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
+
+FILTER_SIDE_PX = 640
+"""Flicker is averaged in an image with sides up to this: a network sees no finer detail."""
 
 
 @dataclass(frozen=True)
@@ -196,11 +200,21 @@ class ModelDepth:
         if keep == 0:
             self._average = None
             return seen
-        self._average = filter_disparity(self._average, seen.disparity, seen.rgb, keep,
+        height, width = seen.disparity.shape
+        factor = min(1.0, FILTER_SIDE_PX / max(height, width))
+        size = max(round(factor * width), 1), max(round(factor * height), 1)
+        disparity, rgb = seen.disparity, seen.rgb
+        if factor < 1:
+            disparity = cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST)
+            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+        self._average = filter_disparity(self._average, disparity, rgb, keep,
                                          same_scale=seen.output != 'relative_disparity')
         if self._average.image_count == 1:
             return seen
         values = self._average.disparity
+        if factor < 1:
+            change = np.nan_to_num(values - disparity, copy=False)
+            values = seen.disparity + cv2.resize(change, (width, height))
         return replace(seen.with_values(
             to_depth(values) if seen.output == 'metric_depth' else values), is_still=True)
 

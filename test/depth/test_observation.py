@@ -4,12 +4,13 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from onnx_models import write_depth_network
 
 from plane_detector.config import Config, DepthConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.depth_function import DepthFunction, wrapped
 from plane_detector.depth.estimator import BLUR_INPUT_PX, DepthEstimator
 from plane_detector.depth.observation import (
     ModelDepth,
@@ -93,3 +94,24 @@ def test_a_sensor_measures():
     assert found.is_measured and found.noise_share == found.edge_blur_px == 0
     with pytest.raises(ValueError, match='depth.source is topic'):
         SensorDepth().observe(RGB, CAMERA, None, TOPIC)
+
+
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity'])
+def test_flicker_of_a_large_still_image_is_averaged(output):
+    """Its noise is that of a small input: twelve images have less than half of it."""
+    rng, size = np.random.default_rng(0), (1280, 960)
+    rgb = cv2.resize(rng.integers(0, 255, (60, 80, 3), np.uint8), size,
+                     interpolation=cv2.INTER_NEAREST)
+    true = cv2.resize(np.linspace(0.2, 0.5, 48, dtype=np.float32).reshape(6, 8), size)
+    true[:100] = np.nan
+
+    def predict(_):
+        noise = cv2.resize(rng.normal(0, 0.01, (60, 80)).astype(np.float32), size)
+        return 1 / (true + noise) if output == 'metric_depth' else true + noise
+
+    source = make_source(Config(), wrapped(predict, output))
+    camera = CameraIntrinsics.from_field_of_view(*size, 60.0)
+    off = [np.nanstd(source.observe(rgb, camera, None, Config()).disparity - true)
+           for _ in range(12)]
+    assert off[-1] < 0.5 * off[0]
+    assert np.isnan(source.observe(rgb, camera, None, Config()).disparity[:100]).all()

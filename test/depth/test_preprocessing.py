@@ -91,3 +91,10 @@ def test_an_invalid_pixel_is_not_blended_into_its_neighbours():
     assert np.isnan(large[5, 5])
     np.testing.assert_allclose(large[np.isfinite(large)], 2.0, rtol=1e-6)
     assert np.isfinite(large[:, 10:]).all()
+
+
+def test_a_large_image_is_reduced_without_aliasing():
+    stripes = np.zeros((960, 1280, 3), np.uint8)
+    stripes[:, ::2] = 200
+    given = prepare_input(stripes, (160, 120), InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3))
+    np.testing.assert_allclose(given, 100, atol=1)
