@@ -43,28 +43,36 @@ def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, gr
     # A point at 1/z is off the plane by the distance of the plane times its relative residual.
     per_disparity = distance_m * np.sqrt((a * f_x)**2 + (b * f_y)**2 + (a * x + b * y + c)**2)
     closed = labels.copy()
-    in_pixels = np.column_stack([grid.planes_in_pixels(planes), per_disparity])
-    _close(closed, in_pixels, image.values, image.valid, grid.size_px)
-    _close(closed.T, in_pixels[:, [1, 0, 2, 3]].copy(), image.values.T, image.valid.T,
-           grid.size_px)
+    _close(closed, np.flatnonzero(labels < 0),
+           np.column_stack([grid.planes_in_pixels(planes), per_disparity]), image.values,
+           image.valid, grid.size_px)
     return closed
 
 
-@kernel('void(int32[:, :], float64[:, ::1], float32[:, :], boolean[:, :], int64)')
-def _close(labels, planes, disparity, valid, widest):
-    """Close the gaps along the rows of an image."""
+@kernel('void(int32[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1], boolean[:, ::1], '
+        'int64)')
+def _close(labels, unlabelled, planes, disparity, valid, widest):
+    """Close the gaps among the unlabelled pixels, along rows and then along columns."""
     height, width = labels.shape
-    for v in range(height):
-        last = -1  # the column of the last pixel with a label
-        for u in range(width):
-            label = labels[v, u]
-            if label < 0:
+    for down, right in ((0, 1), (1, 0)):
+        for pixel in unlabelled:
+            v, u = pixel // width, pixel % width
+            if v < down or u < right or labels[v, u] >= 0:
                 continue
-            if 1 < u - last <= widest + 1 and last >= 0 and labels[v, last] == label:
-                a, b, c, nearest = (planes[label, 0], planes[label, 1], planes[label, 2],
-                                    planes[label, 3])
-                for k in range(last + 1, u):
-                    d = disparity[v, k]
-                    if valid[v, k] and abs(a * k + b * v + c - d) <= nearest * d:
-                        labels[v, k] = label
-            last = u
+            label, length = labels[v - down, u - right], 1
+            if label < 0:
+                continue  # not the first of a gap
+            for _ in range(widest):
+                row, column = v + length * down, u + length * right
+                if row >= height or column >= width or labels[row, column] >= 0:
+                    break
+                length += 1
+            row, column = v + length * down, u + length * right
+            if row >= height or column >= width or labels[row, column] != label:
+                continue
+            a, b, c, most = planes[label, 0], planes[label, 1], planes[label, 2], planes[label, 3]
+            for k in range(length):
+                row, column = v + k * down, u + k * right
+                d = disparity[row, column]
+                if valid[row, column] and abs(a * column + b * row + c - d) <= most * d:
+                    labels[row, column] = label
