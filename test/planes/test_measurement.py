@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Measurements of planes, compared with their pixels."""
 
-
 import numpy as np
 import pytest
 
@@ -41,6 +40,7 @@ def test_measurements_are_those_of_the_pixels(camera, sigma):
         assert len(found.planes) >= 3
         for k, plane in enumerate(found.planes):
             own_m = points_m[found.labels == k]
+            assert plane.normal @ plane.centroid_m + plane.offset_m == pytest.approx(0, abs=1e-9)
             rays = own_m / own_m[:, 2:]
             on_plane_m = plane.offset_m / -(rays @ plane.normal)[:, None] * rays
             assert plane.inlier_count == len(own_m)
