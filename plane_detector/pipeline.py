@@ -170,6 +170,7 @@ class PlaneDetector:
                          track_labels=track_labels, shape_labels=shape_labels,
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
+                         gravity_probability=around.gravity.probability,
                          horizontal_axes=around.level_axes, ground=ground.mask,
                          drops_m=ground.drops_m, drop_depths_m=ground.drop_depths_m,
                          drop_note=ground.note, camera_height_m=ground.camera_height_m,

@@ -283,6 +283,8 @@ class Detection(PlaneSegmentation):
         ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
     gravity_note : str
         Why the image does not give the direction of gravity, if it was tried.
+    gravity_probability : float
+        That the direction of gravity is right within 5 degrees, if the image gives it; else NaN.
     horizontal_axes : (A, 3) float64
         Perpendicular horizontal axes of the scene, from the lines of the image; none: (0, 3).
     ground : (H, W) bool
@@ -311,6 +313,7 @@ class Detection(PlaneSegmentation):
     gravity_camera: np.ndarray | None = None
     gravity_source: str = 'none'
     gravity_note: str = ''
+    gravity_probability: float = float('nan')
     horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     ground: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
     drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))

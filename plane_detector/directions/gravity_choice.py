@@ -32,6 +32,8 @@ class Gravity:
         ``measured``, ``parameter``, ``image`` or ``none``.
     note : str
         Why the image does not give it, if it was tried.
+    probability : float
+        That the one of the image is right within 5 degrees; NaN for other sources.
 
     """
 
@@ -39,6 +41,7 @@ class Gravity:
     tolerance_deg: float
     source: str
     note: str = ''
+    probability: float = float('nan')
 
     @property
     def is_sure(self) -> bool:
@@ -75,4 +78,5 @@ def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolera
     if seen is None:
         return Gravity(None, tolerance_deg, 'none', directions.refusal if directions else '')
     sigma_deg = np.degrees(np.sqrt(np.trace(directions.covariance) / 2))
-    return Gravity(seen, LIKELY_SIGMAS * float(sigma_deg), 'image')
+    return Gravity(seen, LIKELY_SIGMAS * float(sigma_deg), 'image',
+                   probability=directions.probability)

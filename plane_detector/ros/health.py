@@ -73,7 +73,9 @@ class Health:
                               f'{detection.systematic_noise:.4f} bend planes')
         if detection.gravity_note:
             facts['gravity_note'] = detection.gravity_note
-        if detection.camera_height_m == detection.camera_height_m:  # not NaN
+        if detection.gravity_probability == detection.gravity_probability:  # not NaN
+            facts['gravity_probability'] = f'{detection.gravity_probability:.2f}'
+        if detection.camera_height_m == detection.camera_height_m:
             facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
         if detection.tilt_deg == detection.tilt_deg:
             facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'

@@ -9,6 +9,8 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from node_helpers import send, small_room, start
 
+from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.ros.diagnostics import Report
 from plane_detector.ros.health import FLOORLESS, Health, gap_of
 
@@ -17,6 +19,7 @@ def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 64
     return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
                            scale_method=scale, scale_note='why', scale_event='',
                            gravity_source='none', gravity_note=gravity_note,
+                           gravity_probability=float('nan'),
                            camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
                            drop_note='', disparity_noise=0.002, systematic_noise=0.001)
 
@@ -59,3 +62,19 @@ def test_a_silent_imu_is_reported(robot):
     status, _ = robot.diagnosis()
     assert status.level == DiagnosticStatus.WARN
     assert '/imu' in status.message
+
+
+def test_the_probability_of_the_vertical_of_the_image_is_told(robot):
+    room = textured(random_room, 300)
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room)
+    assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'image')
+    assert 0.9 <= float(robot.diagnosis()[1]['gravity_probability']) <= 1
+
+
+def test_it_is_not_told_of_other_sources(robot):
+    room = small_room()
+    start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
+    send(robot, room)
+    assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'parameter')
+    assert 'gravity_probability' not in robot.diagnosis()[1]
