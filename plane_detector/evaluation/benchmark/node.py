@@ -24,6 +24,7 @@ from plane_detector.depth.model_zoo import fetch
 from plane_detector.evaluation.benchmark.node_load import HELD_S, CameraLoad, Load, Show
 from plane_detector.evaluation.benchmark.node_process import NodeProcess, use_private_domain
 from plane_detector.evaluation.benchmark.node_receiver import Receiver
+from plane_detector.evaluation.benchmark.node_transport import report_transport
 from plane_detector.evaluation.benchmark.options import add_data
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
 from plane_detector.evaluation.benchmark.tables import emit, table
@@ -51,6 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='by which each image is moved sideways against the one before; 0: a '
                              'still camera, with which the node has less work')
     parser.add_argument('--seconds', type=_seconds, default=10.0, help='of every row')
+    parser.add_argument('--transport', action='store_true',
+                        help='without the node: how many images of which size arrive in another '
+                             'process, by QoS and Fast DDS profile')
 
 
 def _rate(text: str) -> float:
@@ -146,6 +150,9 @@ def _cells(load: Load) -> list[str]:
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables."""
+    if options.transport:
+        report_transport(options.rate, options.seconds)
+        return
     retain_freed_memory(one_heap=True)  # as the node does
     use_private_domain()
     title, views = views_of(options.data, options.views)
