@@ -123,8 +123,8 @@ class PlaneDetector:
     def look(self, seen: Observation, gravity_camera: np.ndarray | None = None,
              may_hold: bool = False) -> Surroundings:
         """Run the second stage: gravity and lines, those found last if allowed."""
-        given = None if seen.is_measured or seen.output == 'relative_disparity' else seen.disparity
-        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
+        given = None if seen.output == 'relative_disparity' else seen.disparity
+        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given, seen.is_measured)
         need = Need.PLANES if is_turned(seen) else Need.GRAVITY
         stages = StageTimer()
         with stages('directions'):

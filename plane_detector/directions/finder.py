@@ -14,6 +14,7 @@ from plane_detector.config import Config
 from plane_detector.directions.floor_evidence import surface_normals
 from plane_detector.directions.gravity_choice import Gravity, choose_gravity
 from plane_detector.directions.line_segments import LineSegments, detect_line_segments
+from plane_detector.directions.posterior import NETWORK_NORMAL_DEG, SENSOR_NORMAL_DEG
 from plane_detector.directions.temporal_filter import TrackedDirections, track_directions
 from plane_detector.directions.vanishing import SceneDirections, find_directions
 from plane_detector.types import CameraIntrinsics
@@ -63,7 +64,9 @@ class CameraImage:
     covered : (H, W) bool or None
         Pixels that the image covers after rectification; None: all.
     disparity : (H, W) float32 or None
-        1/z of a network, without a shift; NaN invalid. Its normals are evidence for the vertical.
+        1/z without a shift; NaN invalid. Its normals are evidence for the vertical.
+    is_measured : bool
+        By a sensor, not a network.
 
     """
 
@@ -71,6 +74,7 @@ class CameraImage:
     intrinsics: CameraIntrinsics
     covered: np.ndarray | None = None
     disparity: np.ndarray | None = None
+    is_measured: bool = False
 
 
 def find_in_image(image: CameraImage, coarse_down: np.ndarray | None = None) -> ImageDirections:
@@ -87,7 +91,8 @@ def find_in_image(image: CameraImage, coarse_down: np.ndarray | None = None) -> 
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
     surface = (None if image.disparity is None
                else surface_normals(image.disparity, image.intrinsics))
-    return ImageDirections(segments, find_directions(segments, coarse_down, surface))
+    normal_deg = SENSOR_NORMAL_DEG if image.is_measured else NETWORK_NORMAL_DEG
+    return ImageDirections(segments, find_directions(segments, coarse_down, surface, normal_deg))
 
 
 class Need(Enum):

@@ -34,7 +34,11 @@ from plane_detector.directions.frames import (
     significance,
 )
 from plane_detector.directions.line_segments import LineSegments
-from plane_detector.directions.posterior import CLOSE_DEG, upright_posterior
+from plane_detector.directions.posterior import (
+    CLOSE_DEG,
+    NETWORK_NORMAL_DEG,
+    upright_posterior,
+)
 
 # An answer is given if its vertical is right with this probability.
 MIN_PROBABILITY = 0.9
@@ -85,7 +89,8 @@ class SceneDirections:
 
 
 def find_directions(segments: LineSegments, coarse_down: np.ndarray | None = None,
-                    surface: np.ndarray | None = None) -> SceneDirections:
+                    surface: np.ndarray | None = None,
+                    normal_deg: float = NETWORK_NORMAL_DEG) -> SceneDirections:
     """
     Find the directions of gravity and of horizontal lines, or refuse.
 
@@ -95,10 +100,12 @@ def find_directions(segments: LineSegments, coarse_down: np.ndarray | None = Non
     coarse_down : (3,) floating, optional
         Approximate unit direction of gravity; default: that of an upright camera.
     surface : (N, 3) floating, optional
-        Normals of a network's depth.
+        Normals of the depth.
+    normal_deg : float
+        Their error.
 
     """
-    found = upright_posterior(segments, surface, coarse_down)
+    found = upright_posterior(segments, surface, coarse_down, normal_deg)
     if found.probability < MIN_PROBABILITY:
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
                   f'most likely one is right with probability {found.probability:.2f}')
