@@ -54,6 +54,8 @@ def sample(tmp_path, monkeypatch, folder):
     stage = tmp_path / 'sample' / 'stage'
     stage.mkdir(parents=True)
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join([str(tmp_path), *sys.path]))
+    # Python itself would take its old bytecode for a file of the same size and time.
+    monkeypatch.setenv('PYTHONDONTWRITEBYTECODE', '1')
 
     def run(column, sign):
         for name, text in (('columns', f'COLUMN = {column}'), ('loops', SAMPLE),

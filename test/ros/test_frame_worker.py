@@ -57,11 +57,12 @@ def test_the_newest_frame_waits():
 
 
 def test_the_next_frame_is_begun_while_one_is_finished_and_finished_after_it():
-    begun, free, finished = threading.Semaphore(0), threading.Event(), []
+    begun, free = threading.Semaphore(0), threading.Event()
+    finished, has_finished = [], threading.Semaphore(0)
 
     def begin(frame):
         begun.release()
-        return lambda: (free.wait(STUCK_S), finished.append(frame))
+        return lambda: (free.wait(STUCK_S), finished.append(frame), has_finished.release())
 
     worker = FrameWorker(begin, overlaps=True)
     for frame in ('first', 'second'):
@@ -71,6 +72,7 @@ def test_the_next_frame_is_begun_while_one_is_finished_and_finished_after_it():
     assert not begun.acquire(timeout=0.05), 'begun before the first one is finished'
     free.set()
     assert begun.acquire(timeout=STUCK_S)
+    assert all(has_finished.acquire(timeout=STUCK_S) for _ in range(2))  # a stop drops the rest
     worker.stop()
     assert worker.wait(STUCK_S)
     assert finished[:2] == ['first', 'second']

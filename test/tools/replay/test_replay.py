@@ -32,8 +32,8 @@ from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.replay.bag_reader import BagReader, to_message
 from plane_detector.tools.replay.input_topics import input_class
 
-# Not written by default, or only where gravity is known.
-MISSING = {f'/plane_detector/{name}' for name in ('points_without_floor', 'ground', 'drops')}
+# Not written by default.
+MISSING = {'/plane_detector/points_without_floor'}
 DIAGNOSTICS = '/diagnostics'
 
 
