@@ -24,7 +24,11 @@ from plane_detector.segmentation.cells.columns import SLOPE_X, SLOPE_Y
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, residual
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
-from plane_detector.segmentation.cells.noise_correlation import bending_of, in_large_regions
+from plane_detector.segmentation.cells.noise_correlation import (
+    MAX_BENDING,
+    bending_of,
+    in_large_regions,
+)
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
@@ -57,7 +61,9 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
         noise = _noise_from_planes(frame, regions)
         has_settled = not _differs(noise, frame.noise, floor)
         if has_settled or trial == MAX_TRIALS - 1:
-            bent = noise.with_bending(bending_of(frame.cells, regions, noise))
+            bent = noise
+            if _differs(noise.with_bending(MAX_BENDING), noise, floor):
+                bent = noise.with_bending(bending_of(frame.cells, regions, noise))
             if not has_settled or _differs(bent, noise, floor):
                 frame, regions = replace(frame, noise=bent), no_planes(grid)
             break
