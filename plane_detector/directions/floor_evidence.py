@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Normals of a network's depth, as evidence for the axes of the scene."""
+"""Normals of the depth, as evidence for the axes of the scene."""
 
 from __future__ import annotations
 
