@@ -47,10 +47,6 @@ MAX_RATIO = 1.4
 MIN_NOISE_SHARE = 0.2
 # derived: as many regions in a row turn twice.
 MIN_CHAIN = 3
-# A pair is clearly bent only if its smaller region has this share of the cells of the larger: a
-# strip along the border of a plane does not show that the plane is curved.
-# tuned: chair backs of the kitchen frames; curved scenes are the same from 0 to 0.25.
-MIN_PAIR_SHARE = 0.25
 
 
 @kernel('float64[:, ::1](float64[::1])')
@@ -131,11 +127,9 @@ def _bends(planes, sums, borders, lens, limits):
             if gap >= MAX_DEVIATIONS or not min_deg < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
-            share = min(sums[i, N], sums[j, N]) / max(sums[i, N], sums[j, N])
             if gain > MIN_NOISE_SHARE and worst < MAX_RATIO:
                 _, total, worst = fit_quadric(sums[i], sums[j], MIN_NOISE_SHARE)
-                bends[i, j] = bends[j, i] = 1 + (gain > 1 and total < 1 and worst < MAX_RATIO
-                                                 and share > MIN_PAIR_SHARE)
+                bends[i, j] = bends[j, i] = 1 + (gain > 1 and total < 1 and worst < MAX_RATIO)
     return bends
 
 
