@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-The node as a separate process over DDS: rate, time per stage, time on the cores.
+The node as a separate process over DDS: rate, latency, time on the cores, memory, start.
 
 Views are published at a constant rate: image, camera_info and, for depth from a topic, depth. They
 are real images with sensor depth, or a rendered room. Three processes share the cores: the camera
@@ -32,10 +32,10 @@ from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.process import retain_freed_memory
 from plane_detector.ros.outputs.topics import OUTPUTS
 
-SUBSCRIPTIONS = {'planes': ('planes',), 'points, planes': ('points', 'planes'),
+SUBSCRIPTIONS = {'nothing': (), 'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}
-_STAGES = ('convert', 'depth', 'wait', 'directions', 'segmentation', 'scale', 'measurement',
-           'shapes', 'tracking', 'messages', 'publish', 'total')
+_STAGES = ('convert', 'depth', 'directions', 'segmentation', 'measurement', 'ground', 'tracking',
+           'messages', 'publish', 'total')
 _ROOM = 'room'
 
 
@@ -117,14 +117,16 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
     camera = f'moved by {show.motion_px} px from image to image' if show.motion_px else 'still'
     emit(f'### The node over DDS: {show.title}, {lens.width} x {lens.height}, '
          f'images at {show.rate_hz:g} Hz, {camera}',
-         table(('depth', 'subscribed', 'rate (Hz)', *(f'{one} (ms)' for one in _STAGES),
-                'messages\' share', 'node: core time (ms)', 'without a core (ms)',
-                'camera: core time (ms)', 'receiver: core time (ms)', 'load before'), rows),
-         'Stages: medians of what /diagnostics says. Messages\' share: making and publishing '
-         'them. Core time: of all threads of a process, of the node and the receiver per frame '
-         'processed, of the camera per image sent. Without a core: how long the node would have '
-         'worked but other programs had the cores. The camera, the node and the receiver, which '
-         'takes bytes, are three processes on the same cores. Load: of the machine in the minute '
+         table(('depth', 'subscribed', 'rate (Hz)', 'of a core', 'core time (ms)',
+                'without a core (ms)', 'latency: median (ms)', '95 % (ms)', 'worst (ms)',
+                'resident (MB)', 'proportional (MB)', 'ready after (s)', 'with core time (s)',
+                *(f'{one} (ms)' for one in _STAGES), 'load before'), rows),
+         'Rate: of ~/planes as received. Core time: of all threads of the node, per frame '
+         'published, without subscribers per image sent. Without a core: how long it would have '
+         'worked but other programs had the cores. Latency: from the stamp of an image, just '
+         'before it is sent, to its planes in another process. Memory: VmRSS and Pss. Stages: '
+         'medians of what /diagnostics says. The camera, the node and the receiver, which takes '
+         'bytes, are three processes on the same cores. Load: of the machine in the minute '
          'before.')
 
 
@@ -142,10 +144,11 @@ def _load(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: float
 
 
 def _cells(load: Load) -> list[str]:
-    share = (load.stage_ms['messages'] + load.stage_ms['publish']) / load.stage_ms['total']
-    return [f'{load.rate_hz:.1f}', *(f'{load.stage_ms[stage]:.1f}' for stage in _STAGES),
-            f'{share:.0%}', f'{load.busy_ms:.0f}', f'{load.waiting_ms:.0f}',
-            f'{load.camera_ms:.1f}', f'{load.receiver_ms:.1f}']
+    return [f'{load.rate_hz:.1f}', f'{load.core_share:.0%}', f'{load.busy_ms:.1f}',
+            f'{load.waiting_ms:.1f}', *(f'{one:.1f}' for one in load.latency_ms),
+            f'{load.resident_mb:.0f}', f'{load.proportional_mb:.0f}', f'{load.start_s:.1f}',
+            f'{load.start_core_s:.1f}',
+            *(f'{load.stage_ms.get(stage, 0.0):.1f}' for stage in _STAGES)]
 
 
 def run(options: argparse.Namespace) -> None:

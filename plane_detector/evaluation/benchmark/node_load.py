@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +33,7 @@ _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
 _SETTLING_S = 3.0
 _START_TIMEOUT_S = 120.0
 _SPIN_S = 0.05
+_TICK_S = 1 / os.sysconf('SC_CLK_TCK')
 
 
 @dataclass(frozen=True)
@@ -65,22 +68,32 @@ class Load:
     ----------
     rate_hz : float
         Of ``~/planes``, as received.
+    latency_ms : (3,) float
+        From stamp to receipt of ``~/planes``: median, 95 %, worst; NaN without subscribers.
     stage_ms : dict of str to float
         Median over the seconds of each stage's mean time, from the diagnostics.
+    core_share : float
+        Time of all threads of the node on a core, as a share of the time that passed.
     busy_ms, waiting_ms : float
         Per frame, for all threads of the node: time on a core; time waiting for a core that other
         programs were using.
-    camera_ms, receiver_ms : float
-        Time on a core of the two other processes: per image sent, per frame received.
+    resident_mb, proportional_mb : float
+        Memory of the node, the second with its share of pages that processes have in common.
+    start_s, start_core_s : float
+        From the start of the process until it has subscribed, and on a core in that time.
 
     """
 
     rate_hz: float
+    latency_ms: np.ndarray
     stage_ms: dict[str, float]
+    core_share: float
     busy_ms: float
     waiting_ms: float
-    camera_ms: float
-    receiver_ms: float
+    resident_mb: float
+    proportional_mb: float
+    start_s: float
+    start_core_s: float
 
 
 class CameraLoad:
@@ -130,38 +143,37 @@ class CameraLoad:
             The node has ended, or published nothing.
 
         """
-        self._wait_for_node()
+        start_s, start_core_s = self._wait_for_node(process_id)
         self._node.create_timer(1 / self._rate_hz, self._publish)
         self._spin(_SETTLING_S)
-        self._receiver.counts()
+        self._receiver.taken()
         self._statuses.clear()
-        sent, camera_s = self._sent, time.process_time()
-        processes = process_id, self._receiver.process_id
-        before_ms = np.array([scheduled_ms(one) for one in processes])
+        sent = self._sent
+        core_s, waited_s = core_seconds(process_id), waiting_seconds(process_id)
         elapsed_s = self._spin(seconds)
-        node_ms, receiver_ms = np.array([scheduled_ms(one) for one in processes]) - before_ms
-        camera_ms = 1e3 * (time.process_time() - camera_s) / max(self._sent - sent, 1)
-        frames = self._receiver.counts()['planes']
+        core_s = core_seconds(process_id) - core_s
+        waited_s = waiting_seconds(process_id) - waited_s
+        latency_ms = self._receiver.taken()
         stage_ms = median_stages(self._statuses)
-        if not frames or not stage_ms:
+        if self._receiver.outputs and not (len(latency_ms) and stage_ms):
             last = self._statuses[-1:] or [{}]
             raise RuntimeError(f'the node gave no planes: {last[0].get("last_error", "")}')
-        return Load(frames / elapsed_s, stage_ms, *(node_ms / frames), camera_ms,
-                    receiver_ms[0] / frames)
+        frames = len(latency_ms) or self._sent - sent
+        return Load(len(latency_ms) / elapsed_s, quantiles(latency_ms), stage_ms,
+                    core_s / elapsed_s, 1e3 * core_s / frames, 1e3 * waited_s / frames,
+                    *memory_mb(process_id), start_s, start_core_s)
 
-    def _wait_for_node(self) -> None:
+    def _wait_for_node(self, process_id: int) -> tuple[float, float]:
+        """Return how long it took until the node had subscribed, and its time on a core."""
         deadline_s = time.monotonic() + _START_TIMEOUT_S
-        while not self._is_connected():
+        while not all(p.get_subscription_count() for p in self._publishers.values()):
             if time.monotonic() > deadline_s:
                 raise RuntimeError(f'the node was not active within {_START_TIMEOUT_S:g} s')
             self._spin(_SPIN_S)
-
-    def _is_connected(self) -> bool:
-        """Whether the node has subscribed, and the receiver to the node."""
-        planes = f'{NODE}/planes'
-        return (all(p.get_subscription_count() for p in self._publishers.values())
-                and bool(self._node.count_publishers(planes))
-                and bool(self._node.count_subscribers(planes)))
+        taken = age_seconds(process_id), core_seconds(process_id)
+        while self._receiver.outputs and not self._node.count_subscribers(f'{NODE}/planes'):
+            self._spin(_SPIN_S)
+        return taken
 
     def _spin(self, seconds: float) -> float:
         """Spin for some time; return the actual duration in seconds."""
@@ -208,13 +220,39 @@ def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:
             for stage in (told[-1] if told else {})}
 
 
-def scheduled_ms(process_id: int) -> np.ndarray:
-    """Return the time that the threads of a process ran, and waited for a core; Linux only."""
-    files = Path(f'/proc/{process_id}/task').glob('*/schedstat')
-    nanoseconds = np.zeros(2)
-    for file in files:
-        try:
-            nanoseconds += [float(number) for number in file.read_text().split()[:2]]
-        except OSError:  # a thread that has ended in the meantime
-            continue
-    return nanoseconds / 1e6
+def quantiles(latency_ms: Sequence[float]) -> np.ndarray:
+    """Return the median, the 95 % quantile and the largest of some times; NaN for none."""
+    return np.quantile(latency_ms, (0.5, 0.95, 1.0)) if len(latency_ms) else np.full(3, np.nan)
+
+
+def age_seconds(process_id: int) -> float:
+    """Return the time since the start of a process; Linux only."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - _ticks(process_id)[19] * _TICK_S
+
+
+def core_seconds(process_id: int) -> float:
+    """Return the time that all threads of a process, also ended ones, ran; Linux only."""
+    return sum(_ticks(process_id)[11:13]) * _TICK_S
+
+
+def _ticks(process_id: int) -> list[int]:
+    """Return the fields of /proc/PID/stat from the third on, the state as 0; see proc(5)."""
+    fields = Path(f'/proc/{process_id}/stat').read_text().rpartition(')')[2].split()
+    return [0, *map(int, fields[1:])]
+
+
+def waiting_seconds(process_id: int) -> float:
+    """Return how long the threads of a process have waited for a core; Linux only."""
+    waited_ns = 0
+    for file in Path(f'/proc/{process_id}/task').glob('*/schedstat'):
+        with suppress(OSError):  # a thread that has ended in the meantime
+            waited_ns += int(file.read_text().split()[1])
+    return 1e-9 * waited_ns
+
+
+def memory_mb(process_id: int) -> tuple[float, float]:
+    """Return VmRSS and Pss of a process in MB; Linux only."""
+    rows = [line.split() for file in ('status', 'smaps_rollup')
+            for line in Path(f'/proc/{process_id}/{file}').read_text().splitlines()]
+    kilobytes = {row[0]: row[1] for row in rows if len(row) == 3}
+    return tuple(int(kilobytes[name]) * 1024 / 1e6 for name in ('VmRSS:', 'Pss:'))
