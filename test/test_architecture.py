@@ -211,4 +211,5 @@ def test_entry_points_lead_to_a_main():
     for entry in entries:
         module = entry.removesuffix(':main').replace('{NAME}', 'plane_detector').split('.')
         tree = ast.parse(ROOT.joinpath(*module).with_suffix('.py').read_text(encoding='utf-8'))
-        assert 'main' in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        assert 'main' in {node.name for node in ast.walk(tree)
+                          if isinstance(node, (ast.FunctionDef, ast.alias))}

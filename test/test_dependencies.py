@@ -72,17 +72,26 @@ def test_oldest_versions_are_those_of_the_installation():
             assert bounds[package.distribution] == package.oldest
 
 
-MISSING = "raise ModuleNotFoundError(\"No module named 'numba'\", name='numba')"
-NOT_INSTALLED = "numba is not installed: .* install --upgrade 'numba>=0.58'"
+def missing(name):
+    return f'raise ModuleNotFoundError("No module named {name!r}", name={name!r})'
 
 
 @pytest.mark.parametrize('module, name, text, told', [
-    ('ros.node', 'numba', MISSING, NOT_INSTALLED),
-    ('tools.replay', 'numba', MISSING, NOT_INSTALLED),
+    ('ros.node', 'numba', missing('numba'),
+     "numba is not installed: .* install --upgrade 'numba>=0.58'"),
     ('ros.node', 'numba', "raise ImportError('Numba needs NumPy 1.26 or less')",
      r'numba [0-9.]+ cannot be imported \(Numba needs NumPy 1.26 or less; .*: .* install '),
+    ('tools.replay', 'numba', missing('numba'), 'numba is not installed: .* install '),
+    ('tools.demo', 'scipy', missing('scipy'), 'scipy is not installed: .* install '),
+    ('tools.fetch', 'tqdm', missing('tqdm'), "tqdm is not installed: .* install --upgrade 'tqdm'"),
+    ('tools.show', 'cv2', "raise ImportError('libGL.so.1: no such file')",
+     r'cv2 [0-9.]+ cannot be imported \(libGL.so.1: no such file; .*: .* install '),
+    ('tools.show', 'rclpy', missing('rclpy'), ".*'rclpy': source the setup file of ROS"),
     ('ros.node', 'numba', "__version__ = '0.56.4'",
-     'numba 0.56.4 is too old, 0.58 is needed: .* install ')])
+     'numba 0.56.4 is too old, 0.58 is needed: .* install '),
+    *((module, 'sitecustomize', "import numpy; numpy.__version__ = '1.25.2'",
+       'numpy 1.25.2 is too old, 1.26 is needed: .* install ')
+      for module in ('tools.fetch', 'tools.show'))])
 def test_a_broken_package_ends_the_program_with_the_remedy(module, name, text, told, tmp_path):
     (tmp_path / f'{name}.py').write_text(text)
     done = subprocess.run(

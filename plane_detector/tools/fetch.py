@@ -9,8 +9,12 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from plane_detector.depth.model_zoo import cached_path, choose, fetch
-from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
+from plane_detector.dependencies import explained_imports
+from plane_detector.stopping import quiet_interrupt
+
+with quiet_interrupt(), explained_imports():
+    from plane_detector.depth.model_zoo import cached_path, choose, fetch
+    from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
 
 _HEADER = ('network', 'size', 'licence', 'here', 'gives')
 

@@ -13,18 +13,22 @@ import sys
 from collections.abc import Callable, Mapping
 from typing import TextIO
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
-from sensor_msgs.msg import PointCloud2
+from plane_detector.dependencies import explained_imports
+from plane_detector.stopping import quiet_interrupt
 
-from plane_detector.planes.classification import PlaneClass
-from plane_detector.ros.cloud_reading import read_cloud
-from plane_detector.ros.inputs.topic_watch import GRACE_S
-from plane_detector.ros.node import not_of_ros
-from plane_detector.ros.stamps import stamp_text
-from plane_detector.scale.estimate import RELATIVE
+with quiet_interrupt(), explained_imports():
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.node import Node
+    from sensor_msgs.msg import PointCloud2
+
+    from plane_detector.planes.classification import PlaneClass
+    from plane_detector.ros.cloud_reading import read_cloud
+    from plane_detector.ros.inputs.topic_watch import GRACE_S
+    from plane_detector.ros.node import not_of_ros
+    from plane_detector.ros.stamps import stamp_text
+    from plane_detector.scale.estimate import RELATIVE
 
 _CLEAR = '\x1b[2J\x1b[H'
 _HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7} {"area":>8} '

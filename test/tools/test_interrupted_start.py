@@ -24,7 +24,8 @@ runpy.run_module({!r}, run_name='__main__', alter_sys=True)
 
 
 @pytest.mark.parametrize('module', [
-    'plane_detector.ros.node', 'plane_detector.tools.replay', 'plane_detector.tools.demo'])
+    'plane_detector.ros.node', 'plane_detector.tools.replay', 'plane_detector.tools.demo',
+    'plane_detector.tools.show'])
 def test_an_interrupt_during_the_imports_ends_the_program_quietly(module):
     run = subprocess.run([sys.executable, '-c', SCRIPT.format(module)], cwd=ROOT,
                          capture_output=True, text=True, timeout=120)

@@ -2,21 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The program `demo`, also `python3 -m plane_detector.tools.demo`."""
 
-from __future__ import annotations
-
 import sys
-from collections.abc import Sequence
 
 from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import quiet_interrupt
 
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the program; return the exit code."""
-    with quiet_interrupt(), explained_imports('numba'):
-        from plane_detector.tools.demo import program
-    return program.main(arguments)
-
+with quiet_interrupt(), explained_imports('numba'):
+    from plane_detector.tools.demo.program import main
 
 if __name__ == '__main__':
     sys.exit(main())
