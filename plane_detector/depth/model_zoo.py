@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from plane_detector.depth.download import sha256_of, write_verified
+from plane_detector.depth.download import download, sha256_of
 from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
 
 
@@ -45,7 +44,7 @@ def cached_path(network: Network, cache_dir: str | Path = '') -> Path:
     return Path(cache_dir or default_cache_dir()).expanduser() / network.file_name
 
 
-def fetch(name: str, cache_dir: str | Path = '', unreachable: set[str] | None = None) -> Path:
+def fetch(name: str, cache_dir: str | Path = '') -> Path:
     """
     Return the verified file of a network; downloads it if it is not in the cache.
 
@@ -55,8 +54,6 @@ def fetch(name: str, cache_dir: str | Path = '', unreachable: set[str] | None = 
         One of `NETWORKS`.
     cache_dir : str or Path
         Folder of the files; empty: `default_cache_dir`.
-    unreachable : set of str, optional
-        Hosts that are not contacted; hosts that do not answer are added.
 
     Raises
     ------
@@ -66,26 +63,24 @@ def fetch(name: str, cache_dir: str | Path = '', unreachable: set[str] | None = 
         It is not cached and cannot be downloaded; the message says how to get it by hand.
 
     """
-    return _obtain(name, cache_dir, set() if unreachable is None else unreachable)[0]
-
-
-def _obtain(name: str, cache_dir: str | Path, unreachable: set[str]) -> tuple[Path, str]:
-    """Return the file, and whether it was cached or downloaded."""
     if name not in NETWORKS:
         raise ValueError(f'no network is called {name!r}; there are {", ".join(NETWORKS)}')
-    network = NETWORKS[name]
+    return _obtain(NETWORKS[name], cache_dir, set())[0]
+
+
+def _obtain(network: Network, cache_dir: str | Path, unreachable: set[str]) -> tuple[Path, str]:
+    """Return the file, and whether it was cached or downloaded."""
     path = cached_path(network, cache_dir)
-    damaged = False
+    is_there = path.is_file()
     try:
-        damaged = path.is_file() and sha256_of(path) != network.sha256
-        if path.is_file() and not damaged:
+        if is_there and sha256_of(path) == network.sha256:
             return path, 'cached'
         _check_writable(path.parent)
-        _write_from_any(network, path, unreachable)
+        download(network.sources, path, network.sha256, network.size_bytes, unreachable)
     except OSError as error:
-        note = f'the cached file is damaged, and {error}' if damaged else f'{error}'
-        raise NetworkUnavailableError(network, path, note) from error
-    return path, 'fetched again, the cached one was damaged' if damaged else 'fetched'
+        why = f'the cached file is damaged, and {error}' if is_there else str(error)
+        raise NetworkUnavailableError(network, path, why) from error
+    return path, 'fetched again, the cached one was damaged' if is_there else 'fetched'
 
 
 def _check_writable(folder: Path) -> None:
@@ -97,19 +92,6 @@ def _check_writable(folder: Path) -> None:
     except OSError as error:
         raise CacheFolderError(f'{folder} cannot be written ({error.strerror}): name another '
                                'folder by depth.cache_dir') from error
-
-
-def _write_from_any(network: Network, path: Path, unreachable: set[str]) -> None:
-    """Write the file from the first source that works; OSError has the error of each."""
-    errors: list[str] = []
-    for source in network.sources:
-        try:
-            chunks = source.chunks(network.size_bytes, unreachable)
-            write_verified(path, chunks, network.sha256)
-            return
-        except OSError as error:
-            errors.append(str(error))
-    raise OSError('; '.join(errors))
 
 
 def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, Path, str]:
@@ -146,22 +128,14 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
     errors: dict[str, NetworkUnavailableError] = {}
     for name in names:
         try:
-            path, how = _obtain(name, cache_dir, unreachable)
+            path, how = _obtain(NETWORKS[name], cache_dir, unreachable)
         except NetworkUnavailableError as error:
             errors[name] = error
             continue
-        return NETWORKS[name], path, f'auto took {name} ({how}){_preferred(errors)}'
-    raise _none_available(list(errors.values()))
-
-
-def _preferred(errors: Mapping[str, NetworkUnavailableError]) -> str:
-    """Return why the preferred networks were not chosen; empty if there are none."""
-    reasons = ', '.join(f'{name} ({error.why})' for name, error in errors.items())
-    return f'; better but not available: {reasons}' if reasons else ''
-
-
-def _none_available(errors: Sequence[NetworkUnavailableError]) -> FileNotFoundError:
-    """Return the error for several networks, all of which are unavailable."""
-    if any(isinstance(error.__cause__, CacheFolderError) for error in errors):
-        return FileNotFoundError(f'no depth network is available: {errors[0].why}')
-    return FileNotFoundError('no depth network is available. ' + '. '.join(map(str, errors)))
+        better = ', '.join(f'{other} ({error.why})' for other, error in errors.items())
+        better = f'; better but not available: {better}' if better else ''
+        return NETWORKS[name], path, f'auto took {name} ({how}){better}'
+    if any(isinstance(error.__cause__, CacheFolderError) for error in errors.values()):
+        raise FileNotFoundError(f'no depth network is available: {errors[names[0]].why}')
+    raise FileNotFoundError('no depth network is available. '
+                            + '. '.join(map(str, errors.values())))

@@ -11,6 +11,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+from plane_detector.depth.download import Source, UrlSource
+from plane_detector.depth.npm import NpmSource
 from plane_detector.depth.preprocessing import InputRecipe
 from plane_detector.depth.readers import (
     CanonicalDepthReader,
@@ -18,7 +20,6 @@ from plane_detector.depth.readers import (
     PointMapReader,
     Reader,
 )
-from plane_detector.depth.sources import NpmSource, Source, UrlSource
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)

