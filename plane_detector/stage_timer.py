@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Timing of the stages of a pipeline."""
+"""Timing of the stages of a pipeline, and of a call."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from statistics import median
 
 from plane_detector.stopping import raise_if_stopped
 
@@ -40,3 +41,15 @@ class StageTimer:
         start = time.perf_counter()
         yield
         self.seconds[name] = time.perf_counter() - start
+
+
+def median_seconds(run: Callable[[], object]) -> float:
+    """Return the median time of three calls, s, after one that warms up."""
+    run()
+    times = []
+    for _ in range(3):
+        raise_if_stopped()
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return median(times)

@@ -11,24 +11,21 @@ import numpy as np
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
-from plane_detector.depth.focal_correction import OWN_FOCAL, lens_factor
-from plane_detector.depth.input_rate import LOAD, largest_within, median_seconds, side_for
-from plane_detector.depth.network_settings import interface_of, reader_of, resolve, view_count
+from plane_detector.depth.model_zoo import resolve
+from plane_detector.depth.networks import Network
 from plane_detector.depth.onnx_file import check_external_data
-from plane_detector.depth.onnx_session import (
-    Interface,
-    OnnxSession,
-    ProviderError,
-    available_providers,
-)
+from plane_detector.depth.onnx_session import OnnxSession, ProviderError, available_providers
 from plane_detector.depth.plausibility import ImplausibleDepthError
-from plane_detector.depth.preprocessing import InputRecipe, prepare_input
-from plane_detector.depth.readers import OutputError
+from plane_detector.depth.preprocessing import prepare_input
+from plane_detector.depth.readers import OWN_FOCAL, OutputError, lens_factor
 from plane_detector.depth.views import average_views, choose_views
+from plane_detector.stage_timer import median_seconds
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # Largest error of depth edges, in pixels of the network input.
 BLUR_INPUT_PX = 3.5
+# derived: a tenth of the period is left, so that a frame that takes a little longer is not late.
+LOAD = 0.9
 
 
 class DepthEstimator:
@@ -70,19 +67,15 @@ class DepthEstimator:
     """
 
     def __init__(self, config: DepthConfig) -> None:
-        network, self._path, reason = resolve(config)
-        self.name = network.name if network else str(self._path)
-        self._reader = reader_of(config, network)
-        self.output, self.needs_lens = self._reader.kind, self._reader.needs_lens
-        self.noise_share = network.noise_share if network else config.noise_share
-        self.focal_per_height = network.focal_per_height if network else 0.0
-        self._recipe = network.recipe if network else InputRecipe(
-            config.input_scale, config.mean, config.std)
-        self._views = self._views_used = view_count(config, network)
+        self._network, self._path, reason = resolve(config)
+        self.name, self.noise_share = self._network.name, self._network.noise_share
+        self.output, self.needs_lens = self._network.output, self._network.outputs.needs_lens
+        self.focal_per_height = self._network.focal_per_height
+        self._views = self._views_used = self._network.views
         self._input_reason, self._target_rate_hz = '', 0.0
         check_external_data(self._path)
         self._session, self.provider, passed_over, arrays = _first_that_runs(
-            self._path, config, interface_of(config, network, self._reader), self._recipe)
+            self._path, config, self._network)
         self._check_on_corridor(arrays)
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
 
@@ -132,6 +125,9 @@ class DepthEstimator:
         """
         Choose the largest input, or number of views, that keeps a rate beside the other work.
 
+        Two are timed, the smallest and the largest: the time is affine in the pixels of the input
+        and in the number of views.
+
         Parameters
         ----------
         rate_hz : float
@@ -139,26 +135,22 @@ class DepthEstimator:
             Time of all other work on a frame.
 
         """
-        rgb, lens = plausibility.corridor()[0], plausibility.CORRIDOR_LENS
-        sides = self._session.short_sides
-        choices = sides or tuple(range(1, self._views + 1))
+        rgb, limit_s = plausibility.corridor()[0], LOAD / rate_hz - other_s
         self._target_rate_hz = rate_hz
+        sides = self._session.short_sides
+        choices = np.array(sides or range(1, self._views + 1))
         if len(choices) == 1:
             self._input_reason = f'depth.target_rate {rate_hz:g} Hz: its input has a fixed size'
             return
-
-        def seconds_of(choice: int) -> float:
-            self._take(choice)
-            return median_seconds(lambda: self.predict(rgb, lens))
-        limit_s = LOAD / rate_hz - other_s
-        chosen, seconds = largest_within(choices, seconds_of, limit_s, power=2 if sides else 1)
-        measured = []
-        for one in sorted(seconds):
-            self._take(one)
-            measured.append(f'{self.facts["network_input"]} {1e3 * seconds[one]:.0f} ms')
-        self._take(chosen)
-        kept = ('kept' if seconds.get(chosen, 0.0) <= limit_s
-                else 'not kept by the smallest input')
+        seconds, measured = [], []
+        for choice in choices[[0, -1]]:
+            self._take(int(choice))
+            seconds.append(median_seconds(lambda: self.predict(rgb, plausibility.CORRIDOR_LENS)))
+            measured.append(f'{self.facts["network_input"]} {1e3 * seconds[-1]:.0f} ms')
+        work = choices**2 if sides else choices
+        is_fast = np.interp(work, work[[0, -1]], seconds) <= limit_s
+        self._take(int(choices[is_fast].max(initial=choices[0])))
+        kept = 'kept' if is_fast.any() else 'not kept by the smallest input'
         self._input_reason = (f'depth.target_rate {rate_hz:g} Hz is {kept}; '
                               f'{", ".join(measured)}, beside {1e3 * other_s:.0f} ms for planes '
                               'and outputs')
@@ -178,13 +170,14 @@ class DepthEstimator:
         if not sides:
             return (f'depth.views {views} (now {self._views_used}) would keep up, or '
                     "depth.target_rate at the camera's rate")
-        side = side_for(self._session.short_side, share, sides)
-        if side is None:
+        # The time goes with the pixels of the input.
+        fitting = [side for side in sides if (side / self._session.short_side) ** 2 <= share]
+        if not fitting:
             return 'it has no input size that is small enough: use a smaller network or a GPU'
         taken = (f', taken for depth.target_rate {self._target_rate_hz:g} Hz'
                  if self._target_rate_hz else '')
-        return (f'depth.short_side {side} (now {self._session.short_side}{taken}) would keep up, '
-                "or depth.target_rate at the camera's rate")
+        return (f'depth.short_side {max(fitting)} (now {self._session.short_side}{taken}) would '
+                "keep up, or depth.target_rate at the camera's rate")
 
     @property
     def facts(self) -> Mapping[str, str]:
@@ -208,17 +201,17 @@ class DepthEstimator:
 
     def _predict_view(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None) -> Prediction:
         input_size = self._session.input_size(rgb.shape[1], rgb.shape[0])
-        arrays = self._session.run(prepare_input(rgb, input_size, self._recipe))
+        arrays = self._session.run(prepare_input(rgb, input_size, self._network.recipe))
         return self._read(arrays, rgb, intrinsics)
 
     def _read(self, arrays: Sequence[np.ndarray], rgb: np.ndarray,
               intrinsics: CameraIntrinsics | None) -> Prediction:
         """Convert the network's output for an image to a prediction."""
         size = (rgb.shape[1], rgb.shape[0])
-        framing = self._recipe.framing(size, self._session.input_size(*size))
+        framing = self._network.recipe.framing(size, self._session.input_size(*size))
         try:
-            plausibility.check_values(self._reader.values(arrays), self.output, rgb)
-            return self._reader.read(arrays, framing, intrinsics)
+            plausibility.check_values(self._network.outputs.raw(arrays), self.output, rgb)
+            return self._network.outputs.read(arrays, framing, intrinsics)
         except ImplausibleDepthError as error:
             raise ImplausibleDepthError(f'{self._path}: {error}') from None
         except OutputError as error:
@@ -235,15 +228,16 @@ class DepthEstimator:
                 raise ImplausibleDepthError(f'{self._path}: {error}') from None
 
 
-def _first_that_runs(path: Path, config: DepthConfig, interface: Interface, recipe: InputRecipe
+def _first_that_runs(path: Path, config: DepthConfig, network: Network
                      ) -> tuple[OnnxSession, str, list[str], list[np.ndarray]]:
     """Return the session of the first provider that runs, and its output for a test image."""
     passed_over: list[str] = []
     for provider in config.providers:
         try:
-            session = OnnxSession(path, provider, config.threads, interface)
+            session = OnnxSession(path, provider, config.threads, network)
             size = session.input_size(*plausibility.CORRIDOR_SIZE)
-            arrays = session.run(prepare_input(plausibility.corridor()[0], size, recipe))
+            arrays = session.run(prepare_input(plausibility.corridor()[0], size,
+                                               network.recipe))
         except ProviderError as error:
             passed_over.append(f'{provider} does not run: {error}')
         else:

@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
+from plane_detector.config import DepthConfig
 from plane_detector.depth.download import download, sha256_of
 from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
+from plane_detector.depth.preprocessing import InputRecipe
+from plane_detector.depth.readers import Outputs
 
 
 class NetworkUnavailableError(FileNotFoundError):
@@ -139,3 +143,47 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
         raise FileNotFoundError(f'no depth network is available: {errors[names[0]].why}')
     raise FileNotFoundError('no depth network is available. '
                             + '. '.join(map(str, errors.values())))
+
+
+def resolve(config: DepthConfig) -> tuple[Network, Path, str]:
+    """
+    Return the network that the settings name, its file, and the reason.
+
+    Raises
+    ------
+    ValueError
+        There is no such network or file, or a setting contradicts it.
+    FileNotFoundError
+        It is not available and cannot be downloaded.
+
+    """
+    if config.model == 'auto':
+        network, path, reason = choose(config.cache_dir, config.output)
+    elif config.model in NETWORKS:
+        network, path = NETWORKS[config.model], fetch(config.model, config.cache_dir)
+        reason = f'{config.model} as requested'
+    else:
+        path = Path(config.model).expanduser()
+        network, reason = _of_file(path, config), f'{path} as requested'
+    if config.output not in ('auto', network.output):
+        raise ValueError(f'depth.output is {config.output}, but {network.name} gives '
+                         f'{network.output}: leave it at auto')
+    if config.views > 1 and not network.focal_per_height:
+        raise ValueError(f'depth.views {config.views} needs a metric network whose lens in '
+                         f'training the zoo states; use 1 with {network.name}')
+    size = config.input_width, config.input_height
+    return replace(network, input_size=size if any(size) else network.input_size,
+                   short_side=config.short_side or network.short_side,
+                   views=config.views or network.views), path, reason
+
+
+def _of_file(path: Path, config: DepthConfig) -> Network:
+    """Return what the settings say about a file."""
+    if not path.is_file():
+        raise ValueError(f'depth.model {config.model!r} is neither a file nor one of auto, '
+                         f'{", ".join(NETWORKS)}')
+    if config.output == 'auto':
+        raise ValueError(f'depth.output must state the output of {config.model}: metric_depth, '
+                         'disparity or relative_disparity')
+    return Network(str(path), path.name, InputRecipe(config.input_scale, config.mean, config.std),
+                   Outputs(config.output), config.noise_share, side_multiple=config.side_multiple)

@@ -14,12 +14,7 @@ from dataclasses import dataclass, field, replace
 from plane_detector.depth.download import Source, UrlSource
 from plane_detector.depth.npm import NpmSource
 from plane_detector.depth.preprocessing import InputRecipe
-from plane_detector.depth.readers import (
-    CanonicalDepthReader,
-    DepthImageReader,
-    PointMapReader,
-    Reader,
-)
+from plane_detector.depth.readers import Outputs
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
@@ -28,7 +23,7 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 @dataclass(frozen=True)
 class Network:
     """
-    A depth network of the zoo.
+    A depth network: of the zoo, or a file with what the settings say about it.
 
     Attributes
     ----------
@@ -36,23 +31,21 @@ class Network:
         Value of `DepthConfig.model`, and the name of the file in the cache folder.
     sources : tuple of Source
         Sources of the file; they are tried in turn.
-    size_bytes : int
-        Size of the file; 0: unknown.
-    sha256 : str
-        Of the file.
+    size_bytes, sha256 : int, str
+        Size of the file, 0 if unknown, and its hash.
     licence : str
         Of the weights: the SPDX name if it is clear, else a description.
     summary : str
         Its output and training data.
     recipe : InputRecipe
         Conversion of an image to its input.
-    reader : Reader
-        Meaning of its outputs.
+    outputs : Outputs
+        Which of its outputs is what.
     noise_share : float
         Typical error of its disparity as a share of the disparities of the image, see
         `plane_detector.geometry.disparity.noise_reference`.
     input_size : (int, int)
-        Width and height of a fixed input; (0, 0): any size.
+        Width and height of its input; (0, 0): as the file states.
     short_side : int
         Short side of an input of any size for best quality, pixels.
     side_multiple : int
@@ -72,14 +65,14 @@ class Network:
 
     name: str
     file_name: str
-    sources: tuple[Source, ...]
-    size_bytes: int
-    sha256: str
-    licence: str
-    summary: str
     recipe: InputRecipe
-    reader: Reader
+    outputs: Outputs
     noise_share: float
+    sources: tuple[Source, ...] = ()
+    size_bytes: int = 0
+    sha256: str = ''
+    licence: str = ''
+    summary: str = ''
     input_size: tuple[int, int] = (0, 0)
     short_side: int = 0
     side_multiple: int = 1
@@ -91,7 +84,7 @@ class Network:
     @property
     def output(self) -> str:
         """Kind of its output: ``metric_depth``, ``disparity`` or ``relative_disparity``."""
-        return self.reader.kind
+        return self.outputs.kind
 
 
 _DEPTH_ANYTHING = 'https://github.com/fabio-sim/Depth-Anything-ONNX/releases/download/v2.0.0/'
@@ -110,10 +103,9 @@ _INDOOR = Network(
     name='depth_anything_v2_metric_indoor_small',
     file_name='depth_anything_v2_vits_indoor_dynamic.onnx',
     sources=(UrlSource(_DEPTH_ANYTHING + 'depth_anything_v2_vits_indoor_dynamic.onnx'),),
-    size_bytes=0,
     sha256='2e25a3f332b34d885a1b3059cab471f7916a36099325810821b2d6e0471f74ad',
     licence='Apache-2.0', summary='metres, indoors up to 20 m (Hypersim)',
-    recipe=_IMAGENET, reader=DepthImageReader('metric_depth'), noise_share=0.009,
+    recipe=_IMAGENET, outputs=Outputs('metric_depth'), noise_share=0.009,
     short_side=518, side_multiple=14, focal_per_height=886.81 / 768)
 # The outdoor version is left out because its SHA-256 is not known; it can be used by path with
 # depth.output metric_depth and depth.short_side 518.
@@ -124,7 +116,7 @@ _SMALL = Network(
     size_bytes=99092268,
     sha256='46c4e8eeda3a27f34701831b6a2ec7753d7b38779b215acb5633424703deed8f',
     licence='Apache-2.0', summary='relative disparity, any scene (62 million images)',
-    recipe=_IMAGENET, reader=DepthImageReader('relative_disparity'), noise_share=0.005,
+    recipe=_IMAGENET, outputs=Outputs('relative_disparity'), noise_share=0.005,
     short_side=518, side_multiple=14)
 _SMALL_FP16 = replace(
     _SMALL, name='depth_anything_v2_small_fp16',
@@ -136,7 +128,7 @@ _SMALL_FP16 = replace(
 _SMALL_INT8 = replace(
     _SMALL, name='depth_anything_v2_small_int8',
     file_name='depth_anything_v2_small_quantized.onnx',
-    sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),), size_bytes=0,
+    sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),),
     sha256='fcf51f1b230362b28690bb9d1809bf0431f29cad20534e3f589bd7285547f20d',
     summary='relative disparity in 8 bits, for a CPU')
 # Trained on images cropped by 11/250 of the height on each side, so that NYU's focal length of
@@ -151,7 +143,7 @@ _FASTDEPTH = Network(
     size_bytes=5775869,
     sha256='6275c23f467d476874d0eecea2a2c7059733ca6681de4f17bfbfe3fc3a52a71d',
     licence='MIT', summary='metres, indoors up to 10 m (NYU Depth V2)',
-    recipe=replace(_UNIT_RANGE, resize='area'), reader=DepthImageReader('metric_depth'),
+    recipe=replace(_UNIT_RANGE, resize='area'), outputs=Outputs('metric_depth'),
     noise_share=FASTDEPTH_NOISE_SHARE, short_side=224, side_multiple=32,
     focal_per_height=519.47 / (480 * (1 - 22 / 250)), views=3)
 # 1200 tokens are the minimum of its training; an input of 560 x 420 has that many patches of
@@ -164,7 +156,8 @@ _MOGE = Network(
     size_bytes=140852051,
     sha256='24eacb5dc7a2c54c7bc98f7de085ffbed79ad006ea5b664c2c2cdc02ff3a52f0',
     licence='MIT', summary='metres and normals, any scene, needs the lens',
-    recipe=_UNIT_RANGE, reader=PointMapReader(('points', 'normal', 'mask', 'scale')),
+    recipe=_UNIT_RANGE, outputs=Outputs(
+        'metric_depth', points='points', normals='normal', mask='mask', scale='scale'),
     noise_share=0.006, short_side=420, side_multiple=14, scalars={'num_tokens': 1200})
 # The colour of the border is the mean of ImageNet. The network takes 0 to 255 and normalises it.
 _METRIC3D = Network(
@@ -177,8 +170,9 @@ _METRIC3D = Network(
     licence='weights: not stated; code: BSD-2-Clause',
     summary='metres and normals with confidence, any scene, needs the lens',
     recipe=InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3, 'linear', (123.675, 116.28, 103.53)),
-    reader=CanonicalDepthReader(
-        1000.0, ('predicted_depth', 'predicted_normal', 'normal_confidence')),
+    outputs=Outputs(
+        'metric_depth', depth='predicted_depth', canonical_focal_px=1000.0,
+        normals='predicted_normal', confidence='normal_confidence'),
     noise_share=0.006, input_size=(1064, 616), is_opt_in=True)
 
 NETWORKS = {network.name: network for network in (

@@ -14,7 +14,7 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.depth.depth_function import wrapped
 from plane_detector.depth.far import knowable
-from plane_detector.depth.focal_correction import lens_factor
+from plane_detector.depth.readers import lens_factor
 from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
 from plane_detector.geometry.disparity import (
     limited_depth,

@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnxruntime as ort
 
+from plane_detector.depth.networks import Network
 from plane_detector.depth.preprocessing import lower_bound_size
 from plane_detector.stopping import current_stop, raise_if_stopped
 
@@ -36,34 +36,20 @@ class ProviderError(ValueError):
     """An execution provider is missing or cannot run the network."""
 
 
-@dataclass(frozen=True)
-class Interface:
-    """
-    The part of a network's interface that its file does not state.
-
-    Attributes
-    ----------
-    outputs : tuple of str
-        Names of the required outputs, in order; empty: the one that is the depth.
-    scalars : mapping of str to int
-        Integer inputs besides the image, and their values.
-    input_size : (int, int)
-        Width and height of the input; (0, 0): as the file states.
-    short_side, side_multiple : int
-        Of an input that may have any size.
-
-    """
-
-    outputs: tuple[str, ...] = ()
-    scalars: Mapping[str, int] = field(default_factory=dict)
-    input_size: tuple[int, int] = (0, 0)
-    short_side: int = 0
-    side_multiple: int = 1
-
-
 class OnnxSession:
     """
     One ONNX Runtime session that takes (3, H, W) float32 and returns arrays.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file.
+    provider : str
+        Execution provider.
+    threads : int
+        0: as many as ONNX Runtime chooses.
+    network : Network
+        What the file does not state: its other inputs, the required outputs, the input size.
 
     Raises
     ------
@@ -74,10 +60,10 @@ class OnnxSession:
 
     """
 
-    def __init__(self, path: Path, provider: str, threads: int, interface: Interface) -> None:
+    def __init__(self, path: Path, provider: str, threads: int, network: Network) -> None:
         self._session = _load(path, provider, threads)
         self._path = path
-        self._interface = interface
+        self._network = network
         self._device = _DEVICES.get(provider)
         self._input_on_device: ort.OrtValue | None = None
         self._input = self._image_input()
@@ -88,33 +74,33 @@ class OnnxSession:
 
     def input_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the width and height of the input for an image of this size."""
-        if all(self._interface.input_size):
-            return self._interface.input_size
+        if all(self._network.input_size):
+            return self._network.input_size
         if all(self._fixed_size):
             return self._fixed_size
-        free = lower_bound_size(width, height, self._interface.short_side,
-                                self._interface.side_multiple)
+        free = lower_bound_size(width, height, self._network.short_side,
+                                self._network.side_multiple)
         return self._fixed_size[0] or free[0], self._fixed_size[1] or free[1]
 
     @property
     def short_sides(self) -> tuple[int, ...]:
         """Short sides that an input of any size may have, ascending; empty for a fixed size."""
-        interface = self._interface
-        if all(interface.input_size) or any(self._fixed_size):
+        network = self._network
+        if all(network.input_size) or any(self._fixed_size):
             return ()
-        least = -(-MIN_SIDE_PX // interface.side_multiple) * interface.side_multiple
-        return (*range(least, interface.short_side, interface.side_multiple),
-                interface.short_side)
+        least = -(-MIN_SIDE_PX // network.side_multiple) * network.side_multiple
+        return (*range(least, network.short_side, network.side_multiple),
+                network.short_side)
 
     @property
     def short_side(self) -> int:
         """Short side of an input that may have any size."""
-        return self._interface.short_side
+        return self._network.short_side
 
     def resized(self, short_side: int) -> OnnxSession:
         """Return the same loaded network with another short side of its input."""
         other = copy(self)
-        other._interface = replace(self._interface, short_side=short_side)
+        other._network = replace(self._network, short_side=short_side)
         other._input_on_device = None
         return other
 
@@ -164,9 +150,9 @@ class OnnxSession:
     def _image_input(self) -> ort.NodeArg:
         """Return the input for the image."""
         images = [end for end in self._session.get_inputs()
-                  if end.name not in self._interface.scalars]
+                  if end.name not in self._network.scalars]
         if len(images) != 1 or images[0].type not in _INPUT_TYPES:
-            beside = ' and '.join(['', *self._interface.scalars])
+            beside = ' and '.join(['', *self._network.scalars])
             raise self.misfit(f'it must have one input{beside}, of float32 or float16')
         return images[0]
 
@@ -174,7 +160,7 @@ class OnnxSession:
         """Return the arrays of the inputs besides the image."""
         found = {end.name: end for end in self._session.get_inputs()}
         arrays = {}
-        for name, value in self._interface.scalars.items():
+        for name, value in self._network.scalars.items():
             if name not in found or found[name].type != 'tensor(int64)':
                 raise self.misfit(f'it must have an input {name} of int64')
             arrays[name] = np.full([1] * len(found[name].shape), value, np.int64)
@@ -183,14 +169,14 @@ class OnnxSession:
     def _wanted_outputs(self) -> list[str]:
         """Return the names of the required outputs, or of the one that is the depth."""
         outputs = {end.name: end for end in self._session.get_outputs()}
-        names = list(self._interface.outputs)
+        names = list(self._network.outputs.names)
         if missing := [name for name in names if name not in outputs]:
             raise self.misfit(f'it must have an output {" and ".join(missing)}')
         if not names:
             names = list(outputs)
-        if not self._interface.outputs and len(names) > 1:
+        if not self._network.outputs.names and len(names) > 1:
             names = [n for n in names if any(key in n.lower() for key in ('depth', 'disp'))]
-        if not self._interface.outputs and len(names) != 1:
+        if not self._network.outputs.names and len(names) != 1:
             raise self.misfit('it must have one output, or one with depth or disp in its name')
         for name in names:
             if outputs[name].type not in _NUMBERS:
@@ -210,7 +196,7 @@ class OnnxSession:
         raise self.misfit('its input must be one RGB image, [1, 3, H, W] or [1, H, W, 3]')
 
     def _check_wanted_size(self) -> None:
-        wanted, multiple = self._interface.input_size, self._interface.side_multiple
+        wanted, multiple = self._network.input_size, self._network.side_multiple
         if any(wanted):
             if any(fixed not in (0, side) for fixed, side in
                    zip(self._fixed_size, wanted, strict=True)):
@@ -220,7 +206,7 @@ class OnnxSession:
                    zip(self._fixed_size, wanted, strict=True) if not fixed):
                 raise ValueError(f'depth.input_width and depth.input_height, {wanted},'
                                  f' must be multiples of depth.side_multiple, {multiple}')
-        elif not all(self._fixed_size) and not self._interface.short_side:
+        elif not all(self._fixed_size) and not self._network.short_side:
             raise self.misfit('its input may have any size: set depth.short_side, or '
                               'depth.input_width and depth.input_height')
 

@@ -1,188 +1,167 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Readers of network outputs: each kind of network has a reader that makes a Prediction.
+Meaning of the outputs of networks: which output is what, in which unit, and for which lens.
 
-A reader names the outputs that it needs, gets their arrays in this order, and knows their units,
-axes and unknowns. Some readers need the intrinsics, so they are passed in.
+References
+----------
+W. Yin et al.: Metric3D, Towards Zero-Shot Metric 3D Prediction from a Single Image, 2023.
+R. Wang et al.: MoGe-2, Accurate Monocular Geometry with Metric Scale and Sharp Details, 2025.
+
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
-from plane_detector.depth.framing import Framing, rays
-from plane_detector.depth.point_map import depth_from_point_map
-from plane_detector.depth.preprocessing import finish_output
+from plane_detector.depth.preprocessing import Framing, finish_output, rays
 from plane_detector.types import CameraIntrinsics, Prediction
 
+# Channels of the outputs by their roles in `Outputs`; 0: one number.
+_CHANNELS = {'depth': 1, 'points': 3, 'mask': 1, 'scale': 0, 'normals': 3, 'confidence': 1}
 MIN_MASK = 0.5
 """Pixels are valid from this value of a validity mask, 0 to 1 (the threshold of MoGe)."""
+_ROUNDS = 20
+_SETTLED = 1e-6  # of the depth: below the precision of float32
+_SAMPLED_SIDE = 64  # derived: 4096 pixels determine one unknown with more than enough precision
+_MIN_DEPTH_SHARE = 0.01  # of the typical depth; nearer pixels would dominate the weights
+OWN_FOCAL = -1.0
 
 
 class OutputError(ValueError):
-    """The arrays of a network are not those that its reader expects."""
+    """The arrays of a network are not those that its table of outputs says."""
 
 
-class Reader(Protocol):
+@dataclass(frozen=True)
+class Outputs:
     """
-    Makes a prediction from the arrays of a network.
+    Names of a network's outputs by what they are, empty for what it does not give.
 
     Attributes
     ----------
-    outputs : tuple of str
-        Names of the outputs, in order; empty: the one that is the depth.
     kind : str
         ``metric_depth``, ``disparity`` or ``relative_disparity``.
-    needs_lens : bool
-        Whether it needs the intrinsics of the image.
+    depth : str
+        One image in the unit of the kind. If no output is named, the only one, or the only one
+        with depth or disp in its name, is the depth.
+    canonical_focal_px : float
+        The depth is that of a camera with this focal length; metres are the depth times the
+        focal length at the size of the input over this one (Yin 2023). 0: the depth is in metres.
+    points : str
+        Points x, y, z with an unknown shift along z, in the unit of ``scale``; valid where
+        ``mask`` is at least MIN_MASK. With known intrinsics the shift is the one that brings them
+        onto the rays of their pixels (Wang 2025).
+    mask, scale : str
+        Validity of the points, 0 to 1, and one number, metres per unit of the points.
+    normals, confidence : str
+        Normals in the optical frame, all to the camera or all away from it, and their confidence.
 
     """
 
-    outputs: tuple[str, ...]
     kind: str
-    needs_lens: bool
+    depth: str = ''
+    canonical_focal_px: float = 0.0
+    points: str = ''
+    mask: str = ''
+    scale: str = ''
+    normals: str = ''
+    confidence: str = ''
 
-    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the values that encode depth, (h, w), unchanged; raise OutputError as `read`."""
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the outputs; empty: the one that is the depth."""
+        return tuple(name for role in _CHANNELS if (name := getattr(self, role)))
+
+    @property
+    def needs_lens(self) -> bool:
+        """Whether the intrinsics of the image are needed."""
+        return bool(self.canonical_focal_px or self.points or self.normals)
+
+    def maps(self, arrays: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+        """Return the arrays of the network (h, w) or (h, w, 3) by role; may raise OutputError."""
+        roles = [role for role in _CHANNELS if getattr(self, role)] or ['depth']
+        return {role: _as_map(array, _CHANNELS[role])
+                for role, array in zip(roles, arrays, strict=True)}
+
+    def raw(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
+        """Return the values that encode the depth, (h, w), as they are; may raise OutputError."""
+        maps = self.maps(arrays)
+        if not self.points:
+            return maps['depth']
+        # The distance of each point, which varies even on a wall seen frontally.
+        length = np.linalg.norm(maps['points'], axis=-1)
+        return np.where(maps['mask'] >= MIN_MASK, length, np.nan)
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics | None) -> Prediction:
-        """Return the prediction at the size of the image; raise OutputError for other arrays."""
+        """
+        Return the prediction of the arrays of a network.
+
+        Parameters
+        ----------
+        arrays : sequence of array
+            In the order of `names`.
+        framing : Framing
+            Where the image lies in the input.
+        intrinsics : CameraIntrinsics or None
+            Of the image; required if `needs_lens`.
+
+        Raises
+        ------
+        OutputError
+            The arrays have other shapes.
+
+        """
+        maps = self.maps(arrays)
+        scale = maps.pop('scale', None)
+        maps = {role: framing.crop(values) for role, values in maps.items()}
+        normals = confidence = None
+        is_valid = maps['mask'] >= MIN_MASK if self.mask else None
+        if self.points:
+            points = maps['points'].astype(np.float32)
+            depth = depth_from_point_map(points, is_valid, rays(intrinsics, points.shape[:2]))
+            depth = depth * np.float32(scale)
+        else:
+            depth = maps['depth']
+        if self.canonical_focal_px:
+            depth = depth.astype(np.float32) * np.float32(
+                framing.focal_px(intrinsics) / self.canonical_focal_px)
+        if self.normals:
+            normals = maps['normals'].astype(np.float32)
+            if self.mask:
+                normals = np.where(is_valid[..., None], normals, np.float32(np.nan))
+            normals = _finished_normals(normals, framing, intrinsics)
+        if self.confidence:
+            confidence = framing.resized(maps['confidence'].astype(np.float32))
+        return Prediction(self.kind, finish_output(depth, framing.image_size, self.kind), normals,
+                          confidence)
 
 
-@dataclass(frozen=True)
-class DepthImageReader:
-    """One depth or disparity image, in the unit of its kind."""
-
-    kind: str
-    outputs: tuple[str, ...] = ()
-    needs_lens: bool = False
-
-    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the depth or disparity unchanged; see `Reader`."""
-        return as_map(arrays[0])
-
-    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics | None) -> Prediction:
-        """Return the prediction; see `Reader`."""
-        raw = framing.crop(as_map(arrays[0]))
-        return Prediction(
-            self.kind, finish_output(raw, framing.image_size, self.kind))
-
-
-@dataclass(frozen=True)
-class CanonicalDepthReader:
-    """
-    Depth of a canonical camera, with normals and their confidence (Metric3D v2).
-
-    The network assumes that every image is from a camera of ``canonical_focal_px``. Metres are its
-    depth times the focal length at the size of its input over that one (Yin et al. 2023).
-    """
-
-    canonical_focal_px: float
-    outputs: tuple[str, ...]
-    kind: str = 'metric_depth'
-    needs_lens: bool = True
-
-    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the depth unchanged; see `Reader`."""
-        return as_map(arrays[0])
-
-    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics) -> Prediction:
-        """Return metres and normals; see `Reader`."""
-        raw = framing.crop(as_map(arrays[0])).astype(np.float32)
-        depth_m = raw * np.float32(framing.focal_px(intrinsics) / self.canonical_focal_px)
-        confidence = framing.crop(as_map(arrays[2])).astype(np.float32)
-        return Prediction(
-            self.kind, finish_output(depth_m, framing.image_size, self.kind),
-            finish_normals(framing.crop(as_map(arrays[1], 3)), framing, intrinsics),
-            framing.resized(confidence))
-
-
-@dataclass(frozen=True)
-class PointMapReader:
-    """
-    Points of unknown shift along z, with normals, a mask and a scale (MoGe-2).
-
-    With known intrinsics, the shift is the one that brings the points onto the rays of their
-    pixels; the scale then converts them to metres (Wang et al. 2025).
-    """
-
-    outputs: tuple[str, ...]
-    kind: str = 'metric_depth'
-    needs_lens: bool = True
-
-    def values(self, arrays: Sequence[np.ndarray]) -> np.ndarray:
-        """Return the distance of each point, which varies even on a wall seen frontally."""
-        length = np.linalg.norm(as_map(arrays[0], 3), axis=-1)
-        return np.where(as_map(arrays[2]) >= MIN_MASK, length, np.nan)
-
-    def read(self, arrays: Sequence[np.ndarray], framing: Framing,
-             intrinsics: CameraIntrinsics) -> Prediction:
-        """Return metres and normals, NaN where the mask is below MIN_MASK; see `Reader`."""
-        points, normals = (framing.crop(as_map(array, 3)).astype(np.float32)
-                           for array in arrays[:2])
-        is_valid = framing.crop(as_map(arrays[2])) >= MIN_MASK
-        if arrays[3].size != 1:
-            raise OutputError(f'its output {self.outputs[3]} is {arrays[3].shape}, not one number')
-        depth = depth_from_point_map(points, is_valid, rays(intrinsics, points.shape[:2]))
-        return Prediction(
-            self.kind,
-            finish_output(depth * np.float32(arrays[3].item()), framing.image_size, self.kind),
-            finish_normals(np.where(is_valid[..., None], normals, np.float32(np.nan)), framing,
-                           intrinsics))
-
-
-def as_map(array: np.ndarray, channels: int = 1) -> np.ndarray:
-    """
-    Return an output as (h, w), or as (h, w, channels) from channels first or last.
-
-    Raises
-    ------
-    OutputError
-        It is not one image with the required number of channels.
-
-    """
+def _as_map(array: np.ndarray, channels: int) -> np.ndarray:
+    """Return an output as (h, w), as (h, w, 3) from channels first or last, or as a number."""
     image = array.squeeze()
     if channels == 1 and image.ndim == 2:
         return image
-    if channels > 1 and image.ndim == 3:
-        if image.shape[2] == channels:
-            return image
-        if image.shape[0] == channels:
-            return image.transpose(1, 2, 0)
-    many = f' of {channels} channels' if channels > 1 else ''
-    raise OutputError(f'its output is {array.shape}, which is not one image{many}')
+    if channels == 3 and image.ndim == 3 and 3 in (image.shape[0], image.shape[2]):
+        return image if image.shape[2] == 3 else image.transpose(1, 2, 0)
+    if channels == 0 and image.size == 1:
+        return image
+    what = ('one number', 'one image', '', 'one image of 3 channels')[channels]
+    raise OutputError(f'its output is {array.shape}, which is not {what}')
 
 
-def finish_normals(raw: np.ndarray, framing: Framing, intrinsics: CameraIntrinsics) -> np.ndarray:
+def _finished_normals(raw: np.ndarray, framing: Framing,
+                      intrinsics: CameraIntrinsics) -> np.ndarray:
     """
-    Resize normals to the image, with length 1 and pointing to the camera.
+    Return normals (h, w, 3) resized to the image, of length 1 and pointing to the camera.
 
     Networks differ in the side that a normal points to, but each is consistent: if most normals
     point away from the camera, all are reversed.
-
-    Parameters
-    ----------
-    raw : (h, w, 3) floating
-        In the optical frame, of any length; NaN where invalid.
-    framing : Framing
-    intrinsics : CameraIntrinsics
-        Of the image.
-
-    Returns
-    -------
-    (H, W, 3) float32
-        NaN where invalid.
-
     """
-    normals = np.ascontiguousarray(framing.resized(np.ascontiguousarray(raw, np.float32)))
+    normals = np.ascontiguousarray(framing.resized(np.ascontiguousarray(raw)))
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     with np.errstate(invalid='ignore', divide='ignore'):
         normals = normals / length
@@ -190,3 +169,82 @@ def finish_normals(raw: np.ndarray, framing: Framing, intrinsics: CameraIntrinsi
     across = rays(intrinsics, normals.shape[:2])
     away = (normals[..., :2] * across).sum(axis=-1) + normals[..., 2]
     return -normals if np.nanmean(np.sign(away), dtype=float) > 0 else normals
+
+
+def depth_from_point_map(points: np.ndarray, is_valid: np.ndarray,
+                         rays: np.ndarray) -> np.ndarray:
+    """
+    Return z + t of a point map whose shift t along the optical axis is unknown.
+
+    The point (x, y, z) of a pixel with ray (r, 1) must satisfy (x, y) = (z + t) r, which is linear
+    in t. Each pixel is weighted by 1 / (z + t)**2, which turns its error into one in the image:
+    t = sum w (r . (x, y) - |r|**2 z) / sum w |r|**2, until it converges.
+
+    Parameters
+    ----------
+    points : (h, w, 3) float32
+        In any unit.
+    is_valid : (h, w) bool
+    rays : (h, w, 2) float32
+        x / z and y / z of each pixel.
+
+    Returns
+    -------
+    (h, w) float32
+        In the unit of the points; NaN where invalid.
+
+    """
+    is_valid = is_valid & np.isfinite(points).all(axis=-1)
+    thin = tuple(slice(None, None, max(1, side // _SAMPLED_SIDE)) for side in points.shape[:2])
+    shift = _shift(points[thin][is_valid[thin]].astype(float),
+                   rays[thin][is_valid[thin]].astype(float))
+    return np.where(is_valid, points[..., 2] + np.float32(shift), np.float32(np.nan))
+
+
+def _shift(points: np.ndarray, rays: np.ndarray) -> float:
+    """Return t for points (n, 3) on rays (n, 2); 0 if it cannot be determined."""
+    square = (rays**2).sum(axis=1)
+    if not square.any():
+        return 0.0
+    z = points[:, 2]
+    difference = (rays * points[:, :2]).sum(axis=1) - square * z
+    shift = float(difference.sum() / square.sum())
+    for _ in range(_ROUNDS):
+        depth = z + shift
+        typical = np.median(np.abs(depth))
+        weight = 1 / np.maximum(depth, _MIN_DEPTH_SHARE * typical + 1e-12) ** 2
+        before, shift = shift, float((weight * difference).sum() / (weight * square).sum())
+        if abs(shift - before) < _SETTLED * typical:
+            break
+    return shift
+
+
+def lens_factor(intrinsics: CameraIntrinsics, reference_focal_px: float,
+                focal_per_height: float) -> float:
+    """
+    Return the factor that corrects the metres of a network for the focal length of the camera.
+
+    Metric networks assume the camera that they were trained with. With a longer lens, objects
+    appear nearer by the ratio of the focal lengths (the canonical camera of Yin 2023).
+
+    Parameters
+    ----------
+    intrinsics : CameraIntrinsics
+        Of the image.
+    reference_focal_px : float
+        Focal length that the network assumes, at the width of the image; 0: no correction;
+        OWN_FOCAL: the focal length that the network is known to be trained with.
+    focal_per_height : float
+        Focal length over image height that the network is known to be trained with; 0: unknown.
+
+    Returns
+    -------
+    float
+        1 if no correction is needed or the focal length is unknown.
+
+    """
+    if reference_focal_px > 0:
+        return intrinsics.fx / reference_focal_px
+    if reference_focal_px == OWN_FOCAL and focal_per_height > 0:
+        return intrinsics.fy / intrinsics.height / focal_per_height
+    return 1.0

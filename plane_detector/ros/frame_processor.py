@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from plane_detector.config import NodeConfig
-from plane_detector.depth.input_rate import median_seconds
 from plane_detector.depth.observation import ModelDepth, Observation
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.pipeline import PlaneDetector
@@ -22,7 +21,7 @@ from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
 from plane_detector.ros.outputs.frame import ProcessedFrame
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.stage_timer import StageTimer
+from plane_detector.stage_timer import StageTimer, median_seconds
 from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection
 

@@ -12,7 +12,6 @@ from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
 from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.depth.input_rate import median_seconds
 from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
 from plane_detector.geometry.disparity import to_depth, to_disparity
 from plane_detector.pipeline import PlaneDetector
@@ -21,6 +20,7 @@ from plane_detector.ros.diagnostics import Report
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.outputs.messages import rgb_to_msg
+from plane_detector.stage_timer import median_seconds
 
 # Noise and blur of a network's depth, for timing the stages after it.
 _NOISE_PER_M, _BLUR_PX = 0.005, 12.0

@@ -2,34 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of a network input that keeps a rate: with simulated times, and on ONNX Runtime."""
 
-
 import pytest
-from onnx_models import write_depth_network
+from onnx_models import PLAIN, write_depth_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import estimator as estimators
-from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.input_rate import LOAD, largest_within, side_for
+from plane_detector.depth.estimator import LOAD, DepthEstimator
 
-SIDES = tuple(range(98, 281, 14))
-PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0),
-         'output': 'metric_depth'}
+PLAIN = {**PLAIN, 'output': 'metric_depth'}
 
 
 def seconds_of(side):
     return side**2 / 1e6
-
-
-@pytest.mark.parametrize('limit_s', [0.0, seconds_of(98), 0.03, seconds_of(280), 1.0])
-def test_the_largest_that_fits_is_found_from_two_times(limit_s):
-    size, seconds = largest_within(SIDES, seconds_of, limit_s)
-    assert size == max((s for s in SIDES if seconds_of(s) <= limit_s), default=SIDES[0])
-    assert set(seconds) <= {98, 280}
-
-
-@pytest.mark.parametrize(('share', 'side'), [(1.0, 280), (0.999, 266), (0.25, 140), (0.1, None)])
-def test_time_goes_with_the_pixels_of_the_input(share, side):
-    assert side_for(280, share, SIDES) == side
 
 
 @pytest.fixture
@@ -48,24 +32,21 @@ def timed(monkeypatch):
     return pretend
 
 
-@pytest.mark.parametrize('other_s', [0.0, 0.01])
-def test_the_network_becomes_as_large_as_the_rate_allows(free, timed, other_s):
+@pytest.mark.parametrize(('rate_hz', 'other_s'), [
+    (20.0, 0.0), (20.0, 0.01), (LOAD / seconds_of(280), 0.0), (LOAD / seconds_of(70), 0.0),
+    (900.0, 0.0)])
+def test_the_network_becomes_as_large_as_the_rate_allows(free, timed, rate_hz, other_s):
     timed.estimator = free
-    free.fit_to_rate(20.0, other_s)
-    side = max(s for s in range(70, 281, 14) if seconds_of(s) <= LOAD / 20.0 - other_s)
-    assert free.input_size(640, 480)[1] == side < 280
+    free.fit_to_rate(rate_hz, other_s)
+    limit_s = LOAD / rate_hz - other_s + 1e-12
+    sides = [side for side in range(70, 281, 14) if seconds_of(side) <= limit_s]
+    assert free.input_size(640, 480)[1] == max(sides, default=70)
     facts = free.facts
-    assert facts['network_input'].endswith(f' x {side}')
-    assert 'depth.target_rate 20 Hz is kept' in facts['network_input_reason']
+    assert facts['network_input'].endswith(f' x {max(sides, default=70)}')
+    said = 'is kept;' if sides else 'is not kept by the smallest input;'
+    assert f'depth.target_rate {rate_hz:g} Hz {said}' in facts['network_input_reason']
     assert 'x 280 78 ms' in facts['network_input_reason'], 'the size that is too slow too'
     assert f'beside {1e3 * other_s:.0f} ms' in facts['network_input_reason']
-
-
-def test_an_unreachable_rate_is_reported(free, timed):
-    timed.estimator = free
-    free.fit_to_rate(900.0, 0.0)
-    assert free.input_size(640, 480)[1] == 70
-    assert 'not kept by the smallest input' in free.facts['network_input_reason']
 
 
 def test_a_fixed_size_stays(tmp_path):
@@ -78,6 +59,8 @@ def test_a_fixed_size_stays(tmp_path):
 
 
 def test_advice_names_a_size_that_keeps_up(free):
+    assert 'depth.short_side 280 (now 280)' in free.advise(1.0)
+    assert 'depth.short_side 266 (now 280)' in free.advise(0.999)
     assert free.advise(0.5) == ("depth.short_side 196 (now 280) would keep up, or "
                                 "depth.target_rate at the camera's rate")
     assert 'no input size that is small enough' in free.advise(0.01)

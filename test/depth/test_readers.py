@@ -14,8 +14,8 @@ from onnx_geometry_models import (
 
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.framing import Framing, rays
-from plane_detector.depth.point_map import depth_from_point_map
+from plane_detector.depth.preprocessing import Framing, rays
+from plane_detector.depth.readers import depth_from_point_map
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics
 

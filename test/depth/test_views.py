@@ -11,8 +11,7 @@ from onnx_models import millimetres_as_rgb, write_depth_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import estimator as estimators
-from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.input_rate import LOAD
+from plane_detector.depth.estimator import LOAD, DepthEstimator
 from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.views import average_views, choose_views
 from plane_detector.types import CameraIntrinsics, Prediction
