@@ -141,12 +141,7 @@ def _label(frame: Frame, regions: PlaneRegions,
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    labels, planes = _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
-    if frame.noise.is_metric:
-        # With noise, pixels so near to a plane are within its noise.
-        labels = close_gaps(labels, planes, frame.image, frame.grid,
-                            frame.config.segmentation.flatness_distance)
-    return labels, planes
+    return _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
 
 
 def _measured(frame: Frame, regions: PlaneRegions,
@@ -174,6 +169,9 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
                      noise_density: float, min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
+    if frame.kind is DepthKind.EXACT and frame.noise.is_metric:
+        labels = close_gaps(labels, graph.planes, frame.image, frame.grid,
+                            frame.config.segmentation.flatness_distance)
     labels, planes = add_small_planes(frame, labels, graph.planes, min_turn_deg)
     curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending)
     owner, joined = graph.owner, graph.planes
