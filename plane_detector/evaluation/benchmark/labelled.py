@@ -11,6 +11,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+from skimage.measure import label
 
 from plane_detector.config import Config
 from plane_detector.drawing import overlay
@@ -36,6 +37,8 @@ ABW_MIN_SHARE = 0.001
 """Smallest plane on ABW: its regions are small, and each published method was set for them."""
 HOOVER = {'true': 'true', 'correct': 'correct', 'over-segmented': 'over_segmented',
           'under-segmented': 'under_segmented', 'missed': 'missed', 'noise': 'noise'}
+APART = ('correct', 'missed', 'noise')
+"""Of these, those also counted with the connected pieces of planes, as ABW's labels are."""
 _PANEL_WIDTH_PX = 640
 
 Numbers = dict[str, float]
@@ -68,6 +71,8 @@ def run(options: argparse.Namespace) -> None:
     if scanned:
         report('ABW structured light scanner, regions per image at 80 % mutual overlap', scanned,
                _methods(options, True), hoover_numbers, options)
+        emit('The true labels of ABW have a region for each connected piece: a floor between '
+             'shadows is several. Apart: each connected piece of a plane counts as a region.')
     if options.pictures:
         for path in write_pictures(options.data, found, options.pictures):
             emit(f'Picture: `{path}`')
@@ -98,10 +103,19 @@ def _with_min_share(share: float) -> Config:
 
 
 def hoover_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
-    """Return the numbers of HOOVER for predicted labels (H, W)."""
-    score = asdict(hoover_score(np.maximum(frame.labels, -1), labels,
-                                np.isfinite(frame.depth_m)))
-    return {name: float(score[field]) for name, field in HOOVER.items()}
+    """Return the numbers of HOOVER for predicted labels (H, W), and of APART for pieces."""
+    whole, apart = (
+        asdict(hoover_score(np.maximum(frame.labels, -1), one, np.isfinite(frame.depth_m)))
+        for one in (labels, _connected_pieces(labels)))
+    return {**{name: float(whole[field]) for name, field in HOOVER.items()},
+            **{f'{name}, apart': float(apart[HOOVER[name]]) for name in APART}}
+
+
+def _connected_pieces(labels: np.ndarray) -> np.ndarray:
+    """Return labels (H, W) of the connected pieces, without those below ABW_MIN_SHARE."""
+    pieces = label(labels, background=-1, connectivity=1) - 1
+    is_large = np.bincount(pieces[pieces >= 0]) >= ABW_MIN_SHARE * labels.size
+    return np.where(np.append(is_large, False)[pieces], pieces, -1)
 
 
 def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method], numbers_of,
@@ -135,7 +149,7 @@ def _labels(method: Method, frame: Frame) -> np.ndarray:
 
 
 def _cells(numbers: Mapping[str, float]) -> list[str]:
-    return [f'{value:.1f}' if name in HOOVER else f'{value:.3f}'
+    return [f'{value:.1f}' if name.partition(',')[0] in HOOVER else f'{value:.3f}'
             for name, value in numbers.items()]
 
 
