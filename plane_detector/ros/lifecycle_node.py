@@ -218,6 +218,7 @@ class PlaneDetectorNode(ReloadableNode):
             return DiagnosticStatus.ERROR, self._health.failure, facts
         if self._inputs is None:
             return DiagnosticStatus.OK, facts['state'], facts
+        self._inputs.follow_publishers()
         for key, misfit in self._outputs.misfits().items():
             self._health.tell_once(key, misfit)
         silence, obstacle = self._inputs.problem(), self._inputs.obstacle()

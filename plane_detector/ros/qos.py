@@ -10,7 +10,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
@@ -42,12 +42,12 @@ def output_profile() -> QoSProfile:
 
 class InputSubscription:
     """
-    A subscription that keeps the last two messages and can adapt to its publishers.
+    A subscription that keeps the last message and can adapt to its publishers.
 
     With reliability ``auto`` it starts compatible with every publisher: best effort if none is
-    known, reliable if all of them are. When they change, a second subscription with the other
-    reliability is created, and the first one is destroyed when the second has received a message,
-    so that no message is lost in between.
+    known, reliable if all of them are. When `follow` finds that they have changed, it creates
+    a second subscription with the other reliability, and the first one is destroyed when the
+    second has received a message, so that no message is lost in between.
 
     Parameters
     ----------
@@ -79,12 +79,23 @@ class InputSubscription:
         self._destroy_next()
         self._node.destroy_subscription(self._current)
 
+    def follow(self) -> None:
+        """Adapt to the publishers of now; to be called from time to time."""
+        if not self._follows:
+            return
+        offered = self._offered()
+        if self._next is not None and self._next.qos_profile.reliability == offered:
+            return
+        self._destroy_next()
+        if self._current.qos_profile.reliability != offered:
+            self._next = self._subscribe(self._on_first_of_next)
+
     def _subscribe(self, callback: Callable[..., None]) -> Subscription:
-        events = SubscriptionEventCallbacks(incompatible_qos=self._on_incompatible,
-                                            matched=self._on_matched)
+        # The executor would look at each event before every message: a quarter of its time.
+        silent = SubscriptionEventCallbacks(use_default_callbacks=False)
         return self._node.create_subscription(
             *self._arguments, callback, QoSProfile(depth=1, reliability=self._wanted),
-            event_callbacks=events, qos_overriding_options=overriding_options(self._settle))
+            event_callbacks=silent, qos_overriding_options=overriding_options(self._settle))
 
     def _settle(self, profile: QoSProfile) -> SetParametersResult:
         """Replace ``auto``, unless overridden, before the subscription is created."""
@@ -111,32 +122,6 @@ class InputSubscription:
         self._current.callback = self._on_message
         if info['source_timestamp'] != self._last_sent_ns:
             self._on_message(msg, info)
-
-    def _on_incompatible(self, event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        if self._follows and policy == 'RELIABILITY':
-            self._follow()
-            return
-        remedy = 'see the qos_overrides parameters'
-        if policy == 'RELIABILITY' and self._wanted == ReliabilityPolicy.RELIABLE:
-            remedy = ('the parameter input_reliability asks for reliable, the publisher is best '
-                      'effort: set it to auto or best_effort')
-        self._node.get_logger().warning(
-            f'a publisher of {self.topic} offers another {policy} than this node asks for: '
-            f'nothing will be received from it; {remedy}')
-
-    def _on_matched(self, _event: Any) -> None:
-        if self._follows:
-            self._follow()
-
-    def _follow(self) -> None:
-        """Recreate the subscription if the reliability of the publishers has changed."""
-        offered = self._offered()
-        if self._next is not None and self._next.qos_profile.reliability == offered:
-            return
-        self._destroy_next()
-        if self._current.qos_profile.reliability != offered:
-            self._next = self._subscribe(self._on_first_of_next)
 
     def _destroy_next(self) -> None:
         if self._next is not None:

@@ -88,6 +88,11 @@ class Subscriptions:
         for subscription in self._subscriptions.values():
             subscription.destroy()
 
+    def follow_publishers(self) -> None:
+        """Adapt the reliability of all subscriptions to their publishers."""
+        for subscription in self._subscriptions.values():
+            subscription.follow()
+
     def problem(self) -> str:
         """Return which topic is silent and why, empty if none is; it is logged when it changes."""
         return self._watch.problem()

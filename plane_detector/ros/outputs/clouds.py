@@ -66,7 +66,7 @@ def _has_ground(frame: ProcessedFrame) -> bool:
 def _xyz_to_msg(frame: ProcessedFrame, is_kept: np.ndarray) -> PointCloud2:
     """Return the valid points of some pixels (H, W), unorganised, with fields x y z."""
     geometry = _geometry(frame)
-    xyz_m = np.empty((geometry[0].size + 1, 3), '<f4')
+    xyz_m = np.empty((geometry[0].size, 3), '<f4')
     count = _pack_kept(geometry, _thinned(frame, is_kept, bool), xyz_m)
     return cloud_msg(frame.target_header, XYZ_DTYPE, xyz_m[:count], 1, count)
 
@@ -131,17 +131,18 @@ def _pack_points(geometry, rgb, labels, names, numbers, bits):
 
 @kernel(f'int64({_GEOMETRY}, {_MASK}, float32[:, ::1])')
 def _pack_kept(geometry, is_kept, xyz_m):
-    """Fill the first rows of (N + 1, 3); return their number."""
+    """Fill the first rows of (N, 3); return their number."""
     depth_m, ray_x, ray_y, moved = geometry
     (a, b, c, d), (e, f, g, h), (i, j, k, m) = _rows(moved)
     count = 0
     for v in range(depth_m.shape[0]):
         for u in range(depth_m.shape[1]):
             z = depth_m[v, u]
+            if not is_kept[v, u] or not (z >= MIN_DEPTH_M and z < np.inf):
+                continue
             x, y = z * ray_x[u], z * ray_y[v]
-            # Every point is written, and the next one replaces it if it is none: no branch.
             xyz_m[count, 0] = a * x + b * y + c * z + d
             xyz_m[count, 1] = e * x + f * y + g * z + h
             xyz_m[count, 2] = i * x + j * y + k * z + m
-            count += (z >= MIN_DEPTH_M) & (z < np.inf) & is_kept[v, u]
+            count += 1
     return count
