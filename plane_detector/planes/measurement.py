@@ -42,7 +42,7 @@ MAX_NOISE_SHARE = 0.125
 # Normals with a smaller standard deviation count as exact.
 MIN_TILT_RAD = 1e-4
 # tuned: python3 -m plane_detector.evaluation.benchmark confidence, which fits and checks them.
-CONFIDENCE_WEIGHTS = (1.43, 0.48, -0.55)
+CONFIDENCE_WEIGHTS = (1.19, 0.43, -0.56)
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
