@@ -51,7 +51,7 @@ def write_nyu(path: Path, seeds: Sequence[int], annotated: bool = True) -> None:
 
 
 def _images(scene: Scene, seed: int) -> dict[str, np.ndarray]:
-    raw_m = with_disparity_noise(scene.depth_m, KINECT_NOISE, np.random.default_rng(seed))
+    raw_m = with_disparity_noise(scene.depth_m, KINECT_NOISE, np.random.default_rng(seed)).copy()
     raw_m[100:140, 100:140] = 0
     rgb = np.full_like(scene.rgb, 255)
     rgb[ROWS, COLUMNS] = scene.rgb[ROWS, COLUMNS]

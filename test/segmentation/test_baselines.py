@@ -51,9 +51,9 @@ def test_large_planes_are_found_behind_the_same_interface():
 
 
 def test_a_wall_is_one_plane_and_its_pixels_are_near_it():
-    scene = single_wall(SMALL)
-    scene.depth_m[40:45, 60:70] -= 0.2
-    labels = paper_labels(scene.depth_m, SMALL, PAPER, np.random.default_rng(0))
+    depth_m = single_wall(SMALL).depth_m.copy()
+    depth_m[40:45, 60:70] -= 0.2
+    labels = paper_labels(depth_m, SMALL, PAPER, np.random.default_rng(0))
     assert labels.max() == 0
     assert (labels == 0).mean() > 0.95
     assert (labels[40:45, 60:70] == -1).all(), 'off the plane by more than the threshold'

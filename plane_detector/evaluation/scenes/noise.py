@@ -28,7 +28,7 @@ def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Gener
     Returns
     -------
     (H, W) float32
-        NaN where the disparity would not be positive.
+        NaN where the disparity would not be positive; read-only, as all that a scene gives.
 
     """
     grain, smooth = rng.standard_normal((2, *depth_m.shape)).astype(np.float32)
@@ -37,4 +37,6 @@ def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Gener
     disparity = 1.0 / depth_m + sigma * (
         np.sqrt(1.0 - smooth_share) * grain + np.sqrt(smooth_share) * smooth)
     with np.errstate(divide='ignore'):
-        return np.where(disparity > 0, 1.0 / disparity, np.nan).astype(np.float32)
+        noisy_m = np.where(disparity > 0, 1.0 / disparity, np.nan).astype(np.float32)
+    noisy_m.flags.writeable = False
+    return noisy_m

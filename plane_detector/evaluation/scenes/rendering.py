@@ -29,7 +29,7 @@ NEAREST_M = 0.05
 @dataclass(frozen=True)
 class Scene:
     """
-    A rendered image with its ground truth.
+    A rendered image with its ground truth; the arrays are read-only.
 
     Attributes
     ----------
@@ -59,6 +59,11 @@ class Scene:
     gravity_camera: np.ndarray
     rectangles: np.ndarray
     height_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
 
 
 class Surface(Protocol):

@@ -336,7 +336,7 @@ def look(course: Course, view: View, rng: np.random.Generator) -> Terrain:
         x, y, z = np.moveaxis(points_m, -1, 0)
         hidden = ((x > course.patch[0]) & (x < course.patch[1]) & (y > course.patch[2])
                   & (y < course.patch[3]) & (z < 0.01))
-        scene.depth_m[hidden] = np.nan
+        scene = replace(scene, depth_m=np.where(hidden, np.float32(np.nan), scene.depth_m))
         points_m[hidden] = np.nan
     kinds[np.isnan(scene.depth_m)] = Kind.NOTHING
     above_m = (points_m[..., 2] - course.ground_z(points_m[..., 1])).astype(np.float32)

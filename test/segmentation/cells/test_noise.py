@@ -69,7 +69,7 @@ def test_cells_of_few_pixels_are_known_to_be_noisier():
     rng = np.random.default_rng(0)
     depth_m = with_disparity_noise(single_wall(yaw_deg=20).depth_m, 0.004, rng, smooth_share=0.0)
     full = build_cell_grid(disparity_image(depth_m))
-    depth_m[rng.random(depth_m.shape) > 0.25] = np.nan
+    depth_m = np.where(rng.random(depth_m.shape) > 0.25, np.float32(np.nan), depth_m)
     grid = build_cell_grid(disparity_image(depth_m))
     noise = estimate_noise(grid, FLOOR)
     assert noise.mean_sigma < 0.7 * 0.004 / 4  # sixteen of 64 pixels

@@ -17,7 +17,7 @@ UNITS = [(1.0, 0.0), (0.02, 0.0), (3.0, 0.25), (0.5, -0.1)]
 
 @pytest.fixture(scope='module')
 def regions():
-    depth_m = noisy(view([wall(2.0)], angles_deg=(20, 5, 0)), 0, 0.004)
+    depth_m = noisy(view([wall(2.0)], angles_deg=(20, 5, 0)), 0, 0.004).copy()
     depth_m[:40] = np.nan
     disparity = to_disparity(depth_m)
     return segment(disparity, unitless_noise_floor(disparity), Config())

@@ -79,7 +79,7 @@ def test_a_plane_takes_the_pixels_within_their_noise():
 
 def test_pixels_without_valid_neighbours_get_a_label():
     """As on sparse lidar."""
-    depth_m = noisy(SCENES['step'], 0, 0.003)
+    depth_m = noisy(SCENES['step'], 0, 0.003).copy()
     depth_m[np.random.default_rng(1).random(depth_m.shape) < 0.7] = np.nan
     labels = segment_planes(depth_m, CAMERA).labels
     assert (labels[np.isfinite(depth_m)] >= 0).mean() > 0.97
