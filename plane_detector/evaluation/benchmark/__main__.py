@@ -36,7 +36,6 @@ COMMANDS = {
     'depth': ('benchmark.depth_network', 'time of the depth network'),
     'node': ('benchmark.node', 'the node as a process, over DDS'),
     'nyu': ('benchmark.nyu', 'NYU Depth V2, ours and the methods of the paper'),
-    'labels': ('benchmark.labels', 'label images of any method, scored like ours'),
     'ablation': ('benchmark.ablation', 'each stage of the segmentation switched off'),
     'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
 }
