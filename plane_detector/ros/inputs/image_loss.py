@@ -17,6 +17,15 @@ _MOST_STAMPS = 1000
 # is a pause of the camera.
 _LONGEST_GAP = 10
 _FEWEST_IMPLIED = 20
+# derived: stamps without any period are on average .25 of a period off its multiples; those of a
+# constant rate with a jitter of .15 of the period .1.
+_MOST_OFF = 0.15
+# derived: of images lost at random, a fifth or more, two thirds of the intervals at most equal one
+# that comes a fixed number of intervals later.
+_LONGEST_RHYTHM, _REPEATED_SHARE = 6, 0.9
+# derived: a camera that sends a CameraInfo with each image gives both the same stamp.
+_PAIRED_SHARE = 0.5
+_JUMP_NS = 1_000_000_000
 WARNED_SHARE = 0.2
 """From this share of lost images on, the node warns."""
 
@@ -38,39 +47,50 @@ class ImageLoss:
     """
     Counts images, and the stamps between which the camera sends at a constant rate.
 
-    A CameraInfo is small and arrives where its image is lost: its stamp counts as sent.
+    A CameraInfo is small and arrives where its image is lost: its stamp counts as sent. Stamps
+    without a period, such as those of a camera that is triggered, imply no other images, nor does
+    a rhythm that repeats, such as that of a throttled topic, or a new rate.
     """
 
     def __init__(self) -> None:
         self._images: deque[int] = deque(maxlen=_MOST_STAMPS)
-        self._sent: deque[int] = deque(maxlen=2 * _MOST_STAMPS)
+        self._infos: deque[int] = deque(maxlen=_MOST_STAMPS)
 
     def add_image(self, stamp_ns: int) -> None:
         """Count an image."""
-        if self._images and stamp_ns < self._images[-1] - _WINDOW_NS:  # time jumped back
+        if self._images and stamp_ns < self._images[-1] - _JUMP_NS:  # time jumped back
             self._images.clear()
-            self._sent.clear()
+            self._infos = deque((other_ns for other_ns in self._infos
+                                 if other_ns <= stamp_ns + _JUMP_NS), _MOST_STAMPS)
         self._images.append(stamp_ns)
-        self._sent.append(stamp_ns)
 
     def add_camera_info(self, stamp_ns: int) -> None:
         """Count a stamp."""
-        self._sent.append(stamp_ns)
+        self._infos.append(stamp_ns)
 
     def arrivals(self) -> Arrivals:
         """Return the numbers for the last seconds before the last image."""
         if not self._images:
             return Arrivals(0, 0)
-        first_ns, last_ns = self._images[-1] - _WINDOW_NS, self._images[-1]
         images = np.unique(self._images)
-        images = images[images >= first_ns]
-        sent = np.unique(self._sent)
-        sent = sent[(sent >= images[0]) & (sent <= last_ns)]
-        intervals = np.diff(sent)
-        if not intervals.size:
-            return Arrivals(len(images), len(images))
-        # The shortest intervals are one period, the others several; stamps may jitter.
-        period = np.median(intervals[intervals < 1.5 * np.quantile(intervals, 0.2)])
-        steps = np.rint(intervals / period)
-        implied = 1 + int(np.where(steps <= _LONGEST_GAP, steps, 1).sum())
-        return Arrivals(len(images), max(implied, len(images)))
+        images = images[images >= images[-1] - _WINDOW_NS]
+        infos = np.unique(self._infos)
+        infos = infos[(infos >= images[0]) & (infos <= images[-1])]
+        is_paired = np.isin(images, infos).mean() > _PAIRED_SHARE
+        sent = np.union1d(images, infos) if is_paired else images
+        return Arrivals(len(images), _implied(sent))
+
+
+def _implied(stamps_ns: np.ndarray) -> int:
+    """Return how many stamps a camera has given, from sorted ones of which some are missing."""
+    intervals = np.diff(stamps_ns)
+    if len(stamps_ns) < _FEWEST_IMPLIED:
+        return len(stamps_ns)
+    # The shortest intervals are one period, the others several; stamps may jitter.
+    periods = intervals / np.median(intervals[intervals < 1.5 * np.quantile(intervals, 0.2)])
+    steps = np.rint(periods)
+    steps[steps > _LONGEST_GAP] = 1
+    repeats = max((steps[lag:] == steps[:-lag]).mean() for lag in range(1, _LONGEST_RHYTHM + 1))
+    if abs(periods - np.rint(periods)).mean() > _MOST_OFF or repeats > _REPEATED_SHARE:
+        return len(stamps_ns)
+    return 1 + int(steps.sum())
