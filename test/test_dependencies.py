@@ -82,6 +82,7 @@ def missing(name):
     ('ros.node', 'numba', "raise ImportError('Numba needs NumPy 1.26 or less')",
      r'numba [0-9.]+ cannot be imported \(Numba needs NumPy 1.26 or less; .*: .* install '),
     ('tools.replay', 'numba', missing('numba'), 'numba is not installed: .* install '),
+    ('tools.replay', 'rosbags', missing('rosbags'), 'rosbags is not installed: .* install '),
     ('tools.demo', 'scipy', missing('scipy'), 'scipy is not installed: .* install '),
     ('tools.fetch', 'tqdm', missing('tqdm'), "tqdm is not installed: .* install --upgrade 'tqdm'"),
     ('tools.show', 'cv2', "raise ImportError('libGL.so.1: no such file')",

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TextIO
 
 from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
+    import numpy as np
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
@@ -50,16 +51,21 @@ def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
 
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
-    rows = read_cloud(msg)[0] if msg.height else []
-    lines = [f'{len(rows)} planes at {stamp_text(msg)} in '
-             f'{msg.header.frame_id}, {unit}', *filter(None, [camera]), _HEAD]
+    rows = read_cloud(msg).ravel() if msg.height else ()
+    return '\n'.join([f'{len(rows)} planes at {stamp_text(msg)} in {msg.header.frame_id}, {unit}',
+                      *filter(None, [camera]), *plane_lines(rows)])
+
+
+def plane_lines(rows: Iterable[np.void]) -> list[str]:
+    """Return the header and a line for each row of ``~/planes``."""
+    lines = [_HEAD]
     for row in rows:
         name = PlaneClass(row['class']).name.lower().replace('_', ' ')
         normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')
         lines.append(f'{row["label"]:>5}  {name:<16} {row["d"]:>8.2f} {row["rect_width"]:>7.2f} '
                      f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
                      f'{row["confidence"]:>5.0%}  {normal}')
-    return '\n'.join(lines)
+    return lines
 
 
 def camera_line(facts: Mapping[str, str]) -> str:

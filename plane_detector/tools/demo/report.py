@@ -15,11 +15,19 @@ from plane_detector import drawing
 from plane_detector.directions.drawing import draw_directions
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.planes.classification import PlaneClass
 from plane_detector.tools.demo.photographs import Photograph
-from plane_detector.tools.demo.scene_table import class_colours, legend, scene_table
 from plane_detector.tools.demo.session import Received
 from plane_detector.tools.ply import write_ply
+from plane_detector.tools.show import plane_lines
 from plane_detector.types import CameraIntrinsics
+
+# By class: name and RGB.
+COLOURS = {kind: (name, drawing.PALETTE[k]) for kind, name, k in (
+    (PlaneClass.FLOOR, 'green', 1), (PlaneClass.CEILING, 'yellow', 3),
+    (PlaneClass.WALL, 'blue', 2), (PlaneClass.OTHER_HORIZONTAL, 'orange', 6),
+    (PlaneClass.OTHER, 'violet', 4), (PlaneClass.RAMP, 'cyan', 5),
+    (PlaneClass.STEP, 'orange', 6))}
 
 
 @dataclass(frozen=True)
@@ -51,7 +59,11 @@ def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
     size = photograph.intrinsics
     print(f'\n{outcome.name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
           f'{photograph.calibration}')
-    print(scene_table(received.planes, received.unit))
+    print('\n'.join(f'  {line}' for line in plane_lines(received.planes)))
+    if not legend(received.planes):
+        print('  (the direction of gravity is not known: no floor, no walls)')
+    if received.unit != 'm':
+        print('  (lengths in an unknown unit)')
     _print_directions(photograph)
     print(f'  {received.frame_ms:.0f} ms from the image to the planes, all through the topics of '
           'one process')
@@ -118,3 +130,31 @@ def _write_csv(path: Path, planes: np.ndarray) -> None:
         for plane in planes:
             writer.writerow([f'{value:.6g}' if isinstance(value, np.floating) else value
                              for value in plane])
+
+
+def class_colours(planes: np.ndarray) -> np.ndarray:
+    """
+    Return a colour for each label: that of its class, or its own if the class is unknown.
+
+    Parameters
+    ----------
+    planes : (N,) structured
+        Fields label and class of ``~/planes``.
+
+    Returns
+    -------
+    (L, 3) uint8
+        RGB of the labels from 0 to the largest.
+
+    """
+    colours = drawing.label_colours(np.arange(planes['label'].max(initial=0) + 1))
+    for plane in planes:
+        if plane['class'] in COLOURS:
+            colours[plane['label']] = COLOURS[plane['class']][1]
+    return colours
+
+
+def legend(planes: np.ndarray) -> str:
+    """Return the classes in the scene with their colours; empty if none is known."""
+    return ', '.join(f'{kind.name.lower().replace("_", " ")} {colour}'
+                     for kind, (colour, _) in COLOURS.items() if (planes['class'] == kind).any())

@@ -15,15 +15,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rclpy.serialization import deserialize_message
-
-try:
-    from rosbags import rosbag1, rosbag2
-    from rosbags.interfaces import Connection
-    from rosbags.typesys import Stores, get_typestore
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(
-        f'{error}: bags are read and written by the library rosbags, which is installed by '
-        'pip install rosbags', name=error.name) from error
+from rosbags import rosbag1, rosbag2
+from rosbags.interfaces import Connection
+from rosbags.typesys import Stores, get_typestore
 
 FILE_SUFFIXES = ('.bag', '.mcap', '.db3')
 # Reading continues this long after the message before the damage, then twice as long, and so on.

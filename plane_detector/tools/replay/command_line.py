@@ -9,16 +9,16 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.depth.model_zoo import NETWORKS
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Background, Stopped, leave
+from plane_detector.tools.replay import many_bags
+from plane_detector.tools.replay.bag_reader import bag_name
 from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
-
-if TYPE_CHECKING:
-    from plane_detector.tools.replay.tally import Tally
+from plane_detector.tools.replay.replay_bag import Tally, replay
 
 Result = TypeVar('Result')
 BACKENDS = ('loky', 'dask', 'ray')
@@ -60,12 +60,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: argparse.Namespace) -> int:
-    # Imported here, so that a missing library gives one line instead of a traceback.
-    from plane_detector.tools.replay.bag_reader import bag_name
-    from plane_detector.tools.replay.many_bags import is_collection
-    from plane_detector.tools.replay.replay_bag import replay
     paths, folder = list(arguments.paths), arguments.output_folder
-    if folder is None and (len(paths) > 2 or is_collection(paths[0])):
+    if folder is None and (len(paths) > 2 or many_bags.is_collection(paths[0])):
         folder = Path(paths.pop() if len(paths) > 1 else f'{Path(paths[0]).name}_planes')
     if folder is not None:
         return _run_many(arguments, paths, folder)
@@ -88,7 +84,6 @@ def _report(tally: Tally) -> int:
 
 
 def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
-    from plane_detector.tools.replay import many_bags
     bags = many_bags.find_bags(inputs, folder.resolve())
     options = _options(arguments, Path(), folder)
     summaries = until_signal(lambda: many_bags.replay_many(

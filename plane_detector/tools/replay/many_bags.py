@@ -23,9 +23,9 @@ from joblib.externals.loky import get_reusable_executor
 
 from plane_detector.process import one_thread
 from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
-from plane_detector.tools.replay.bag_writer import Draft, part_folder, replay_fields
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.replay_bag import replay
+from plane_detector.tools.replay.writer import Draft, part_folder, replay_fields
 
 SUMMARY_NAME = 'summary.csv'
 FINISHED, DONE_BEFORE, FAILED = 'finished', 'done before', 'failed'

@@ -1,38 +1,173 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From the frames of a bag to a bag of planes: read, process like the node, write."""
+"""From the frames of a bag to a bag of planes: read, process like the node, write, count."""
 
 from __future__ import annotations
 
 import os
 import sys
 import threading
+import time
+from collections import Counter, defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import lru_cache
+from pathlib import Path
+from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from std_msgs.msg import Header
 from tqdm import tqdm
 
-from plane_detector.config import DepthConfig
+from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.diagnostics import Report, planes_status, status_to_msg
+from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
+from plane_detector.ros.health import gap_of
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.kernels import load_kernels
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Stopped, raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
-from plane_detector.tools.replay.bag_writer import BagWriter, Draft
-from plane_detector.tools.replay.exports import ReplayFiles
-from plane_detector.tools.replay.frame_reader import (
+from plane_detector.tools.replay.inputs import (
     CopiedMessages,
     FrameReader,
+    choose_depth,
+    find_camera,
     read_transforms,
     requested_times,
+    with_companions,
 )
-from plane_detector.tools.replay.input_topics import choose_depth, find_camera, with_companions
 from plane_detector.tools.replay.options import NODE_NAME, ReplayOptions
-from plane_detector.tools.replay.tally import DIAGNOSTICS_TOPIC, Tally, diagnostics_msg
+from plane_detector.tools.replay.writer import BagWriter, Draft, ReplayFiles
+from plane_detector.types import Detection
+
+DIAGNOSTICS_TOPIC = '/diagnostics'
+REPLAY_NAME = 'replay'
+
+
+@dataclass
+class Tally:
+    """Counts and results of a replay so far."""
+
+    depth: str  # the depth or network that was used, and why
+    processed: int = 0  # frames that gave planes
+    planes: int = 0  # in all frames together
+    errors: Counter[str] = field(default_factory=Counter)  # why frames were skipped
+    without_partner: int = 0  # images without calibration or depth
+    damaged: int = 0  # messages, or sections of the bag, that could not be read
+    unread: str = ''  # why the bag could not be read to its end
+    interrupted: bool = False  # stopped before the end
+    target: Path | None = None  # the new bag
+    stage_seconds: Counter[str] = field(default_factory=Counter)
+    # Where the unit of depth came from, and why planes have no class, of each frame by kind.
+    scales: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+    gaps: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+
+    @property
+    def skipped(self) -> int:
+        """Number of frames that could not be processed."""
+        return self.errors.total()
+
+    @property
+    def is_clean(self) -> bool:
+        """Whether every message was read and every frame processed."""
+        return not (self.skipped or self.damaged or self.unread)
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time of this block to a stage."""
+        start_s = time.perf_counter()
+        yield
+        self.stage_seconds[stage] += time.perf_counter() - start_s
+
+    def timed_each(self, stage: str, items: Iterator[Any]) -> Iterator[Any]:
+        """Yield the items; the time to make them is added to a stage."""
+        while True:
+            with self.timed(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
+    def add(self, detection: Detection, config: Config, outputs: Collection[str]
+            ) -> dict[str, str]:
+        """Count the result of a frame; return its facts for the diagnostics."""
+        self.processed += 1
+        self.planes += len(detection.planes)
+        scale = _scale_of(config.depth.source, detection)
+        self.scales[detection.scale_method].append(scale)
+        if gap := gap_of(detection, outputs):
+            self.gaps[gap.partition(':')[0]].append(gap)
+        return {'scale': scale, 'gravity': detection.gravity_source,
+                'gravity_note': detection.gravity_note}
+
+    def describe(self) -> str:
+        """Return counts, rate and times as readable text."""
+        frames = max(self.processed, 1)
+        stages = ', '.join(f'{stage} {1e3 * total / frames:.1f}'
+                           for stage, total in self.stage_seconds.items())
+        seconds = self.stage_seconds.total()
+        lines = [f'{self.processed} frames in {seconds:.1f} s: '
+                 f'{self.processed / max(seconds, 1e-9):.1f} frames per second',
+                 f'ms per frame: {stages}']
+        lines += [f'Scale of {line}' for line in _counted(self.scales)]
+        return '\n'.join([*lines, *_counted(self.gaps), *self.losses()])
+
+    def losses(self) -> list[str]:
+        """Return a line for each kind of loss: frames and messages that were not used."""
+        lines = [f'{count} frames skipped: {error}' for error, count in self.errors.items()]
+        if self.without_partner:
+            lines.append(f'{self.without_partner} images had no calibration or depth')
+        if self.damaged:
+            lines.append(f'{self.damaged} damaged messages were skipped')
+        return lines + ([self.unread] if self.unread else [])
+
+    def to_fields(self) -> dict[str, str]:
+        """Return the fields for the metadata of the bag."""
+        return {'replay.state': 'interrupted' if self.interrupted else 'finished',
+                'replay.frames': str(self.processed), 'replay.planes': str(self.planes),
+                'replay.skipped': str(self.skipped), 'replay.damaged': str(self.damaged),
+                'replay.seconds': f'{self.stage_seconds.total():.3f}',
+                'replay.depth': self.depth}
+
+
+def _counted(texts: Mapping[str, list[str]]) -> list[str]:
+    """Return a line for each kind, with the first of its texts, which may differ by frame."""
+    return [f'{len(of_kind)} frames: {of_kind[0]}'
+            + (' (in the first of them)' if len(set(of_kind)) > 1 else '')
+            for of_kind in texts.values()]
+
+
+def _scale_of(depth_source: str, detection: Detection) -> str:
+    """Return the source of the unit of depth, with the note of the method."""
+    if depth_source == 'topic':
+        return 'metres, as measured'
+    method, note = detection.scale_method, detection.scale_note
+    if not note or note.startswith(method):
+        return note or method
+    return f'{method}, {note}'
+
+
+def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],
+                    processed: FrameOutputs | None, error: str = '') -> DiagnosticArray:
+    """Return the diagnostics of a frame, with the tally up to it; an error says it was skipped."""
+    stage_seconds = processed.stage_seconds if processed else {}
+    total_s = sum(stage_seconds.values())
+    report = Report(tally.processed, tally.without_partner, tally.skipped,
+                    1 / total_s if total_s else 0.0, stage_seconds,
+                    skipped_lately=bool(error), last_error=error)
+    level, message = ((DiagnosticStatus.WARN, f'frame skipped: {error}') if error
+                      else (DiagnosticStatus.OK, 'replayed'))
+    statuses = [status_to_msg(REPLAY_NAME, level, message, report,
+                              {'frame': str(index), **facts})]
+    if processed is not None:
+        statuses.append(planes_status(REPLAY_NAME, processed.result, tally.planes))
+    return DiagnosticArray(header=header, status=statuses)
+
 
 INTERRUPTED = 'interrupted_'
 """Prefix of the names of what an interrupted replay has made so far."""

@@ -30,7 +30,7 @@ from sensor_msgs.msg import CompressedImage
 from plane_detector.ros.lifecycle_node import PlaneDetectorNode
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.replay.bag_reader import BagReader, to_message
-from plane_detector.tools.replay.input_topics import input_class
+from plane_detector.tools.replay.inputs import input_class
 
 # Not written by default.
 MISSING = {'/plane_detector/points_without_floor'}
