@@ -13,11 +13,20 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.planes.region_samples import MIN_COSINE
-from plane_detector.segmentation.cells.columns import XX, XY, YY, D, N, X, Y
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import SLOPE_PER_NOISE
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.segmentation.cells.plane_fit import MIN_EIGENVALUE, squared_error
+from plane_detector.segmentation.cells.plane_fit import (
+    MIN_EIGENVALUE,
+    XX,
+    XY,
+    YY,
+    D,
+    N,
+    X,
+    Y,
+    squared_error,
+)
 from plane_detector.types import CameraIntrinsics, Plane
 
 # derived: the columns of the sums behind those of the moments: z x, z y and z of the plane at the

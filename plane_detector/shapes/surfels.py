@@ -10,9 +10,9 @@ from functools import cached_property
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import N
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.plane_fit import N
 from plane_detector.shapes.surface import DEVIATIONS
 from plane_detector.types import CameraIntrinsics
 

@@ -17,8 +17,20 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
-from plane_detector.segmentation.cells.columns import DD, XD, XX, XY, YD, YY, D, N, X, Y
-from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
+from plane_detector.segmentation.cells.plane_fit import (
+    DD,
+    XD,
+    XX,
+    XY,
+    YD,
+    YY,
+    D,
+    N,
+    X,
+    Y,
+    fit_plane,
+    squared_error,
+)
 from plane_detector.types import CameraIntrinsics
 
 # The number of cells hardly depends on the image size: the cells grow with the image.
@@ -61,7 +73,7 @@ class CellGrid:
     shape : (int, int)
         Rows and columns of cells, R x C.
     moments : (R * C, 10) float64
-        See :mod:`plane_detector.segmentation.cells.columns`.
+        See :mod:`plane_detector.segmentation.cells.plane_fit`.
     mean : (R * C, 3) float64
         Mean x, y and d of the valid pixels.
     slope : (R * C, 2) float64

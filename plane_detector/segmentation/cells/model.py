@@ -9,22 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import (
-    MEAN_D,
-    MEAN_WEIGHT,
-    MEAN_X,
-    MEAN_Y,
-    SLOPE_WEIGHT,
-    SLOPE_X,
-    SLOPE_Y,
-    SQUARED_ERROR,
-    N,
-)
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.labels import relabel_sequential
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.plane_fit import add_moments, fit_planes
+from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_planes
 
+# derived: columns of WeightedCells.table: means of x, y and d, dd/dx and dd/dy, the inverse
+# variances of these means and slopes, and the expected squared error of the pixels about a plane.
+MEAN_X, MEAN_Y, MEAN_D, SLOPE_X, SLOPE_Y, MEAN_WEIGHT, SLOPE_WEIGHT, SQUARED_ERROR = range(8)
 # A cell whose pixels deviate from its own plane by more than two sigma straddles an edge.
 # tuned: benchmark sensitivity; flat to 1.4 times; at 0.7 times recall -0.011.
 MAX_PIXEL_VARIANCES = 4.0
@@ -48,8 +40,7 @@ class WeightedCells:
         The cell lies on one plane.
     table : (R * C, 8) float64
         Mean x, y and d, slope along x and y, the weights of mean and slope, and the expected
-        squared error of the cell's pixels about the plane of a larger region. See
-        :mod:`plane_detector.segmentation.cells.columns`.
+        squared error of the cell's pixels about the plane of a larger region. See MEAN_X.
 
     """
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.segmentation.cells.columns import DD, XD, YD, D, N, X, Y
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.plane_fit import DD, XD, YD, D, N, X, Y
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,9 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import DD, XD, XX, XY, YD, YY, D, N, X, Y
+
+# derived: columns of moments, sums over pixels of 1, x, y, xx, xy, yy, d, xd, yd and dd.
+N, X, Y, XX, XY, YY, D, XD, YD, DD = range(10)
 
 # derived: far above the rounding of float64. A smaller eigenvalue, relative to the largest one,
 # counts as zero: the pixels lie on a line, or there are too few cells for the fit.
@@ -29,7 +31,7 @@ def fit_plane(moments):
     Parameters
     ----------
     moments : (10,) float64
-        Sums over pixels, see :mod:`plane_detector.segmentation.cells.columns`.
+        Sums over pixels.
 
     Returns
     -------
@@ -47,6 +49,12 @@ def fit_plane(moments):
     inverse = 1 / determinant
     a, b = (yy * xd - xy * yd) * inverse, (xx * yd - xy * xd) * inverse
     return a, b, d - a * x - b * y
+
+
+@kernel('UniTuple(float64, 3)(float64, float64, float64, float64[::1])')
+def normal_of(a, b, c, lens):
+    """Return a normal of the plane 1/z = a x + b y + c, as long as 1 over its distance."""
+    return a * lens[0], b * lens[1], a * lens[2] + b * lens[3] + c
 
 
 @kernel('float64(float64, float64, float64, float64[::1])')

@@ -10,10 +10,13 @@ it as the settings allow a plane to be uneven.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
+from plane_detector.segmentation.cells.plane_fit import normal_of
 
 
 def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, grid: CellGrid,
@@ -38,14 +41,12 @@ def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, gr
     (H, W) int32
 
     """
-    a, b, c = planes.T
-    f_x, f_y, x, y = grid.lens
     # A point at 1/z is off the plane by the distance of the plane times its relative residual.
-    per_disparity = distance_m * np.sqrt((a * f_x)**2 + (b * f_y)**2 + (a * x + b * y + c)**2)
+    largest = [distance_m * math.hypot(*normal_of(*plane, grid.lens)) for plane in planes]
     closed = labels.copy()
     _close(closed, np.flatnonzero(labels < 0),
-           np.column_stack([grid.planes_in_pixels(planes), per_disparity]), image.values,
-           image.valid, grid.size_px)
+           np.column_stack([grid.planes_in_pixels(planes), largest]), image.values, image.valid,
+           grid.size_px)
     return closed
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
+from plane_detector.config import DbscanConfig
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import (
     PlaneRegions,
@@ -27,11 +28,14 @@ from plane_detector.segmentation.cells.model import (
 )
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
 from plane_detector.segmentation.regions.icm import POTTS_WEIGHT
+from plane_detector.segmentation.search.dbscan import label_clusters
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS
 
 # derived: a cell has one error, but eight neighbours, each pair of which is shared by two cells.
 PAIRS_PER_CELL = 4
+# derived: with one sample per cluster, a cluster is a connected piece.
+CONNECTED = DbscanConfig(eps=1.0, min_samples=1)
 # Types of kernels' arguments: planes, table, is_planar of the cells; weights of the three terms.
 MODEL = 'Tuple((float64[:, ::1], float64[:, ::1], boolean[::1])), UniTuple(float64, 3)'
 
@@ -69,7 +73,7 @@ def reassign_cells(frame: Frame, regions: PlaneRegions,
 
 def _reassign(given: np.ndarray, model: tuple, weights: tuple) -> np.ndarray:
     """Lower the energy of labels by single cells and by pieces, in turn; return the labels."""
-    labels, single = given.copy(), np.arange(given.size).reshape(given.shape)
+    labels, single = given.copy(), np.arange(given.size, dtype=np.int32).reshape(given.shape)
     for _ in range(MAX_TRIALS):
         cells = np.flatnonzero(at_borders(labels))
         _improve(labels, (single, cells, np.arange(len(cells) + 1)), model, weights)
@@ -78,33 +82,15 @@ def _reassign(given: np.ndarray, model: tuple, weights: tuple) -> np.ndarray:
     return labels
 
 
-@kernel('Tuple((int64[:, ::1], int64[::1], int64[::1]))(int32[:, ::1])')
-def _pieces(labels):
+def _pieces(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the connected piece of each cell, the cells piece by piece, where each starts."""
-    (rows, columns), count, end = labels.shape, 0, 0
-    piece, queue = np.full(labels.shape, -1), np.empty(labels.size, np.int64)
-    starts = np.zeros(labels.size + 1, np.int64)
-    for seed in range(labels.size):
-        row, column = seed // columns, seed % columns
-        if piece[row, column] >= 0 or labels[row, column] < 0:
-            continue
-        piece[row, column], queue[end] = count, seed
-        head, end = end, end + 1
-        while head < end:
-            row, column = queue[head] // columns, queue[head] % columns
-            head += 1
-            for r, c in ((row - 1, column), (row, column - 1), (row, column + 1),
-                         (row + 1, column)):
-                if (0 <= r < rows and 0 <= c < columns and piece[r, c] < 0
-                        and labels[r, c] == labels[row, column]):
-                    piece[r, c], queue[end] = count, r * columns + c
-                    end += 1
-        count += 1
-        starts[count] = end
-    return piece, queue, starts[:count + 1]
+    pieces, count = label_clusters(labels, CONNECTED)
+    cells = np.argsort(pieces, axis=None, kind='stable')
+    starts = np.searchsorted(pieces.reshape(-1)[cells], np.arange(count + 1))
+    return pieces, cells, starts
 
 
-@kernel('boolean(int32[:, ::1], Tuple((int64[:, ::1], int64[::1], int64[::1])), '
+@kernel('boolean(int32[:, ::1], Tuple((int32[:, ::1], int64[::1], int64[::1])), '
         f'{MODEL})')
 def _improve(labels, units, model, weights):
     """Give each unit of cells the label of lowest energy around it; return whether any changed."""
@@ -144,7 +130,7 @@ def _find_labels_around(labels, members, own, near, is_near):
     return count
 
 
-@kernel(f'float64(int32[:, ::1], int64[:, ::1], int64[::1], int32, {MODEL})')
+@kernel(f'float64(int32[:, ::1], int32[:, ::1], int64[::1], int32, {MODEL})')
 def _energy(labels, unit, members, label, model, weights):
     """Return the energy of a unit of cells with a label, given the cells around it."""
     (planes, table, is_planar), (share, border_cost, per_jump) = model, weights

@@ -17,8 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import XX, XY, YY, D, N, X, Y
-from plane_detector.segmentation.cells.plane_fit import solve_least_squares
+from plane_detector.segmentation.cells.plane_fit import XX, XY, YY, D, N, X, Y, solve_least_squares
 from plane_detector.segmentation.regions.region_graph import (
     MAX_DEVIATIONS,
     PLANE_TERMS,

@@ -14,9 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import MEAN_WEIGHT
 from plane_detector.segmentation.cells.labels import at_borders
-from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared, fit_regions
+from plane_detector.segmentation.cells.model import (
+    MEAN_WEIGHT,
+    PlaneRegions,
+    chi_squared,
+    fit_regions,
+)
 from plane_detector.segmentation.search.dbscan import label_clusters
 from plane_detector.segmentation.search.frame import Frame
 

@@ -29,11 +29,15 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.config import SegmentationConfig
-from plane_detector.segmentation.cells.columns import MEAN_WEIGHT, D, N
-from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES, WeightedCells, residual
+from plane_detector.segmentation.cells.model import (
+    MAX_JOINT_VARIANCES,
+    MEAN_WEIGHT,
+    WeightedCells,
+    residual,
+)
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import MIN_NORMAL_ERROR_DEG
-from plane_detector.segmentation.cells.plane_fit import fit_plane, squared_error
+from plane_detector.segmentation.cells.plane_fit import D, N, fit_plane, normal_of, squared_error
 from plane_detector.segmentation.regions.curved import MIN_NOISE_SHARE, fit_quadric
 from plane_detector.segmentation.regions.model_selection import prefer_two_planes
 from plane_detector.segmentation.regions.region_graph import (
@@ -212,8 +216,8 @@ def _joint_misfit(sums, lens, i, j, joint, surface):
     a, b, c = fit_plane(joint)
     if np.isnan(a):
         return np.inf
-    worst, towards = -np.inf, a * lens[2] + b * lens[3] + c
-    offset_m = 1 / np.sqrt((a * lens[0])**2 + (b * lens[1])**2 + towards**2)
+    worst, normal = -np.inf, normal_of(a, b, c, lens)
+    offset_m = 1 / np.sqrt(normal[0]**2 + normal[1]**2 + normal[2]**2)
     for k in (i, j):
         square = squared_error(a, b, c, sums[k])
         if surface == PLANE:

@@ -15,10 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import MEAN_D, MEAN_WEIGHT, MEAN_X, MEAN_Y, N
 from plane_detector.segmentation.cells.labels import relabel_sequential
-from plane_detector.segmentation.cells.model import MIN_VARIANCE, PlaneRegions, WeightedCells
-from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
+from plane_detector.segmentation.cells.model import (
+    MEAN_D,
+    MEAN_WEIGHT,
+    MEAN_X,
+    MEAN_Y,
+    MIN_VARIANCE,
+    PlaneRegions,
+    WeightedCells,
+)
+from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plane, normal_of
 
 # derived: cells at this distance touch, because a cell that straddles the border may lie between
 # them.
@@ -234,13 +241,6 @@ def _intersections(planes, borders):
     return signs
 
 
-@kernel('UniTuple(float64, 3)(float64[:, ::1], float64[::1], int64)')
-def normal_of(planes, lens, k):
-    """Return a normal of plane k in the optical frame, as long as 1 over its distance."""
-    a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
-    return a * lens[0], b * lens[1], a * lens[2] + b * lens[3] + c
-
-
 @kernel('UniTuple(float64, 2)(float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
         'int64, int64)')
 def fold(planes, sums, borders, lens, i, j):
@@ -249,7 +249,8 @@ def fold(planes, sums, borders, lens, i, j):
     gap = abs(here + there) / (2 * borders[i, j, 0])
     variance = max(sums[i, VARIANCE] / max(sums[i, N], 1.0),
                    sums[j, VARIANCE] / max(sums[j, N], 1.0), MIN_VARIANCE)
-    one, other = normal_of(planes, lens, i), normal_of(planes, lens, j)
+    one = normal_of(planes[i, 0], planes[i, 1], planes[i, 2], lens)
+    other = normal_of(planes[j, 0], planes[j, 1], planes[j, 2], lens)
     dot, square, of_other = 0.0, 0.0, 0.0
     for k in range(3):
         dot += one[k] * other[k]

@@ -7,7 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import (
+from plane_detector.segmentation.cells.model import (
+    MAX_JOINT_VARIANCES,
     MEAN_D,
     MEAN_WEIGHT,
     MEAN_X,
@@ -16,10 +17,8 @@ from plane_detector.segmentation.cells.columns import (
     SLOPE_X,
     SLOPE_Y,
     SQUARED_ERROR,
-    N,
 )
-from plane_detector.segmentation.cells.model import MAX_JOINT_VARIANCES
-from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane, squared_error
+from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plane, squared_error
 
 # Rows and columns: small windows find small planes, long ones narrow planes, large ones planes
 # under noise.

@@ -20,9 +20,8 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.columns import SLOPE_X, SLOPE_Y
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import PlaneRegions, residual
+from plane_detector.segmentation.cells.model import SLOPE_X, SLOPE_Y, PlaneRegions, residual
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, sample_cells
 from plane_detector.segmentation.cells.noise_correlation import (
     MAX_BENDING,

@@ -17,10 +17,9 @@ import math
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.columns import N
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared
-from plane_detector.segmentation.cells.plane_fit import add_moments, fit_plane
+from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
     NEAR,
     cell_places,
