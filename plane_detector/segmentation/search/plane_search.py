@@ -58,15 +58,13 @@ def search_planes(frame: Frame) -> tuple[Frame, PlaneRegions]:
     for trial in range(MAX_TRIALS):
         regions = add_planes(frame, no_planes(grid), min(CALIBRATION_PLANES, most))
         noise = _noise_from_planes(frame, regions)
-        has_settled = not _differs(noise, frame.noise, floor)
-        if has_settled or trial == MAX_TRIALS - 1:
-            bent = noise
-            if _differs(noise.with_bending(MAX_BENDING), noise, floor):
-                bent = noise.with_bending(bending_of(frame.cells, regions, noise))
-            if not has_settled or _differs(bent, noise, floor):
-                frame, regions = replace(frame, noise=bent), no_planes(grid)
+        if trial == MAX_TRIALS - 1 or not _differs(noise, frame.noise, floor):
             break
         frame = replace(frame, noise=noise)
+    if _differs(noise.with_bending(MAX_BENDING), noise, floor):
+        noise = noise.with_bending(bending_of(frame.cells, regions, noise))
+    if _differs(noise, frame.noise, floor):
+        frame, regions = replace(frame, noise=noise), no_planes(grid)
     return frame, add_planes(frame, regions, most)
 
 
