@@ -118,18 +118,30 @@ def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
     return joins, risers
 
 
-@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, {_RAYS}, {_PLANES}, boolean[::1], int64, float64, '
-        'float64)')
-def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, min_height, error):
+@kernel(f'boolean[:, ::1]({_DEPTH}, {_LABELS}, {_RAYS}, {_PLANES}, boolean[::1], int64, '
+        'float32[:, ::1], float64, float64, float64)')
+def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, level, min_height, slope,
+                error):
     """
     Return the pixels (H, W) of the ground.
 
-    Each is measured from the ground that its column showed last; ``error`` is that of 1/z.
+    Each is measured from the plane that its column showed last. One that is on no other plane may
+    be on ground too small for a plane, as the far end of a ramp: then it is measured from a point
+    of the ground shortly before it, for the directions ``level`` down and ahead, and the tangent
+    ``slope`` of the steepest ground. ``error`` is that of 1/z.
     """
     height, width = depth_m.shape
     ground = np.zeros((height, width), np.bool_)
     reference = np.full(width, own, np.int32)
     low, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
+    # Of each column: the row of its last pixel on a plane of the ground, until a pixel is measured
+    # from it; then how far below the camera and ahead of it the point is; whether an obstacle is
+    # between: the ground behind may be level, but is not seen to rise or fall.
+    last_v = np.full(width, -1, np.int32)
+    below, ahead = np.full(width, np.nan, np.float32), np.zeros(width, np.float32)
+    is_hidden = np.zeros(width, np.bool_)
+    slope = np.float32(slope)
+    interval = low / max(slope, np.float32(1e-3))
     count = len(is_ground) - 1
     for v in range(height - 1, -1, -1):
         y, last = ray_y[v], -1
@@ -144,12 +156,39 @@ def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, min_heigh
                 b, last = (planes[r, 1] * y + planes[r, 2]) * planes[r, 4], r
             s = a * ray_x[u] + b
             off = abs(s * z + c)
-            # A plane that is no ground was told from it by all its pixels.
-            if off <= (foot if on_plane and not belongs else low) or off <= abs(s) * z * z * error:
-                # The second is true of an infinite depth; of NaN neither is.
-                ground[v, u] = z >= MIN_DEPTH_M and z < np.inf
-                if belongs:
-                    reference[u] = k
+            # A plane that is no ground was told from it by all its pixels. The second is true of
+            # an infinite depth; of NaN neither is.
+            near = (off <= (foot if on_plane and not belongs else low)
+                    or off <= abs(s) * z * z * error)
+            if not MIN_DEPTH_M <= z < np.inf:
+                continue
+            if near and belongs:
+                ground[v, u], is_hidden[u] = True, False
+                reference[u], last_v[u] = k, v
+                continue
+            if on_plane and not belongs:
+                ground[v, u] = near
+                is_hidden[u] |= not near
+                continue
+            x = ray_x[u]
+            if last_v[u] >= 0:
+                y_last = ray_y[last_v[u]]
+                z_last = _depth_on(planes, reference[u], x, y_last)
+                below[u] = z_last * (level[0, 0] * x + level[0, 1] * y_last + level[0, 2])
+                ahead[u] = z_last * (level[1, 0] * x + level[1, 1] * y_last + level[1, 2])
+                last_v[u] = -1
+            sight = level[0, 0] * x + level[0, 1] * y + level[0, 2]
+            far = z * (level[1, 0] * x + level[1, 1] * y + level[1, 2])
+            # The way is at least so long: the error of a wall's depth leads nowhere.
+            way = np.float32(0) if is_hidden[u] else far - ahead[u] - z * z * error
+            rise = abs(z * sight - below[u])
+            steepest = min(max(low, slope * way), 2 * low)
+            if near or rise <= steepest or rise <= abs(sight) * z * z * error:
+                ground[v, u] = True
+                if way >= interval:
+                    below[u], ahead[u] = z * sight, far
+            else:
+                is_hidden[u] = True
     return ground
 
 
@@ -159,8 +198,9 @@ def _write(row, x, y, z, drop, u):
 
 
 @kernel(f'float64[:, ::1]({_DEPTH}, {_LABELS}, boolean[:, ::1], {_RAYS}, {_PLANES}, boolean[::1], '
-        'float64[::1], float64, float64)')
-def mark_drops(depth_m, labels, ground, ray_x, ray_y, planes, is_ground, down, min_drop, error):
+        'int64, float64[::1], float64, float64)')
+def mark_drops(depth_m, labels, ground, ray_x, ray_y, planes, is_ground, own, down, min_drop,
+               error):
     """
     Return the ends of the ground (N, 5) with a lower surface behind: x y z, the drop, the column.
 
@@ -216,13 +256,18 @@ def mark_drops(depth_m, labels, ground, ray_x, ray_y, planes, is_ground, down, m
                     lower[u] = 0
                     if mixed[u] > BORDER_PX:
                         end_k[u] = -1
-            if end_k[u] < 0 and on_plane and is_ground[k] and ground[v, u]:
-                end[u], end_k[u], end_z[u], lower[u], mixed[u] = v, k, 0.0, 0, 0
+            if end_k[u] < 0 and ground[v, u]:
+                if on_plane and is_ground[k]:
+                    end[u], end_k[u], end_z[u], lower[u], mixed[u] = v, k, 0.0, 0, 0
+                elif k < 0 and own == planes_count:  # the own floor is no plane
+                    end[u], end_k[u], end_z[u], lower[u], mixed[u] = v, own, z, 0, 0
     for u in range(0, width, 2):
         e, x, y = end_k[u], ray_x[u], ray_y[0]
         if e < 0 or lower[u] > 0 or end[u] == 0 or count == len(found):
             continue
-        z, near = _depth_on(planes, e, x, y), _depth_on(planes, e, x, ray_y[end[u]])
+        z, near = _depth_on(planes, e, x, y), end_z[u]
+        if near == 0.0:
+            near = _depth_on(planes, e, x, ray_y[end[u]])
         if near <= VOID_NEAR_M and (z < 0 or z > near + VOID_LENGTH_M):
             _write(found[count], x, ray_y[end[u]], near, np.nan, u)
             count += 1

@@ -30,6 +30,8 @@ HEIGHT_TOLERANCE = 0.1
 LEVEL_DEG = 3.0
 # derived: steeper by the error of gravity and of the plane, a slope is still within max_slope.
 SLOPE_MARGIN_DEG = 1.0
+# derived: the floor that is nearest to the robot is in the lowest of so many parts of the image.
+NEAR_SHARE = 8
 # Borders are sampled at every fourth pixel; fewer samples that join are chance.
 MIN_JOINS = 3
 # Of the samples of a border. A ramp that stands free joins by its foot, not by its flanks.
@@ -157,7 +159,12 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                       note='the direction of gravity is not known')
     # 1. and 2. The direction down and the own floor.
     known_m = config.scale.camera_height if is_metric else 0.0
+    depth_m, rays = np.ascontiguousarray(depth_m, np.float32), pixel_rays(intrinsics)
     down, own = own_floor(found, labels, gravity, limits.max_slope, known_m)
+    if gravity.is_sure and is_metric and not known_m:
+        known_m = _rough_floor(depth_m, labels, rays, gravity.gravity_camera, limits.min_height)
+        if known_m:
+            down, own = gravity.gravity_camera, len(found.planes)
     if down is None:
         return Ground((PlaneClass.UNKNOWN,) * len(found.planes), nothing,
                       note='the direction of gravity is known too coarsely')
@@ -168,7 +175,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
                       note='no floor is seen')
     height_m = float(surfaces.heights()[own])
     unit_m = 1.0 if is_metric else height_m
-    rays, table = pixel_rays(intrinsics), surfaces.table()
+    table = surfaces.table()
     # 3. What joins it.
     walkable = surfaces.slopes_deg <= limits.max_slope + SLOPE_MARGIN_DEG
     borders = count_borders(labels, *rays, table, walkable, limits.max_step * unit_m,
@@ -180,24 +187,43 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
     # 4. Pixels.
-    depth_m, sigma = np.ascontiguousarray(depth_m, np.float32), disparity_sigma(found)
+    sigma = disparity_sigma(found)
     is_ground = joined | lower
-    mask = mark_ground(depth_m, labels, *rays, table, is_ground, own, limits.min_height,
-                       SIGMAS * sigma)
+    mask = mark_ground(depth_m, labels, *rays, table, is_ground, own, level_axes(down),
+                       limits.min_height, np.tan(np.radians(limits.max_slope)), SIGMAS * sigma)
     # 5. Drops.
     error_m = SIGMAS * sigma * TOLD_AT_M * height_m
     if error_m > LARGEST_ERROR_M:
         return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg,
                       note=f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off')
-    ends = mark_drops(depth_m, labels, mask, *rays, table, is_ground, down,
-                       limits.min_drop, SIGMAS * sigma)
+    ends = mark_drops(depth_m, labels, mask, *rays, table, is_ground, own, down,
+                      limits.min_drop, SIGMAS * sigma)
     drops = _rows(ends)
     return Ground(classes, mask, drops[:, :3], drops[:, 3], height_m, tilt_deg)
+
+
+def level_axes(down: np.ndarray) -> np.ndarray:
+    """Return the directions (2, 3) down, and level in the direction of the optical axis."""
+    ahead = np.array([0.0, 0.0, 1.0]) - down[2] * down
+    return np.array([down, ahead / max(np.linalg.norm(ahead), 1e-6)], np.float32)
 
 
 def disparity_sigma(found: PlaneSegmentation) -> float:
     """Return the standard deviation of 1/z of a pixel, 1/m."""
     return float(found.disparity_noise)
+
+
+def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],
+                 down: np.ndarray, min_height: float) -> float:
+    """Return the height of the camera over a floor before the robot that is no plane, else 0."""
+    near = slice(-(len(labels) // NEAR_SHARE), None, 4)
+    sight = np.add.outer(rays[1][near] * down[1] + down[2], rays[0][::4] * down[0])
+    below_m = depth_m[near, ::4] * sight
+    is_rough = np.isfinite(below_m) & (labels[near, ::4] < 0)
+    if 2 * is_rough.sum() <= np.isfinite(below_m).sum():
+        return 0.0
+    low, middle, high = np.percentile(below_m[is_rough], [10, 50, 90])
+    return float(middle) if high - low <= min_height and middle > min_height else 0.0
 
 
 def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
@@ -211,11 +237,13 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
     but the floor is not seen.
     """
     planes, down = found.planes, gravity.gravity_camera
-    tolerance_deg = gravity.tolerance_deg
+    # Lines in the image may be along a ramp; their own scatter does not tell.
+    tolerance_deg = max(gravity.tolerance_deg, COARSE_DEG if gravity.source == 'image' else 0.0)
     is_coarse = tolerance_deg > COARSE_DEG
+    # Walls tell the floor from a ramp only if they do not stand along it: a help, no reference.
     refined = refine_gravity(planes, down, tolerance_deg) if is_coarse else None
     if refined is not None:
-        down, tolerance_deg, is_coarse = refined, LEVEL_DEG, False
+        down, tolerance_deg = refined, LEVEL_DEG
     surfaces = Surfaces.of(found, down, known_height_m)
     steepest_deg = max(max_slope_deg + SLOPE_MARGIN_DEG, tolerance_deg)
     possible = surfaces.slopes_deg <= steepest_deg
@@ -232,7 +260,8 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
         votes = first_met(labels, possible)
         own = int(votes.argmax()) if votes.any() else None
     if own is None:
-        return (None if is_coarse else down), (len(planes) if known_height_m > 0 else None)
+        return (None if is_coarse and refined is None else down,
+                len(planes) if known_height_m > 0 else None)
     if is_coarse or surfaces.slopes_deg[own] <= tolerance_deg:
         down = -planes[own].normal
     return down, own

@@ -4,11 +4,13 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
+from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.terrain import (
     Course,
     Kind,
@@ -23,7 +25,10 @@ from plane_detector.evaluation.scenes.terrain import (
     ramp,
     stairs,
 )
+from plane_detector.evaluation.scenes.terrain import terrain as random_terrain
+from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import PlaneClass
+from plane_detector.types import PlaneSegmentation
 
 MEASURED = Config(depth=DepthConfig(source='topic'))
 FROM_ABOVE = View(1.0, 25.0, roll_deg=3.0)
@@ -68,6 +73,42 @@ def test_a_ramp_and_the_level_behind_it_are_ground(sign):
     assert class_of(found, terrain, Kind.FLOOR) == PlaneClass.FLOOR
     assert class_of(found, terrain, Kind.RAMP) == PlaneClass.RAMP
     assert off_edges_m(found, terrain).max(initial=0.0) < 0.1
+
+
+@pytest.mark.parametrize('sign, seed', [(1, 107), (1, 113), (-1, 110)])
+def test_what_is_too_small_for_a_plane_behind_a_ramp_is_ground(sign, seed):
+    name = 'ramp up' if sign > 0 else 'ramp down'
+    landing = random_terrain(name, np.random.default_rng([seed, *name.encode()]))
+    assert share(detect(landing), landing, Kind.LANDING) > 0.95
+
+
+def test_what_is_too_small_for_a_plane_behind_an_obstacle_is_ground_only_at_its_level():
+    rng = np.random.default_rng(3)
+    room = Course(2.0)
+    room.on(8.0, 0.0, Kind.FLOOR)
+    room.add_box(0.0, 1.5, np.array([2.0, 0.1, 0.15]))
+    room.add_box(0.0, 2.0, np.array([2.0, 0.1, 0.25]))
+    terrain = look(room, FROM_ABOVE, rng)
+    scene = terrain.scene
+    found = PlaneDetector(MEASURED).detect(scene.rgb, scene.intrinsics, scene.depth_m,
+                                           scene.gravity_camera)
+    own = found.labels[-1, 320]
+    planes = PlaneSegmentation((found.planes[own],), np.where(found.labels == own, 0, -1), 0.0)
+    ground = find_ground(planes, scene.depth_m, scene.intrinsics,
+                         Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).mask
+    high = (terrain.kinds == Kind.OBSTACLE) & (terrain.above_m > 0.051)
+    assert high.sum() > 10000 and not ground[high].any()
+
+
+def test_a_rough_floor_without_a_plane_is_the_own_floor():
+    terrain = course(kerb, -1, 0.2, start_m=1.6, view=View(0.8, 30.0))
+    relief = np.random.default_rng(3).normal(0, 0.02, (96, 128)).astype(np.float32)
+    relief = cv2.resize(relief, (640, 480), interpolation=cv2.INTER_CUBIC)
+    found = detect(terrain, terrain.scene.depth_m * (1 + relief))
+    assert (found.labels[terrain.kinds == Kind.FLOOR] < 0).mean() > 0.5
+    assert found.camera_height_m == pytest.approx(0.8, abs=0.01)
+    assert share(found, terrain, Kind.FLOOR) > 0.97
+    assert len(found.drops_m) > 100 and off_edges_m(found, terrain).max() < 0.1
 
 
 def test_a_ramp_that_is_too_steep_is_no_ground():
@@ -145,8 +186,22 @@ def test_a_hole_in_the_floor_is_a_drop():
     assert len(found.drops_m) > 20 and off_edges_m(found, terrain).max() < 0.05
 
 
-def test_a_floor_that_returns_no_depth_is_no_drop_but_the_end_of_all_is():
+def test_a_dark_floor_is_no_drop_while_something_is_seen_behind_it():
     assert len(detect(course(patch, start_m=1.5)).drops_m) == 0
+    room = Course(2.0)
+    room.on(9.0, 0.0, Kind.FLOOR)
+    room.add_walls(True)
+    terrain = look(room, View(1.0, 10.0), np.random.default_rng(3))
+    dark = (terrain.kinds == Kind.FLOOR) & (terrain.points_m[..., 1] > 2.0)
+    before_a_wall = np.where(dark, np.nan, terrain.scene.depth_m)
+    assert len(detect(terrain, before_a_wall).drops_m) == 0
+    # With nothing behind, it is not told from the end of all: the safe answer.
+    found = detect(terrain, np.where(terrain.points_m[..., 1] > 2.0, np.nan,
+                                     terrain.scene.depth_m))
+    assert len(found.drops_m) > 100 and np.isnan(found.drop_depths_m).all()
+
+
+def test_the_end_of_all_is_a_drop():
     terrain = course(quay, start_m=1.5)
     found = detect(terrain)
     assert len(found.drops_m) > 200 and off_edges_m(found, terrain).max() < 0.05
@@ -164,15 +219,60 @@ def test_a_known_height_tells_the_floor_from_a_table():
     assert share(found, terrain, Kind.FLOOR) > 0.95 and share(found, terrain, Kind.OBSTACLE) < 0.02
 
 
-@pytest.mark.parametrize('off_deg', [1.5, 15.0])
-def test_slopes_are_told_against_the_own_floor(off_deg):
-    terrain = course(ramp, -1)
-    lean = np.radians(off_deg)
-    turn = np.array([[1, 0, 0], [0, np.cos(lean), -np.sin(lean)], [0, np.sin(lean), np.cos(lean)]])
-    config = replace(MEASURED, scale=ScaleConfig(gravity_tolerance=2.0 if off_deg < 2 else 20.0))
+@pytest.mark.parametrize('sign', [1, -1])
+@pytest.mark.parametrize('axis', ['forward', 'sideways'])
+@pytest.mark.parametrize('off_deg, tolerance_deg', [(1.5, 2.0), (3.0, 4.0), (6.0, 8.0),
+                                                    (15.0, 20.0)])
+def test_slopes_are_told_against_the_own_floor(off_deg, tolerance_deg, axis, sign):
+    terrain = course(ramp, sign)
+    axes = np.radians(off_deg) * np.array([1.0, 0, 0] if axis == 'forward' else [0, 0, 1.0])
+    turn, _ = cv2.Rodrigues(axes)
+    config = replace(MEASURED, scale=ScaleConfig(gravity_tolerance=tolerance_deg))
     found = detect(terrain, config=config, gravity_camera=turn @ terrain.scene.gravity_camera)
     assert class_of(found, terrain, Kind.FLOOR) == PlaneClass.FLOOR
+    assert class_of(found, terrain, Kind.RAMP) == PlaneClass.RAMP
     assert share(found, terrain, Kind.FLOOR, Kind.RAMP, Kind.LANDING) > 0.97
+    assert found.tilt_deg == pytest.approx(25.0, abs=0.5)
+
+
+def on_a_ramp(forward_m, slope_deg=8.0, height_m=0.8):
+    """Look ahead from a robot on a floor, and on the ramp that begins after 2 m."""
+    slope, start_m, length_m = np.radians(slope_deg), 2.0, 3.0
+    way = Course(2.0)
+    way.on(start_m, 0.0, Kind.FLOOR)
+    way.on(start_m + length_m * np.cos(slope), length_m * np.sin(slope), Kind.RAMP)
+    way.on(9.0, length_m * np.sin(slope), Kind.LANDING)
+    way.add_walls(True)
+    view = View(height_m, 22.0, forward_m=forward_m)
+    if forward_m > start_m:
+        view = View(height_m * np.cos(slope) + (forward_m - start_m) * np.tan(slope),
+                    22.0 - slope_deg, forward_m=forward_m - height_m * np.sin(slope))
+    return look(way, view, np.random.default_rng(3))
+
+
+def test_surfaces_keep_their_labels_when_the_robot_drives_on_to_a_ramp():
+    detector, seen = PlaneDetector(MEASURED), {Kind.FLOOR: [], Kind.RAMP: []}
+    for number, forward_m in enumerate(np.arange(0.0, 3.1, 0.25)):
+        terrain = on_a_ramp(forward_m)
+        scene = terrain.scene
+        found = detector.detect(scene.rgb, scene.intrinsics,
+                                noisy(terrain, 0.001, np.random.default_rng(number)),
+                                scene.gravity_camera)
+        for kind, states in seen.items():
+            labels = found.labels[terrain.kinds == kind]
+            if (labels >= 0).sum() > 5000:
+                plane = np.bincount(labels[labels >= 0]).argmax()
+                states.append((found.track_labels[plane], found.classes[plane]))
+        assert share(found, terrain, Kind.FLOOR, Kind.RAMP) > 0.98
+    assert len({label for label, _ in seen[Kind.FLOOR]}) == 1
+    assert {kind for _, kind in seen[Kind.FLOOR]} == {PlaneClass.FLOOR}
+    assert len(seen[Kind.RAMP]) > 10 and len({label for label, _ in seen[Kind.RAMP]}) == 1
+    classes = [kind for _, kind in seen[Kind.RAMP]]
+    on_ramp = classes.index(PlaneClass.FLOOR)
+    assert classes == ([PlaneClass.RAMP] * on_ramp
+                       + [PlaneClass.FLOOR] * (len(classes) - on_ramp))
+    assert on_ramp > 2
+    assert found.camera_height_m == pytest.approx(0.8 / np.cos(np.radians(8.0)), abs=0.01)
 
 
 def test_without_a_unit_there_are_classes_but_no_drops():
