@@ -11,12 +11,13 @@ from typing import NamedTuple
 
 from plane_detector.ros.diagnostics import Statistics
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor, SeenFrame
+from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
 from plane_detector.ros.frame_requests import FrameRequests, describe_frame
 from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import LARGE_PX, REDUCED_PX, Health
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.live_settings import LiveSettings
+from plane_detector.ros.outputs.frame import ProcessedFrame
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.stamps import stamp_text
@@ -57,7 +58,7 @@ class FrameFlow:
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
         self._records = records
-        self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
+        self.worker = FrameWorker(self._begin)
 
     def accept(self, frame: Frame) -> None:
         """Pass a frame to the worker if it is wanted; called in the executor's thread."""
@@ -93,20 +94,23 @@ class FrameFlow:
         return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
 
     def _begin(self, frame: Frame) -> Callable[[], None]:
-        """Find the depth of a frame; return the function that publishes its planes."""
+        """Do the first half of the work on a frame; return a function that does the second."""
         try:
             self._live.apply_to(self._processor)
             seen = self._processor.see(frame)
+            if self._processor.has_network:  # which takes as long as all the rest
+                return partial(self._finish, frame, partial(self._processor.find, seen))
+            found = self._processor.find(seen)
         except Exception as error:
             return partial(self._skip, frame, error)
-        return partial(self._finish, seen)
+        return partial(self._finish, frame, lambda: found)
 
-    def _finish(self, seen: SeenFrame) -> None:
-        """Find and publish the planes of a frame, or log why not."""
+    def _finish(self, frame: Frame, find: Callable[[], ProcessedFrame]) -> None:
+        """Publish the planes of a frame, or log why not."""
         statistics, requests, _, health = self._records
         try:
-            wanted = self._outputs.wanted()
-            processed = self._processor.finish(seen, wanted)
+            found, wanted = find(), self._outputs.wanted()
+            processed = self._processor.make(found, wanted)
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
                 self._outputs.publish(processed.messages)
@@ -115,11 +119,11 @@ class FrameFlow:
                 health.note(processed.result.detection, wanted)
                 statistics.add_processed({**processed.stage_seconds, 'publish': publish_s},
                                          processed.result)
-                requests.finish(seen.frame, True, describe_frame(processed.result))
+                requests.finish(frame, True, describe_frame(processed.result))
             if max(processed.result.detection.labels.shape) > LARGE_PX and not health.advice:
-                health.advice = self._reduced_time(seen.frame, wanted, processed)
+                health.advice = self._reduced_time(frame, wanted, processed)
         except Exception as error:
-            self._skip(seen.frame, error)
+            self._skip(frame, error)
 
     def _skip(self, frame: Frame, error: Exception) -> None:
         """Log why a frame has no result: one frame must not end the node."""

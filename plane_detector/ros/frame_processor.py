@@ -96,10 +96,15 @@ class FrameProcessor:
             The messages are invalid or do not fit together, or a transform is missing.
 
         """
-        return self.finish(self.see(frame), wanted)
+        return self.make(self.find(self.see(frame)), wanted)
 
     def see(self, frame: Frame) -> SeenFrame:
-        """Run the first half of :meth:`process`; another thread may finish the frame before."""
+        """
+        Find the depth of a frame.
+
+        This, `find` and `make` are the parts of :meth:`process`: each takes the frames in order,
+        and other threads may do the later parts for the frames before.
+        """
         settings, stages, starts_anew = self.settings, StageTimer(), self._starts_anew(frame)
         if starts_anew:
             self.detector.reset_depth()
@@ -113,8 +118,8 @@ class FrameProcessor:
         return SeenFrame(frame, converted, seen, settings, transforms, starts_anew,
                          stages.seconds)
 
-    def finish(self, begun: SeenFrame, wanted: Collection[str]) -> FrameOutputs:
-        """Run the second half of :meth:`process`, on frames in order."""
+    def find(self, begun: SeenFrame) -> ProcessedFrame:
+        """Find the planes of a frame."""
         frame, seen, stages = begun.frame, begun.observation, StageTimer()
         stages.seconds |= begun.stage_seconds
         if begun.starts_anew:
@@ -137,13 +142,18 @@ class FrameProcessor:
         with stages('tracking'):
             merged = merged_labels(self._before, detection, seen.config.tracking)
             self._before = detection
-        # 4. The messages that somebody wants.
-        result = ProcessedFrame(frame.image.header, seen.rgb, seen.intrinsics, detection,
-                                begun.settings, to_target, begun.converted.distortion, merged)
+        return ProcessedFrame(frame.image.header, seen.rgb, seen.intrinsics, detection,
+                              begun.settings, to_target, begun.converted.distortion, merged,
+                              _sum(detection.stage_seconds, stages.seconds))
+
+    @staticmethod
+    def make(result: ProcessedFrame, wanted: Collection[str]) -> FrameOutputs:
+        """Make the messages of some outputs, as far as they are available."""
+        stages = StageTimer()
         with stages('messages'):
             made = {name: msg for name in wanted
                     if (msg := OUTPUTS[name].make(result)) is not None}
-        return FrameOutputs(made, result, _sum(detection.stage_seconds, stages.seconds))
+        return FrameOutputs(made, result, {**result.stage_seconds, **stages.seconds})
 
     def seconds_with(self, max_side: int, frame: Frame, wanted: Collection[str]) -> float:
         """Return the time that a frame would take if its image were reduced to this side first."""

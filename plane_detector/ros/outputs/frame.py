@@ -4,7 +4,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -49,6 +50,8 @@ class ProcessedFrame:
         That the image still has.
     merged : tuple of int
         Label that was merged into each plane, 0 for none; empty: none for all.
+    stage_seconds : mapping of str to float
+        Time of each stage so far.
 
     """
 
@@ -60,6 +63,7 @@ class ProcessedFrame:
     to_target: RigidTransform | None = None
     distortion: Distortion = NO_DISTORTION
     merged: tuple[int, ...] = ()
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)
 
     @cached_property
     def target_header(self) -> Header:
