@@ -21,8 +21,6 @@ from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import CameraIntrinsics
 
 ROOT = Path(__file__).resolve().parents[2]
-MOST_ENDING_S = 3.0
-"""From a signal to the end of the process."""
 CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 
 

@@ -18,7 +18,6 @@ import cv2
 import onnxruntime
 from common import Row, table
 from disk import replays
-from endings import endings
 from messages import bombs, random_messages
 from networks import downloads, networks
 from soak import soak
@@ -26,7 +25,7 @@ from soak import soak
 from plane_detector.evaluation.benchmark.provenance import commit, machine
 
 GROUPS = {'bombs': bombs, 'messages': random_messages, 'networks': networks,
-          'downloads': downloads, 'replays': replays, 'endings': endings}
+          'downloads': downloads, 'replays': replays}
 
 
 def main() -> int:
