@@ -39,12 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     only.add_argument('--sensors', action='store_true', help='only simulated sensors')
     only.add_argument('--rendered', action='store_true', help='no simulated sensors')
     parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
-    parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write figures there')
+    parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write accuracy.svg there')
     shared.add_data(parser)
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the tables, and write the figures if requested."""
+    """Print the tables, and write the figure if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
     jobs = plan(methods, shared.scene_counts(options), options.first_seed, options.slow,
                 () if options.sensors else collect_frames(options.data), not options.sensors,
@@ -53,9 +53,8 @@ def run(options: argparse.Namespace) -> None:
     report(samples)
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
     if options.plots:
-        from plane_detector.evaluation.benchmark.plots import write_plots
-        for path in write_plots(samples, options.plots):
-            emit(f'Figure: `{path}`')
+        from plane_detector.evaluation.benchmark.plots import write_figure
+        emit(f'Figure: `{write_figure(samples, options.plots)}`')
 
 
 def report(samples: Sequence[Sample]) -> None:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the accuracy benchmark, from the same samples as its tables. Needs matplotlib."""
+"""Figure of the accuracy benchmark, from the same samples as its tables. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ import numpy as np
 
 from plane_detector.evaluation.benchmark.samples import Sample
 
-KINDS = ('rooms', 'lived-in rooms')
 SIZE_EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 1.0)
 """Shares of the image."""
 RECALL_SIGMA = 0.004
 _MARKERS = 'osD^vPX<>'
 
 
-def write_plots(samples: Sequence[Sample], folder: Path) -> list[Path]:
+def write_figure(samples: Sequence[Sample], folder: Path) -> Path:
     """
-    Draw all figures.
+    Draw SC over noise, time over SC and recall over size of the rooms of boxes.
 
     Parameters
     ----------
@@ -31,9 +30,8 @@ def write_plots(samples: Sequence[Sample], folder: Path) -> list[Path]:
 
     Returns
     -------
-    list of Path
-        ``noise.svg``, ``time.svg``, ``size.svg`` and ``accuracy.svg``, which shows all three for
-        the rooms of boxes.
+    Path
+        ``accuracy.svg``.
 
     Raises
     ------
@@ -43,27 +41,21 @@ def write_plots(samples: Sequence[Sample], folder: Path) -> list[Path]:
     """
     try:
         import matplotlib
+        from matplotlib.figure import Figure
     except ImportError as error:
         raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
     matplotlib.use('Agg')
     # Without date and random ids, so that equal samples give equal files.
     matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [_figure(samples, folder / f'{name}.svg', [(draw, kind) for kind in KINDS])
-             for name, draw in (('noise', draw_noise), ('time', draw_time), ('size', draw_size))]
-    panels = [(draw, 'rooms') for draw in (draw_noise, draw_time, draw_size)]
-    return [*paths, _figure(samples, folder / 'accuracy.svg', panels)]
-
-
-def _figure(samples: Sequence[Sample], path: Path, panels: Sequence[tuple[Any, str]]) -> Path:
-    from matplotlib.figure import Figure
-    figure = Figure(figsize=(4.2 * len(panels), 3.8), layout='constrained')
-    for axes, (draw, kind) in zip(figure.subplots(1, len(panels)), panels, strict=True):
-        draw(axes, [one for one in samples if one.kind == kind])
-        axes.set_title(kind)
+    figure = Figure(figsize=(12.6, 3.8), layout='constrained')
+    for axes, draw in zip(figure.subplots(1, 3), (draw_noise, draw_time, draw_size), strict=True):
+        draw(axes, [one for one in samples if one.kind == 'rooms'])
+        axes.set_title('rooms')
         axes.grid(alpha=0.3)
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc='outside lower center', ncols=min(3, len(names)))
+    path = folder / 'accuracy.svg'
     figure.savefig(path, metadata={'Date': None})
     return path
 
