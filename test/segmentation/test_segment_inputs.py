@@ -20,7 +20,7 @@ def noisy(scene, sigma, seed):
 
 
 def assert_consistent(segmentation, depth_m):
-    """Every label has a plane, every plane has pixels, no label without depth."""
+    """Every label has a plane, largest first, every plane has pixels, no label without depth."""
     labels, planes = segmentation.labels, segmentation.planes
     assert labels.shape == depth_m.shape
     assert labels.dtype == np.int32
@@ -28,6 +28,7 @@ def assert_consistent(segmentation, depth_m):
     assert labels.min(initial=-1) >= -1
     valid = np.isfinite(depth_m) & (depth_m > 0)
     assert (labels[~valid] == -1).all()
+    assert (np.diff([plane.inlier_count for plane in planes]) <= 0).all()
     for k, plane in enumerate(planes):
         assert plane.inlier_count == (labels == k).sum() > 0
         assert np.linalg.norm(plane.normal) == pytest.approx(1)

@@ -18,7 +18,7 @@ from cell_helpers import (
 
 from plane_detector import segment_planes
 from plane_detector.evaluation.scenes.rendering import VGA
-from plane_detector.evaluation.scenes.surfaces import bar, cone, sheet
+from plane_detector.evaluation.scenes.surfaces import bar, cone
 from plane_detector.types import CameraIntrinsics
 
 ROOM = [wall(4), FLOOR]
@@ -33,13 +33,6 @@ def upright(radius):
 
 def lying(radius):
     return bar((-4, 2.2 + radius, -0.3), (4, 2.2 + radius, -0.3), radius)
-
-
-def wave(height_m, length_m):
-    """Return a curtain with folds 2.5 m away."""
-    x = np.linspace(-1, 1, 1500)
-    y = 2.5 + height_m * np.sin(2 * np.pi * x / length_m)
-    return sheet(np.stack([x, y, np.full(1500, -0.9)], axis=1), np.array([0, 0, 1.8]))
 
 
 @pytest.mark.parametrize('keep', KEEP)
@@ -72,23 +65,13 @@ def test_a_ball_has_no_plane(radius, angles_deg, keep):
     assert least_iou > 0.95
 
 
-@pytest.mark.parametrize('keep', KEEP)
 @pytest.mark.parametrize(('thing', 'least', 'iou'), [
     (upright(0.3), 0.96, 0.95), (upright(2.0), 0.97, 0.6), (lying(1.0), 0.95, 0.95)], ids=str)
-def test_a_cylinder_at_an_angle_to_the_rows_has_hardly_a_plane(thing, least, iou, keep):
+def test_a_cylinder_at_an_angle_to_the_rows_has_hardly_a_plane(thing, least, iou):
     """Slabs along rows or columns are only a cell or two wide: these show no curve."""
-    share, least_iou = unlabelled(thing, keep, (0, -15, 4))
+    share, least_iou = unlabelled(thing, 'float', (0, -15, 4))
     assert share > least
     assert least_iou > iou
-
-
-@pytest.mark.parametrize('keep', KEEP)
-@pytest.mark.parametrize(('height_m', 'length_m'), [(0.05, 0.3), (0.1, 1.0)])
-def test_planes_beside_a_curtain_are_whole_and_much_of_it_is_none(height_m, length_m, keep):
-    """Where folds turn from in to out they are flat to a third order: slabs of that remain."""
-    share, least_iou = unlabelled(wave(height_m, length_m), keep, (0, -15, 4))
-    assert share > 0.5
-    assert least_iou > 0.95
 
 
 @pytest.mark.parametrize('angle_deg', [15, 30, 60])
@@ -97,13 +80,6 @@ def test_planes_that_meet_in_a_fold_stay(angle_deg, sigma):
     scene = view(fold(angle_deg))
     found = segment_planes(noisy(scene, 0, sigma), VGA)
     assert best_iou(scene, found.labels).min() > 0.9
-
-
-@pytest.mark.parametrize('dent_deg', [2, 4])
-def test_a_floor_with_a_dent_stays(dent_deg):
-    scene = view(fold(dent_deg))
-    found = segment_planes(noisy(scene, 0, 0.0005), VGA)
-    assert (found.labels >= 0).mean() > 0.95
 
 
 @pytest.mark.parametrize('thing', [upright(0.4), upright(1.0), ball(0.4)], ids=str)
