@@ -14,8 +14,10 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from plane_detector.dependencies import explanation
@@ -23,7 +25,6 @@ from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.process import freeze_loaded_objects
 from plane_detector.ros import parameters
-from plane_detector.ros.autostart import Autostart
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
 from plane_detector.ros.frame_flow import FrameFlow, FrameRecords
@@ -39,16 +40,15 @@ from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.network_pace import fit_to_rate, slow_network
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
-from plane_detector.ros.reloading import ReloadableNode
 from plane_detector.ros.spinning import CannotRunError
-from plane_detector.ros.transitions import Transitions
+from plane_detector.ros.transitions import Autostart, Transitions
 from plane_detector.stopping import raise_if_stopped
 
 # Time that destroy_node waits for the work to stop.
 _HEEDING_S = 1.0
 
 
-class PlaneDetectorNode(ReloadableNode):
+class PlaneDetectorNode(LifecycleNode):
     """
     The node ``plane_detector``; docs/topics.md describes its interface.
 
@@ -175,6 +175,23 @@ class PlaneDetectorNode(ReloadableNode):
         return self._release()
 
     # Parameters and services
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """
+        Set parameters, all or none; read-only ones may be set to their current values.
+
+        `ros2 param load` sets everything that `ros2 param dump` has written, including
+        qos_overrides, which rclpy declares as read-only.
+        """
+        changed = [parameter for parameter in parameter_list if not self._has_fixed(parameter)]
+        if parameter_list and not changed:
+            return SetParametersResult(successful=True)
+        return super().set_parameters_atomically(changed)
+
+    def _has_fixed(self, parameter: Parameter) -> bool:
+        return (self.has_parameter(parameter.name)
+                and self.describe_parameter(parameter.name).read_only
+                and self.get_parameter(parameter.name).value == parameter.value)
 
     def _on_change(self) -> None:
         """Apply the settings of the inputs; the others are applied before the next frame."""

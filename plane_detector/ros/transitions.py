@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Transitions of a lifecycle node: slow ones run in a thread, invalid ones are answered.
+Transitions of a lifecycle node: slow ones in a thread, invalid ones answered, the first by itself.
 
 rclpy calls ``on_configure`` in the executor, which could neither answer services nor receive
 messages while a network is downloaded and warmed up. Here this work runs in a thread while the
@@ -17,12 +17,17 @@ from typing import Any, Generic, TypeVar
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.task import Future
 
+from plane_detector.ros.spinning import CannotRunError
 from plane_detector.stopping import Background
 
 Prepared = TypeVar('Prepared')
+# derived: an unreachable host is tried again as often as a user would, then less and less often.
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 5.0, 300.0
+_PAUSE_FACTOR = 2.0
 
 
 class Transitions(Generic[Prepared]):
@@ -103,6 +108,60 @@ class Transitions(Generic[Prepared]):
 
     def _refuse(self, error: RuntimeError) -> None:
         self._node.get_logger().error(f'transition refused: {error}')
+
+
+class Autostart:
+    """
+    Brings a lifecycle node to the active state without a lifecycle manager.
+
+    Parameters
+    ----------
+    node : rclpy.lifecycle.LifecycleNode
+        With the attribute ``state``.
+    transitions : Transitions
+        Of this node.
+    may_pass : callable
+        Whether the cause of the last failure may be temporary: an unreachable host, but not a
+        wrong setting.
+    exits : bool
+        Raise at the first failure instead of retrying.
+
+    """
+
+    def __init__(self, node: Any, transitions: Transitions, may_pass: Callable[[], bool],
+                 exits: bool):
+        self._node, self._transitions = node, transitions
+        self._may_pass, self._exits = may_pass, exits
+        self._pause_s = FIRST_PAUSE_S
+        self._wait(0.0)
+
+    def _wait(self, pause_s: float) -> None:
+        """Try after a pause by the steady clock, because simulation time may stand still."""
+        self._timer = self._node.create_timer(
+            pause_s, self._try, self._transitions.group, Clock(clock_type=ClockType.STEADY_TIME))
+
+    async def _try(self) -> None:
+        """
+        Configure and activate, unless the node has been configured by others in the meantime.
+
+        Raises
+        ------
+        CannotRunError
+            It failed and ``exits`` is true; this ends the spinning of the executor.
+
+        """
+        self._node.destroy_timer(self._timer)
+        if self._node.state != 'unconfigured':
+            return
+        if (await self._transitions.configure() == TransitionCallbackReturn.SUCCESS
+                and self._node.trigger_activate() == TransitionCallbackReturn.SUCCESS):
+            return
+        if self._exits:
+            raise CannotRunError('it failed, for the reason logged, and exit_on_failure is true')
+        if self._node.state == 'unconfigured' and self._may_pass():
+            self._node.get_logger().info(f'trying again in {self._pause_s:.0f} s')
+            self._wait(self._pause_s)
+            self._pause_s = min(_PAUSE_FACTOR * self._pause_s, LONGEST_PAUSE_S)
 
 
 def _asks_to_configure(transition: Transition) -> bool:

@@ -5,7 +5,7 @@
 import pytest
 from node_helpers import start
 
-from plane_detector.ros import autostart, lifecycle_node
+from plane_detector.ros import lifecycle_node, transitions
 from plane_detector.ros.diagnostics import introduction
 from plane_detector.ros.spinning import CannotRunError
 
@@ -22,7 +22,7 @@ def tries(monkeypatch):
         return make(*arguments)
 
     monkeypatch.setattr(lifecycle_node, 'PlaneDetector', make_detector)
-    monkeypatch.setattr(autostart, 'FIRST_PAUSE_S', 0.05)
+    monkeypatch.setattr(transitions, 'FIRST_PAUSE_S', 0.05)
     return errors
 
 

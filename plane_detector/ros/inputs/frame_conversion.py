@@ -8,11 +8,11 @@ from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage
 
 from plane_detector.config import NodeConfig
-from plane_detector.geometry.depth_resizing import resize_depth
 from plane_detector.geometry.rectification import Rectification, make_rectification
 from plane_detector.geometry.reduction import Reduction
 from plane_detector.ros.calibration import (
@@ -30,6 +30,7 @@ from plane_detector.types import CameraIntrinsics
 _TRANSPORTS = ('compressed',)
 _RECTIFIED_NAMES = {'rect', 'rectified'}
 _ASPECT_TOLERANCE = 0.02
+_SAME_SURFACE = 0.02
 
 
 @dataclass(frozen=True)
@@ -173,11 +174,22 @@ def _check_size(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> None:
 
 
 def _fit_depth(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """Resize registered depth to the image; the field of view, and so the aspect, is equal."""
-    height, width = depth_m.shape
+    """
+    Resize registered depth to the image without depths between foreground and background.
+
+    The field of view, and so the aspect, is equal. Between pixels of one surface 1/depth is
+    interpolated, in which planes are linear. Where the result differs from the depth of the
+    nearest pixel by more than 2 %, there is an edge, and the depth of the nearest pixel is used.
+    """
+    size, (height, width) = (intrinsics.width, intrinsics.height), depth_m.shape
     aspect = (width * intrinsics.height) / (height * intrinsics.width)
     if abs(aspect - 1) > _ASPECT_TOLERANCE:
         raise ValueError(f'the depth image is {width} x {height}, which is not the shape of the '
                          f'{intrinsics.width} x {intrinsics.height} image: it must be registered '
                          'to it')
-    return resize_depth(depth_m, (intrinsics.width, intrinsics.height))
+    if size == (width, height):
+        return depth_m
+    nearest_m = cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT)
+    smooth_m = 1 / cv2.resize(1 / depth_m, size, interpolation=cv2.INTER_LINEAR)
+    is_surface = np.abs(smooth_m - nearest_m) <= _SAME_SURFACE * nearest_m
+    return np.where(is_surface, smooth_m, nearest_m)

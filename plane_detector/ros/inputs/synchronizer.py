@@ -10,7 +10,7 @@ order within each topic, not on how the topics interleave.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,12 +18,13 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config
+from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
 from plane_detector.ros.calibration import image_size
-from plane_detector.ros.inputs.gravity_filter import GravityFilter
 from plane_detector.ros.stamps import stamp_ns as ns_of
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000
+_SILENT_IMU_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ class FrameSynchronizer:
         self._images = _MessageBuffer()
         self._infos = _MessageBuffer()
         self._depths = _MessageBuffer()
-        self._gravity = GravityFilter(imu_to_camera)
+        self._gravity = _GravityFilter(imu_to_camera)
         self._dropped = 0
         self._unpaired_ns: int | None = None
         self.epoch = 0
@@ -254,3 +255,45 @@ class _MessageBuffer:
     def offset_of_nearest(self, stamp_ns: int) -> int | None:
         """Return how much later than a stamp the message nearest to it is; None without one."""
         return min((other_ns - stamp_ns for other_ns, _ in self._messages), key=abs, default=None)
+
+
+class _GravityFilter:
+    """
+    Smooths readings of an accelerometer over time; those during acceleration are ignored.
+
+    Parameters
+    ----------
+    imu_to_camera : (4,) float
+        Quaternion x y z w that rotates vectors from the frame of the IMU into the optical frame.
+
+    """
+
+    def __init__(self, imu_to_camera: Sequence[float]):
+        self._imu_to_camera = imu_to_camera
+        self.reset()
+
+    def mount(self, imu_to_camera: Sequence[float]) -> None:
+        """Change the mounting of the IMU; readings by another one are discarded."""
+        if tuple(imu_to_camera) != tuple(self._imu_to_camera):
+            self._imu_to_camera = imu_to_camera
+            self.reset()
+
+    def reset(self) -> None:
+        """Discard all readings."""
+        self._gravity_camera: np.ndarray | None = None
+        self._stamp_s = -np.inf
+
+    def add(self, stamp_s: float, acceleration: Sequence[float]) -> None:
+        """Add a reading (x, y, z) in m/s^2."""
+        reading = gravity_from_acceleration(acceleration, self._imu_to_camera)
+        if reading is None:
+            return
+        if stamp_s < self._stamp_s - _SILENT_IMU_S:
+            self.reset()
+        interval_s = min(stamp_s - self._stamp_s, 1e3)
+        self._gravity_camera = smooth_gravity(self._gravity_camera, reading, interval_s)
+        self._stamp_s = stamp_s
+
+    def gravity_camera(self, stamp_s: float) -> np.ndarray | None:
+        """Return the direction of gravity (3,), optical frame; None without recent readings."""
+        return self._gravity_camera if stamp_s - self._stamp_s <= _SILENT_IMU_S else None

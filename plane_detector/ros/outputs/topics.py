@@ -25,8 +25,11 @@ from plane_detector.ros.outputs.clouds import (
 )
 from plane_detector.ros.outputs.frame import ProcessedFrame
 from plane_detector.ros.outputs.markers import markers_to_msg
-from plane_detector.ros.outputs.plane_table import boundaries_to_msg, planes_to_msg
-from plane_detector.ros.outputs.shapes import shapes_to_msg
+from plane_detector.ros.outputs.plane_table import (
+    boundaries_to_msg,
+    planes_to_msg,
+    shapes_to_msg,
+)
 
 
 class Output(NamedTuple):

@@ -10,8 +10,11 @@ from ros_helpers import header
 from sensor_msgs.msg import CompressedImage
 
 from plane_detector.ros.inputs import image_decoding
-from plane_detector.ros.inputs.compressed_size import MOST_SCANS, compressed_size
-from plane_detector.ros.inputs.image_decoding import rgb_from_compressed_msg
+from plane_detector.ros.inputs.image_decoding import (
+    MOST_SCANS,
+    compressed_size,
+    rgb_from_compressed_msg,
+)
 
 COLOUR = np.array([200, 100, 30], np.uint8)
 SIZE = (18, 16)
