@@ -23,8 +23,6 @@ from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 MIN_PIXELS = 1500
 """Smallest plane of the other methods, at 640 x 480; as a share of the image at other sizes."""
-MIN_THICKNESS_M = 0.04
-"""Open3D's patches are boxes; on exact depth they are too thin to contain their own points."""
 
 Segments = tuple[np.ndarray, np.ndarray]
 """Labels (H, W) int32, -1 for none, and planes (K, 4): unit normal to the camera, offset."""
@@ -156,52 +154,9 @@ class OpenCv(Method):
         return self._normals[1]
 
 
-class Open3dPatches(Method):
-    """Open3D's detect_planar_patches with the settings of its documentation."""
-
-    name = 'Open3D detect_planar_patches'
-    slow = True
-
-    def __init__(self) -> None:
-        self.absent = _missing('open3d')
-
-    def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
-        """Return the cloud and the mask of its pixels."""
-        import open3d
-        points_m = depth_to_points(depth_m, intrinsics).astype(float)
-        seen = np.isfinite(points_m[..., 2])
-        vector = open3d.utility.Vector3dVector(points_m[seen])
-        return open3d.geometry.PointCloud(vector), seen
-
-    def result(self, raw: Any) -> Segments:
-        """Convert the indices of each plane's points to labels."""
-        seen, indices, planes = raw
-        flat = np.full(int(seen.sum()), -1, np.int32)
-        for k, index in enumerate(indices):
-            flat[index] = k
-        labels = np.full(seen.shape, -1, np.int32)
-        labels[seen] = flat
-        return labels, _towards_camera(np.array(planes).reshape(-1, 4))
-
-
-    def run(self, prepared: Any) -> Any:
-        """Estimate the normals, find the patches and the points in them."""
-        import open3d
-        cloud, seen = prepared
-        cloud.estimate_normals(open3d.geometry.KDTreeSearchParamHybrid(radius=0.1, max_nn=30))
-        boxes = cloud.detect_planar_patches(
-            normal_variance_threshold_deg=60, coplanarity_deg=75, outlier_ratio=0.75,
-            min_plane_edge_length=0, min_num_points=0,
-            search_param=open3d.geometry.KDTreeSearchParamKNN(knn=30))
-        thick = [open3d.geometry.OrientedBoundingBox(
-            box.center, box.R, np.maximum(box.extent, [0, 0, MIN_THICKNESS_M])) for box in boxes]
-        indices = [box.get_point_indices_within_bounding_box(cloud.points) for box in thick]
-        return seen, indices, [_through(box.center, box.R[:, 2]) for box in boxes]
-
-
 def all_methods() -> list[Method]:
     """Return our method first, then all others, available or not."""
-    return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05), Open3dPatches()]
+    return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05)]
 
 
 def relabelled(labels: np.ndarray, kept: np.ndarray) -> np.ndarray:
@@ -226,10 +181,6 @@ def _missing(module: str) -> str:
     except ImportError as error:
         return f'{module} does not load: {error}'
     return ''
-
-
-def _through(point_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    return np.append(normal, -np.dot(normal, point_m))
 
 
 def _towards_camera(planes: np.ndarray) -> np.ndarray:

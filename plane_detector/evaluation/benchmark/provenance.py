@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 
 PROGRAM = 'python3 -m plane_detector.evaluation.benchmark'
-_PACKAGES = ('numpy', 'scikit-learn', 'onnxruntime', 'pyransac3d', 'open3d')
+_PACKAGES = ('numpy', 'scikit-learn', 'onnxruntime', 'pyransac3d')
 
 
 def provenance(arguments: Sequence[str]) -> str:
