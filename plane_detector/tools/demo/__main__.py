@@ -8,7 +8,7 @@ from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba'):
-    from plane_detector.tools.demo.program import main
+    from plane_detector.tools.demo.command_line import main
 
 if __name__ == '__main__':
     sys.exit(main())
