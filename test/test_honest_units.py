@@ -12,7 +12,7 @@ from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.evaluation.scenes.rooms import attic, random_room
-from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)

@@ -15,7 +15,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from plane_detector.ros.outputs.captions import plane_name
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import plane_labels
 from plane_detector.ros.qos import overriding_options
 from plane_detector.scale.estimate import RELATIVE
@@ -46,7 +46,7 @@ class Report:
         Empty if there was none.
     error_age_s : float
         Time since the last error.
-    last : ProcessedFrame or None
+    last : DetectedFrame or None
         The last frame since the last report.
 
     """
@@ -61,7 +61,7 @@ class Report:
     last_error: str = ''
     arrival_hz: float = 0.0
     error_age_s: float = 0.0
-    last: ProcessedFrame | None = None
+    last: DetectedFrame | None = None
 
 
 class Statistics:
@@ -74,7 +74,7 @@ class Statistics:
         self._start_window()
 
     def add_processed(self, stage_seconds: Mapping[str, float],
-                      frame: ProcessedFrame | None = None) -> None:
+                      frame: DetectedFrame | None = None) -> None:
         """Count a processed frame."""
         with self._lock:
             self._last = frame
@@ -129,7 +129,7 @@ class Statistics:
         self._window_start_s = time.monotonic()
         self._window_processed = self._window_skipped = self._window_unpaired = 0
         self._window_dropped = 0
-        self._last: ProcessedFrame | None = None
+        self._last: DetectedFrame | None = None
         self._window_seconds: defaultdict[str, float] = defaultdict(float)
 
 
@@ -226,7 +226,7 @@ def status_to_msg(name: str, level: bytes, message: str, report: Report,
                             values=[KeyValue(key=k, value=v) for k, v in values.items()])
 
 
-def planes_status(name: str, frame: ProcessedFrame,
+def planes_status(name: str, frame: DetectedFrame,
                   planes_in_all: int | None = None) -> DiagnosticStatus:
     """
     Return the planes of a frame as a table: their number, then one row a plane.
@@ -235,7 +235,7 @@ def planes_status(name: str, frame: ProcessedFrame,
     ----------
     name : str
         Of the node.
-    frame : ProcessedFrame
+    frame : DetectedFrame
     planes_in_all : int, optional
         In all frames so far.
 

@@ -17,7 +17,7 @@ from plane_detector.ros.frame_worker import FrameWorker
 from plane_detector.ros.health import LARGE_PX, REDUCED_PX, Health
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.live_settings import LiveSettings
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.publishers import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.stamps import stamp_text
@@ -105,7 +105,7 @@ class FrameFlow:
             return partial(self._skip, frame, error)
         return partial(self._finish, frame, lambda: found)
 
-    def _finish(self, frame: Frame, find: Callable[[], ProcessedFrame]) -> None:
+    def _finish(self, frame: Frame, find: Callable[[], DetectedFrame]) -> None:
         """Publish the planes of a frame, or log why not."""
         statistics, requests, _, health = self._records
         try:

@@ -19,7 +19,7 @@ from plane_detector.ros.inputs.frame_conversion import ConvertedFrame, FrameConv
 from plane_detector.ros.inputs.synchronizer import Frame
 from plane_detector.ros.inputs.transform_buffer import TransformBuffer
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stage_timer import StageTimer, median_seconds
 from plane_detector.tracking.merged_labels import merged_labels
@@ -44,7 +44,7 @@ class FrameOutputs:
     """What goes out for a frame: messages by output, what they show, times of the stages."""
 
     messages: Mapping[str, Any]
-    result: ProcessedFrame
+    result: DetectedFrame
     stage_seconds: Mapping[str, float]
 
 
@@ -118,7 +118,7 @@ class FrameProcessor:
         return SeenFrame(frame, converted, seen, settings, transforms, starts_anew,
                          stages.seconds)
 
-    def find(self, begun: SeenFrame) -> ProcessedFrame:
+    def find(self, begun: SeenFrame) -> DetectedFrame:
         """Find the planes of a frame."""
         frame, seen, stages = begun.frame, begun.observation, StageTimer()
         stages.seconds |= begun.stage_seconds
@@ -142,12 +142,12 @@ class FrameProcessor:
         with stages('tracking'):
             merged = merged_labels(self._before, detection, seen.config.tracking)
             self._before = detection
-        return ProcessedFrame(frame.image.header, seen.rgb, seen.intrinsics, detection,
+        return DetectedFrame(frame.image.header, seen.rgb, seen.intrinsics, detection,
                               begun.settings, to_target, begun.converted.distortion, merged,
                               _sum(detection.stage_seconds, stages.seconds))
 
     @staticmethod
-    def make(result: ProcessedFrame, wanted: Collection[str]) -> FrameOutputs:
+    def make(result: DetectedFrame, wanted: Collection[str]) -> FrameOutputs:
         """Make the messages of some outputs, as far as they are available."""
         stages = StageTimer()
         with stages('messages'):

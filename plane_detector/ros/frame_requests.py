@@ -13,7 +13,7 @@ from typing import Any
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.stamps import stamp_text
 
 ANSWERED_WITHIN_S = 30.0
@@ -101,6 +101,6 @@ async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.
     return response
 
 
-def describe_frame(result: ProcessedFrame) -> str:
+def describe_frame(result: DetectedFrame) -> str:
     """Return the answer to a call: number of planes and stamp of the image."""
     return f'{len(result.detection.planes)} planes in the image of {stamp_text(result)}'

@@ -14,7 +14,7 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import qos
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 
 # derived: a click is within a few pixels of its target; planes further away are not meant.
 REACH_PX = 8
@@ -56,7 +56,7 @@ class PointQuery:
         self._node.destroy_subscription(self._subscription)
         self._node.destroy_lifecycle_publisher(self._publisher)
 
-    def answer(self, result: ProcessedFrame) -> None:
+    def answer(self, result: DetectedFrame) -> None:
         """Publish and log the plane at each click."""
         while self._clicks:
             click = self._clicks.popleft()
@@ -86,7 +86,7 @@ class PointQuery:
         self._faults.tell(ValueError('the node is not active'))
 
 
-def point_in_camera(result: ProcessedFrame, click: PointStamped) -> np.ndarray:
+def point_in_camera(result: DetectedFrame, click: PointStamped) -> np.ndarray:
     """
     Return a clicked point (3,) in the frame of the image.
 
@@ -107,7 +107,7 @@ def point_in_camera(result: ProcessedFrame, click: PointStamped) -> np.ndarray:
                      f'target_frame to {frame}')
 
 
-def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
+def plane_at(result: DetectedFrame, point_m: np.ndarray) -> int:
     """
     Return the index of the plane at the pixel that shows a point, or at the nearest pixel.
 
@@ -135,7 +135,7 @@ def plane_at(result: ProcessedFrame, point_m: np.ndarray) -> int:
     return int(near[rows[nearest], columns[nearest]])
 
 
-def describe_plane(result: ProcessedFrame, index: int) -> str:
+def describe_plane(result: DetectedFrame, index: int) -> str:
     """Return a description of a plane in words."""
     detection = result.detection
     plane, rectangle = detection.planes[index], result.rectangles[index]

@@ -15,7 +15,7 @@ from ros_helpers import header
 from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.types import CameraIntrinsics, Detection, Plane, Shape, ShapeType
 
 CAMERA = CameraIntrinsics(80.0, 95.0, 30.5, 45.25, 110, 72)
@@ -80,12 +80,12 @@ def detection(**changes) -> Detection:
 
 
 def frame(found: Detection | None = None, to_target: RigidTransform | None = None,
-          **settings) -> ProcessedFrame:
+          **settings) -> DetectedFrame:
     """Return the processed frame; `found` replaces its detection."""
     rgb = np.random.default_rng(2).integers(0, 256, (CAMERA.height, CAMERA.width, 3), np.uint8)
     rgb.flags.writeable = False
     if to_target is not None:
         settings['target_frame'] = 'map'
     found = found or detection()
-    return ProcessedFrame(header(1.5), rgb, CAMERA, found, NodeConfig(**settings), to_target,
+    return DetectedFrame(header(1.5), rgb, CAMERA, found, NodeConfig(**settings), to_target,
                           merged=(0, 4)[:len(found.planes)])

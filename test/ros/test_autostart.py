@@ -5,7 +5,7 @@
 import pytest
 from node_helpers import start
 
-from plane_detector.ros import lifecycle_node, transitions
+from plane_detector.ros import detector_node, transitions
 from plane_detector.ros.diagnostics import introduction
 from plane_detector.ros.spinning import CannotRunError
 
@@ -14,14 +14,14 @@ from plane_detector.ros.spinning import CannotRunError
 def tries(monkeypatch):
     """Let the pipeline be made at the third try only, and return the errors to come."""
     errors = [ConnectionError('unreachable'), FileNotFoundError('unreachable')]
-    make = lifecycle_node.PlaneDetector
+    make = detector_node.PlaneDetector
 
     def make_detector(*arguments):
         if errors:
             raise errors.pop()
         return make(*arguments)
 
-    monkeypatch.setattr(lifecycle_node, 'PlaneDetector', make_detector)
+    monkeypatch.setattr(detector_node, 'PlaneDetector', make_detector)
     monkeypatch.setattr(transitions, 'FIRST_PAUSE_S', 0.05)
     return errors
 

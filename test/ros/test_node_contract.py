@@ -5,7 +5,7 @@
 import pytest
 from node_helpers import start
 
-from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.outputs.topics import OUTPUTS
 
 

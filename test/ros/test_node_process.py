@@ -17,7 +17,7 @@ from rclpy.parameter import parameter_value_to_python
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg, random_domain
 
 from plane_detector.evaluation.scenes.rooms import random_room
-from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+from plane_detector.ros.detector_node import PlaneDetectorNode
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -114,7 +114,7 @@ def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch):
         node = start('-p', 'depth.source:=topic')
         node.wait_until(lambda node=node: re.search(r'\| +numpy$', node.log(), re.MULTILINE))
         assert node.end(number) == -number
-        assert 'plane_detector.ros.lifecycle_node' not in node.log(), 'it was still importing'
+        assert 'plane_detector.ros.detector_node' not in node.log(), 'it was still importing'
         assert 'Traceback' not in node.log()
 
 

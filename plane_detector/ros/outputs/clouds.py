@@ -12,7 +12,7 @@ from plane_detector.drawing import tint
 from plane_detector.geometry.disparity import MIN_DEPTH_M
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import (
     DROP_DTYPE,
     POINT_DTYPE,
@@ -23,7 +23,7 @@ from plane_detector.ros.outputs.messages import (
 from plane_detector.scale.estimate import RELATIVE
 
 
-def points_to_msg(frame: ProcessedFrame) -> PointCloud2:
+def points_to_msg(frame: DetectedFrame) -> PointCloud2:
     """
     Return the organised, coloured and labelled cloud; NaN where there is no depth.
 
@@ -39,17 +39,17 @@ def points_to_msg(frame: ProcessedFrame) -> PointCloud2:
     return cloud_msg(frame.target_header, POINT_DTYPE, numbers, height, width)
 
 
-def obstacles_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
+def obstacles_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return the valid points that are not ground; None while gravity or the unit is not known."""
     return _xyz_to_msg(frame, ~frame.detection.ground) if _has_ground(frame) else None
 
 
-def ground_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
+def ground_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return the points of the ground; None while gravity or the unit is not known."""
     return _xyz_to_msg(frame, frame.detection.ground) if _has_ground(frame) else None
 
 
-def drops_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
+def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     """Return points along the edges and by how much it is down; None if they cannot be told."""
     found = frame.detection
     if found.drop_note:
@@ -59,11 +59,11 @@ def drops_to_msg(frame: ProcessedFrame) -> PointCloud2 | None:
     return cloud_msg(frame.target_header, DROP_DTYPE, table, 1, len(table))
 
 
-def _has_ground(frame: ProcessedFrame) -> bool:
+def _has_ground(frame: DetectedFrame) -> bool:
     return any(frame.detection.classes) and frame.detection.scale_method != RELATIVE
 
 
-def _xyz_to_msg(frame: ProcessedFrame, is_kept: np.ndarray) -> PointCloud2:
+def _xyz_to_msg(frame: DetectedFrame, is_kept: np.ndarray) -> PointCloud2:
     """Return the valid points of some pixels (H, W), unorganised, with fields x y z."""
     geometry = _geometry(frame)
     xyz_m = np.empty((geometry[0].size, 3), '<f4')
@@ -71,7 +71,7 @@ def _xyz_to_msg(frame: ProcessedFrame, is_kept: np.ndarray) -> PointCloud2:
     return cloud_msg(frame.target_header, XYZ_DTYPE, xyz_m[:count], 1, count)
 
 
-def _colours(frame: ProcessedFrame) -> np.ndarray:
+def _colours(frame: DetectedFrame) -> np.ndarray:
     """Return the colours of the cloud, (H, W, 3) uint8."""
     if frame.settings.points_color == 'label':
         return tint(np.zeros_like(frame.rgb), frame.labels, share=1.0)
@@ -80,7 +80,7 @@ def _colours(frame: ProcessedFrame) -> np.ndarray:
     return frame.rgb
 
 
-def _geometry(frame: ProcessedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _geometry(frame: DetectedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return depth, slopes of columns and of rows, and the transform (3, 4), all float32."""
     step = frame.settings.points_decimation
     ray_x, ray_y = pixel_rays(frame.intrinsics)
@@ -90,7 +90,7 @@ def _geometry(frame: ProcessedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray
             np.ascontiguousarray(ray_x[::step]), np.ascontiguousarray(ray_y[::step]), moved)
 
 
-def _thinned(frame: ProcessedFrame, image: np.ndarray, dtype: type) -> np.ndarray:
+def _thinned(frame: DetectedFrame, image: np.ndarray, dtype: type) -> np.ndarray:
     """Return the pixels of an image that the clouds contain, C-contiguous."""
     step = frame.settings.points_decimation
     return np.ascontiguousarray(image[::step, ::step], dtype)

@@ -28,9 +28,9 @@ from plane_detector.types import CameraIntrinsics, Detection
 
 
 @dataclass(frozen=True)
-class ProcessedFrame:
+class DetectedFrame:
     """
-    A processed image.
+    An image and what was found in it.
 
     Attributes
     ----------

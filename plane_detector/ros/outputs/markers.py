@@ -22,7 +22,7 @@ from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.outline import Polygon
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.captions import Caption, arrow_length_m, plane_captions
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.types import Shape, ShapeType
 
 # As a share of the distance from the camera, like the sizes of captions.
@@ -38,7 +38,7 @@ _CONE_SIDES = 24
 _CONE_START = 0.02
 
 
-def markers_to_msg(frame: ProcessedFrame) -> MarkerArray:
+def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
     """
     Return the markers of all planes and shapes; a marker's id is the label of what it shows.
 
@@ -55,7 +55,7 @@ def markers_to_msg(frame: ProcessedFrame) -> MarkerArray:
     return MarkerArray(markers=[*markers, *_shape_markers(frame, blank)])
 
 
-def _plane_markers(frame: ProcessedFrame, blank: Marker, index: int, label: int,
+def _plane_markers(frame: DetectedFrame, blank: Marker, index: int, label: int,
                    caption: Caption | None) -> Iterator[Marker]:
     plane, colour = frame.detection.planes[index], _colour(label)
     line_width_m = _LINE_WIDTH * math.hypot(*plane.centroid_m)
@@ -73,7 +73,7 @@ def _plane_markers(frame: ProcessedFrame, blank: Marker, index: int, label: int,
                       pose=messages.pose_msg(frame.in_target(caption.position_m)))
 
 
-def _segments(frame: ProcessedFrame, outlines: Sequence[Polygon]) -> list[Point]:
+def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
     """Return both ends of each side of all outlines, lifted from their plane."""
     if not outlines:
         return []
@@ -87,7 +87,7 @@ def _segments(frame: ProcessedFrame, outlines: Sequence[Polygon]) -> list[Point]
     return ends
 
 
-def _shape_markers(frame: ProcessedFrame, blank: Marker) -> Iterator[Marker]:
+def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
     """Yield a marker of each shape: a sphere, a cylinder, or the triangles of a cone."""
     found = frame.target_detection
     for index, (shape, label) in enumerate(zip(found.shapes, messages.shape_labels(found).tolist(),
@@ -105,7 +105,7 @@ def _shape_markers(frame: ProcessedFrame, blank: Marker) -> Iterator[Marker]:
                       pose=messages.pose_msg(shape.position_m, _orientation(shape.axis)))
 
 
-def _cone_start_m(frame: ProcessedFrame, index: int) -> float:
+def _cone_start_m(frame: DetectedFrame, index: int) -> float:
     """Return where along its axis the visible part of a cone begins, from the apex."""
     found = frame.detection
     shape, ray = found.shapes[index], pixel_rays(frame.intrinsics)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import cloud_msg, plane_labels, shape_labels
 
 PLANE_DTYPE = np.dtype([
@@ -32,7 +32,7 @@ SHAPE_DTYPE = np.dtype([
 
 
 
-def planes_to_msg(frame: ProcessedFrame) -> PointCloud2:
+def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
     detection, rectangles = frame.target_detection, frame.rectangles
     planes = detection.planes
@@ -53,7 +53,7 @@ def planes_to_msg(frame: ProcessedFrame) -> PointCloud2:
     return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
 
 
-def boundaries_to_msg(frame: ProcessedFrame) -> PointCloud2:
+def boundaries_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return one point per corner, in order; the last corner of a polygon repeats the first."""
     outlines = [(label, polygon) for label, of_plane
                 in zip(plane_labels(frame.detection), frame.polygons, strict=True)
@@ -71,7 +71,7 @@ def boundaries_to_msg(frame: ProcessedFrame) -> PointCloud2:
     return cloud_msg(frame.target_header, CORNER_DTYPE, table, 1, len(table))
 
 
-def shapes_to_msg(frame: ProcessedFrame) -> PointCloud2:
+def shapes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """
     Return one point per shape; without shapes an empty cloud.
 

@@ -23,7 +23,7 @@ from plane_detector.ros.outputs.clouds import (
     obstacles_to_msg,
     points_to_msg,
 )
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import markers_to_msg
 from plane_detector.ros.outputs.plane_table import (
     boundaries_to_msg,
@@ -40,7 +40,7 @@ class Output(NamedTuple):
     """
 
     msg_type: Any
-    make: Callable[[ProcessedFrame], Any]
+    make: Callable[[DetectedFrame], Any]
 
 
 OUTPUTS: dict[str, Output] = {

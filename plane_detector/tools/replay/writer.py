@@ -38,7 +38,7 @@ from rosbags.typesys import Stores, get_typestore
 from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.ros.frame_processor import FrameOutputs
-from plane_detector.ros.outputs.frame import ProcessedFrame
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.plane_table import PLANE_DTYPE, SHAPE_DTYPE
 from plane_detector.ros.stamps import stamp_text
 from plane_detector.scale.estimate import RELATIVE
@@ -281,7 +281,7 @@ def _whole(path: Path) -> Iterator[Path]:
     os.replace(draft, path)
 
 
-def _figure(result: ProcessedFrame) -> np.ndarray:
+def _figure(result: DetectedFrame) -> np.ndarray:
     """Return image, depth and planes side by side."""
     detection = result.detection
     near, far = drawing.depth_range(detection.depth_m)

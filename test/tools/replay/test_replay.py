@@ -27,7 +27,7 @@ from replay_helpers import (
 from ros_helpers import Robot, camera_info_msg, header
 from sensor_msgs.msg import CompressedImage
 
-from plane_detector.ros.lifecycle_node import PlaneDetectorNode
+from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools.replay.bag_reader import BagReader, to_message
 from plane_detector.tools.replay.inputs import input_class
