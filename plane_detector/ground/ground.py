@@ -26,6 +26,9 @@ from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 # The own floor is at the known height of the camera within this share of it: the error of a
 # mounting and of gravity, and what a ramp that begins before the robot rises to.
 HEIGHT_TOLERANCE = 0.1
+# Shares of the columns of an image that meet a level first. Rendered: before drops .85 to 1,
+# tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1.
+MAJORITY, FEW_COLUMNS = 0.75, 0.05
 # Slopes within the accuracy of an IMU or of a level plane count as level.
 LEVEL_DEG = 3.0
 # derived: steeper by the error of gravity and of the plane, a slope is still within max_slope.
@@ -255,16 +258,33 @@ def own_floor(found: PlaneSegmentation, labels: np.ndarray, gravity: Gravity,
         off_m = abs(surfaces.heights() - known_height_m)
         possible &= off_m <= HEIGHT_TOLERANCE * known_height_m + rise_m
     possible[-1] = False
-    own = None
-    if possible.any():
-        votes = first_met(labels, possible)
-        own = int(votes.argmax()) if votes.any() else None
+    own = _nearest_floor(first_met(labels, possible), surfaces.heights(), labels.shape[1],
+                         known_height_m > 0)
     if own is None:
         return (None if is_coarse and refined is None else down,
                 len(planes) if known_height_m > 0 else None)
     if is_coarse or surfaces.slopes_deg[own] <= tolerance_deg:
         down = -planes[own].normal
     return down, own
+
+
+def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, width: int,
+                   is_known: bool) -> int | None:
+    """
+    Return which plane reaches nearest to the robot, by the columns that meet each first.
+
+    At the head of stairs all columns meet the own floor first. A table is met by some, others meet
+    the floor beside it: without a majority, the lowest level of several columns is the own floor.
+    """
+    if not votes.any():
+        return None
+    columns = len(range(0, width, 4))
+    if is_known or votes.max() >= MAJORITY * columns:
+        return int(votes.argmax())
+    is_met = votes >= min(FEW_COLUMNS * columns, votes.max())
+    lowest_m = heights_m[is_met].max()
+    at_level = is_met & (heights_m >= (1.0 - HEIGHT_TOLERANCE) * lowest_m)
+    return int(np.where(at_level, votes, -1).argmax())
 
 
 def _ground_planes(surfaces: Surfaces, own: int, walkable: np.ndarray, joins: np.ndarray,

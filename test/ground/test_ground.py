@@ -11,6 +11,7 @@ import pytest
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
 from plane_detector.directions.gravity_choice import Gravity
+from plane_detector.evaluation.scenes.rendering import Rectangle
 from plane_detector.evaluation.scenes.terrain import (
     Course,
     Kind,
@@ -208,15 +209,27 @@ def test_the_end_of_all_is_a_drop():
     assert np.isnan(found.drop_depths_m).all()
 
 
-def test_a_known_height_tells_the_floor_from_a_table():
-    rng = np.random.default_rng(2)
+@pytest.mark.parametrize('width_m, height_m', [(0.5, 0.0), (2.6, 1.2)])
+def test_a_table_is_no_floor_if_the_floor_is_seen_beside_it_or_the_height_is_known(width_m,
+                                                                                   height_m):
     room = Course(3.0)
     room.on(8.0, 0.0, Kind.FLOOR)
-    room.add_box(0.0, 0.9, np.array([2.6, 1.0, 0.7]))
-    terrain = look(room, View(1.2, 30.0), rng)
-    config = replace(MEASURED, scale=ScaleConfig(camera_height=1.2))
-    found = detect(terrain, config=config)
+    room.add_box(0.0, 0.9, np.array([width_m, 1.0, 0.7]))
+    terrain = look(room, View(1.2, 30.0), np.random.default_rng(2))
+    found = detect(terrain, config=replace(MEASURED, scale=ScaleConfig(camera_height=height_m)))
+    assert found.camera_height_m == pytest.approx(1.2, abs=0.03)
     assert share(found, terrain, Kind.FLOOR) > 0.95 and share(found, terrain, Kind.OBSTACLE) < 0.02
+
+
+def test_a_lower_level_at_the_side_is_not_the_own_floor():
+    platform = Course(0.9)
+    platform.on(8.0, 0.0, Kind.FLOOR)
+    platform.add([Rectangle(np.array([0.9, -3.0, -0.5]), np.array([6.0, 0, 0]),
+                            np.array([0, 11.0, 0]))], Kind.LOWER)
+    terrain = look(platform, View(0.8, 25.0), np.random.default_rng(2))
+    found = detect(terrain)
+    assert found.camera_height_m == pytest.approx(0.8, abs=0.01)
+    assert share(found, terrain, Kind.FLOOR) > 0.98
 
 
 @pytest.mark.parametrize('sign', [1, -1])
