@@ -110,9 +110,10 @@ def test_demo_is_quiet_when_it_is_ended(tmp_path):
     started = {number: start_demo(tmp_path, '--without-network', '--output', number.name)
                for number in (signal.SIGINT, signal.SIGTERM)}
     for number, process in started.items():
-        said = process.stderr.readline()  # of the node
+        assert process.stderr.readline()  # of the node
         process.send_signal(number)
-        said += ''.join(process.communicate(timeout=120))
+    for process in started.values():
+        said = ''.join(process.communicate(timeout=120))
         assert process.returncode == 130, said
         assert 'Traceback' not in said
 
