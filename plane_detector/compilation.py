@@ -173,6 +173,20 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
             one.compiled()
 
 
+def free_intermediate_code() -> None:
+    """
+    Free the code from which numba would inline loaded kernels into others, where none calls them.
+
+    Numba has no public name for it. Measured: 35 MB of the 119 MB that the node's kernels take.
+    """
+    called = {value for one in _KERNELS for name in one._function.__code__.co_names
+              if isinstance(value := one._function.__globals__.get(name), Kernel)}
+    for one in _KERNELS:
+        if one.is_ready and one not in called:
+            for overload in one._compiled.overloads.values():
+                overload.library._shared_module = None
+
+
 @cache
 def load_once(*subjects: str) -> None:
     """Compile or load the kernels of these folders, at the first call of a process only."""

@@ -8,7 +8,7 @@ import ctypes
 import gc
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 
 import cv2
@@ -58,11 +58,13 @@ def freeze_loaded_objects() -> None:
     Exclude existing objects, such as modules and the network, from garbage collection.
 
     Full collections visited 190000 objects, most of them numba's, which took .1 s in the middle
-    of a frame, every ten or twenty frames.
+    of a frame, every ten or twenty frames. Memory that loading has freed is returned.
     """
     gc.unfreeze()
     gc.collect()
     gc.freeze()
+    with suppress(AttributeError, OSError, TypeError):  # another C library than glibc
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def use_one_thread() -> None:

@@ -26,9 +26,10 @@ def part(value):
     return value {sign} 1
 """
 RUN = """
-from plane_detector.compilation import compile_kernels
+from plane_detector.compilation import compile_kernels, free_intermediate_code
 import numpy as np, sample.stage.loops
 compile_kernels(['stage'], print)
+free_intermediate_code()
 print(sample.stage.loops.picked(np.array([10.0, 20.0])))
 """
 

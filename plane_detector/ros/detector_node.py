@@ -20,6 +20,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from plane_detector.compilation import free_intermediate_code
 from plane_detector.dependencies import explanation
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
@@ -266,6 +267,7 @@ class PlaneDetectorNode(LifecycleNode):
         load_kernels(self._live.config, self.get_logger().info)
         detector = PlaneDetector(self._live.config, self._depth_model)
         fit_to_rate(detector)
+        free_intermediate_code()
         freeze_loaded_objects()
         return detector
 
