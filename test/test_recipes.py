@@ -47,16 +47,19 @@ def test_the_costmap_reads_an_output_that_there_is():
     for name in layers['plugins']:
         assert layers[name]['plugin'].startswith('nav2_costmap_2d::')
     layer = layers['voxel_layer']
-    source = layer[layer['observation_sources']]
-    assert source['topic'].removeprefix('/plane_detector/') in OUTPUTS
-    assert OUTPUTS['points_without_floor'].msg_type.__name__ == source['data_type']
-    assert source['sensor_frame'] == '', 'the frame of the points, unless target_frame is set'
-    assert source['obstacle_max_range'] <= source['raytrace_max_range']
     assert layer['z_voxels'] <= 16, 'the most that a voxel layer has'
-    assert source['max_obstacle_height'] <= layer['z_voxels'] * layer['z_resolution']
+    for name in layer['observation_sources'].split():
+        source = layer[name]
+        output = OUTPUTS[source['topic'].removeprefix('/plane_detector/')]
+        assert output.msg_type.__name__ == source['data_type']
+        assert source['sensor_frame'] == '', 'the frame of the points, unless target_frame is set'
+        assert source['clearing'] and source['marking'] == (name == 'obstacles')
+        assert source.get('obstacle_max_range', 0.0) <= source['raytrace_max_range']
+        assert source['max_obstacle_height'] <= layer['z_voxels'] * layer['z_resolution']
     drops = layers['drop_layer'][layers['drop_layer']['observation_sources']]
     assert drops['topic'].removeprefix('/plane_detector/') in OUTPUTS
     assert drops['marking'] and not drops['clearing'], 'rays pass over the edge'
+    assert layers['drop_layer']['min_obstacle_height'] < 0, 'its default of 0 hides lower edges'
 
 
 def test_the_lifecycle_manager_starts_the_node_without_autostart(monkeypatch):

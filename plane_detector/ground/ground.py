@@ -29,6 +29,9 @@ HEIGHT_TOLERANCE = 0.1
 # Shares of the columns of an image that meet a level first. Rendered: before drops .85 to 1,
 # tables up to .65, the floor beside them at least .1. Flat from .7 on, and from .01 to .1.
 MAJORITY, FEW_COLUMNS = 0.75, 0.05
+# Pieces of one floor, as a network bends it, are at the same height of the camera within this
+# share; tables and seats, 1 to 1.8 m below a camera, are higher by at least .25 of it.
+ONE_FLOOR = 0.2
 # Slopes within the accuracy of an IMU or of a level plane count as level.
 LEVEL_DEG = 3.0
 # derived: steeper by the error of gravity and of the plane, a slope is still within max_slope.
@@ -283,7 +286,7 @@ def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, width: int,
         return int(votes.argmax())
     is_met = votes >= min(FEW_COLUMNS * columns, votes.max())
     lowest_m = heights_m[is_met].max()
-    at_level = is_met & (heights_m >= (1.0 - HEIGHT_TOLERANCE) * lowest_m)
+    at_level = is_met & (heights_m >= (1.0 - ONE_FLOOR) * lowest_m)
     return int(np.where(at_level, votes, -1).argmax())
 
 
