@@ -251,6 +251,7 @@ def _sum_over_pixels(labels, disparity, seen, cells, frame):
     (planes, lowest), (moments, mean, size), (height, width) = seen, cells, labels.shape
     sums, columns, cell = np.zeros((len(planes), SUMS)), np.empty((2, width), np.int32), -1
     pixels, own = np.zeros((3, size**2), np.float32), np.empty(size**2, np.int32)
+    spread = (size / frame[0]) ** 2 / 12
     for p in range(size**2):
         pixels[0, p], pixels[1, p] = p % size, p // size
     for top in range(0, height, size):
@@ -263,9 +264,8 @@ def _sum_over_pixels(labels, disparity, seen, cells, frame):
                 plane, middle, pixels_here = planes[label], mean[cell], moments[cell, N]
                 error = squared_error(plane[0], plane[1], plane[2], moments[cell])
                 _add_cell(moments[cell], middle, plane, lowest[label], pixels_here, sums[label])
-                sums[label, ZZZ] += pixels_here * _cube_of_depth(
-                    plane, lowest[label], (top, left, min(size, height - top),
-                                           min(size, width - left)), frame)
+                cube = _cube_of_depth(plane, middle, lowest[label], spread)
+                sums[label, ZZZ] += pixels_here * cube
                 sums[label, SQUARE] += max(error, 0.0) / max(middle[2], TINY_DISPARITY) ** 2
                 for j in range(SUMS - WHOLE):
                     sums[label, WHOLE + j] += moments[cell, j]
@@ -327,21 +327,15 @@ def _sum_parts(own, pixels, cell, place, frame, sums):
         label = np.int64(below)
 
 
-@kernel('float64(float64[::1], float64, UniTuple(int64, 4), float64[::1])')
-def _cube_of_depth(plane, least, cell, frame):
+@kernel('float64(float64[::1], float64[::1], float64, float64)')
+def _cube_of_depth(plane, mean, least, spread):
     """
-    Return the mean of z**3 of a plane over the pixels of a cell.
+    Return the mean of z**3 of a plane over a cell, whose x and y have this variance.
 
-    A triangle of T pixels, whose corners see the plane at depths z_i, covers T z_1 z_2 z_3 /
-    (fx fy offset) of it: the volume of the tetrahedron with the camera. A cell is two of them.
+    To second order it is that of the middle, and 6 times the relative variance of 1/z more.
     """
-    top, left, rows, columns = cell
-    a, b = plane[0] / frame[0], plane[1] / frame[0]
-    first = (plane[0] * frame[1] + plane[1] * frame[2] + plane[2] + a * (left - 0.5)
-             + b * (top - 0.5))
-    right, below = 1 / max(first + a * columns, least), 1 / max(first + b * rows, least)
-    return (right * below / 2
-            * (1 / max(first, least) + 1 / max(first + a * columns + b * rows, least)))
+    depth = 1 / max(plane[0] * mean[0] + plane[1] * mean[1] + plane[2], least)
+    return depth**3 * (1 + 6 * spread * (plane[0] ** 2 + plane[1] ** 2) * depth * depth)
 
 
 @kernel('void(float64[::1], float64[::1], float64[::1], float64, float64, float64[::1])')
