@@ -28,7 +28,7 @@ from plane_detector.segmentation.cells.model import (
 )
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
 from plane_detector.segmentation.regions.icm import POTTS_WEIGHT
-from plane_detector.segmentation.search.dbscan import label_clusters
+from plane_detector.segmentation.search.dbscan import clusters_and_cells
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS
 
@@ -75,22 +75,14 @@ def _reassign(given: np.ndarray, model: tuple, weights: tuple) -> np.ndarray:
     """Lower the energy of labels by single cells and by pieces, in turn; return the labels."""
     labels, single = given.copy(), np.arange(given.size, dtype=np.int32).reshape(given.shape)
     for _ in range(MAX_TRIALS):
-        cells = np.flatnonzero(at_borders(labels))
+        cells = np.flatnonzero(at_borders(labels)).astype(np.int32)
         _improve(labels, (single, cells, np.arange(len(cells) + 1)), model, weights)
-        if not _improve(labels, _pieces(labels), model, weights):
+        if not _improve(labels, clusters_and_cells(labels, CONNECTED), model, weights):
             break
     return labels
 
 
-def _pieces(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the connected piece of each cell, the cells piece by piece, where each starts."""
-    pieces, count = label_clusters(labels, CONNECTED)
-    cells = np.argsort(pieces, axis=None, kind='stable')
-    starts = np.searchsorted(pieces.reshape(-1)[cells], np.arange(count + 1))
-    return pieces, cells, starts
-
-
-@kernel('boolean(int32[:, ::1], Tuple((int32[:, ::1], int64[::1], int64[::1])), '
+@kernel('boolean(int32[:, ::1], Tuple((int32[:, ::1], int32[::1], int64[::1])), '
         f'{MODEL})')
 def _improve(labels, units, model, weights):
     """Give each unit of cells the label of lowest energy around it; return whether any changed."""
@@ -113,7 +105,7 @@ def _improve(labels, units, model, weights):
     return has_changed
 
 
-@kernel('int64(int32[:, ::1], int64[::1], int32, int32[::1], boolean[::1])')
+@kernel('int64(int32[:, ::1], int32[::1], int32, int32[::1], boolean[::1])')
 def _find_labels_around(labels, members, own, near, is_near):
     """Write the other labels around some cells to near; return how many. All flags stay unset."""
     (rows, columns), count = labels.shape, 0
@@ -130,7 +122,7 @@ def _find_labels_around(labels, members, own, near, is_near):
     return count
 
 
-@kernel(f'float64(int32[:, ::1], int32[:, ::1], int64[::1], int32, {MODEL})')
+@kernel(f'float64(int32[:, ::1], int32[:, ::1], int32[::1], int32, {MODEL})')
 def _energy(labels, unit, members, label, model, weights):
     """Return the energy of a unit of cells with a label, given the cells around it."""
     (planes, table, is_planar), (share, border_cost, per_jump) = model, weights

@@ -60,26 +60,35 @@ def label_clusters(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray
     count : int
 
     """
+    clusters, _, starts = clusters_and_cells(labels, dbscan)
+    return clusters, len(starts) - 1
+
+
+def clusters_and_cells(labels: np.ndarray, dbscan: DbscanConfig) -> tuple[np.ndarray, ...]:
+    """Return clusters as label_clusters does, their cells cluster by cluster, and each start."""
     (rows, columns), margin = labels.shape, int(dbscan.eps)
     wide = with_margin(labels.astype(np.int16), margin)
     near = neighbour_steps(dbscan.eps, wide.shape[1]), dbscan.min_samples
-    clusters, count = _cluster(wide.reshape(-1), near)
+    clusters, places, starts = _cluster(wide.reshape(-1), near)
     clusters = clusters.reshape(wide.shape)[margin:margin + rows, margin:margin + columns]
-    return np.ascontiguousarray(clusters), count
+    cells = cell_places(labels.shape, margin).reshape(-1)[places]
+    return np.ascontiguousarray(clusters), cells, starts
 
 
-@kernel(f'Tuple((int32[::1], int64))(int16[::1], {NEAR})', is_short=True)
+@kernel(f'Tuple((int32[::1], int64[::1], int64[::1]))(int16[::1], {NEAR})', is_short=True)
 def _cluster(labels, near):
-    """Return the cluster of each place, and their number."""
-    clusters, queue, count = np.full(len(labels), np.int32(-1)), np.empty(len(labels), np.int64), 0
-    is_taken = np.zeros(len(labels), np.bool_)
+    """Return the cluster of each place, the places cluster by cluster, where each starts."""
+    clusters, queue = np.full(len(labels), np.int32(-1)), np.empty(len(labels), np.int64)
+    is_taken, starts = np.zeros(len(labels), np.bool_), np.zeros(len(labels) + 1, np.int64)
+    count, end = 0, 0
     for start in range(len(labels)):
         if labels[start] >= 0 and not is_taken[start]:
-            end = grow_cluster(queue, 0, start, (labels, is_taken), near)
-            for k in range(end):
+            begin, end = end, grow_cluster(queue, end, start, (labels, is_taken), near)
+            for k in range(begin, end):
                 clusters[queue[k]] = count
-            count += end > 0
-    return clusters, count
+            count += end > begin
+            starts[count] = end
+    return clusters, queue[:end].copy(), starts[:count + 1].copy()
 
 
 @kernel(f'int64(int64[::1], int64, int64, Tuple((int16[::1], boolean[::1])), {NEAR})')
