@@ -29,23 +29,12 @@ STEPS = {'living_room': 10}
 
 @dataclass(frozen=True)
 class Frame:
-    """
-    An image with measured depth.
-
-    Attributes
-    ----------
-    set_name, name : str
-    rgb : (H, W, 3) uint8
-    depth_m : (H, W) float32
-        NaN where not measured.
-    intrinsics : CameraIntrinsics
-
-    """
+    """An image with measured depth."""
 
     set_name: str
     name: str
-    rgb: np.ndarray
-    depth_m: np.ndarray
+    rgb: np.ndarray  # (H, W, 3) uint8
+    depth_m: np.ndarray  # (H, W) float32: naN where not measured
     intrinsics: CameraIntrinsics
 
 
@@ -125,17 +114,10 @@ _ABW_FIRST_REGION = 10
 
 @dataclass(frozen=True)
 class LabelledFrame(Frame):
-    """
-    A frame with planes labelled by hand.
+    """A frame with planes labelled by hand."""
 
-    Attributes
-    ----------
-    labels : (H, W) int32
-        Plane of each pixel from 0, NO_PLANE where the labels say that there is none, UNKNOWN
-        where they say nothing.
-
-    """
-
+    # (H, W) int32: plane of each pixel from 0, NO_PLANE where the labels say that there is
+    # none, UNKNOWN where they say nothing
     labels: np.ndarray
 
 

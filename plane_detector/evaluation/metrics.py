@@ -19,20 +19,10 @@ MIN_PIXELS = 1500
 
 @dataclass(frozen=True)
 class Overlap:
-    """
-    Numbers of pixels common to true plane i and predicted plane j.
+    """Numbers of pixels common to true plane i and predicted plane j."""
 
-    Attributes
-    ----------
-    counts : (I + 1, J + 1) int64
-        The last row and column are for no plane.
-    iou : (I, J) float64
-        Intersection over union of the planes.
-
-    """
-
-    counts: np.ndarray
-    iou: np.ndarray
+    counts: np.ndarray  # (I + 1, J + 1) int64: the last row and column are for no plane
+    iou: np.ndarray  # (I, J) float64: intersection over union of the planes
 
 
 def overlap(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray) -> Overlap:
@@ -180,23 +170,12 @@ PIECE_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Coverage:
-    """
-    Coverage of the sensor's large planes.
+    """Coverage of the sensor's large planes."""
 
-    Attributes
-    ----------
-    planes : int
-        Number of planes of the sensor over LARGE_PLANE_SHARE of the image.
-    share : float
-        Share of their pixels covered by a predicted plane with IoU > 0.5; NaN without planes.
-    pieces : float
-        Mean number of predicted planes that each of them is split into.
-
-    """
-
-    planes: int
+    planes: int  # number of planes of the sensor over LARGE_PLANE_SHARE of the image
+    # share of their pixels covered by a predicted plane with IoU > 0.5; NaN without planes
     share: float
-    pieces: float
+    pieces: float  # mean number of predicted planes that each of them is split into
 
 
 def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
@@ -283,18 +262,9 @@ def labelled_score(true_labels: np.ndarray, labels: np.ndarray,
 
 @dataclass(frozen=True)
 class HooverScore:
-    """
-    Numbers of regions by kind, after Hoover et al. 1996.
+    """Numbers of regions by kind, after Hoover et al. 1996."""
 
-    Attributes
-    ----------
-    true, correct, over_segmented, under_segmented, missed : int
-        Of the true regions.
-    noise : int
-        Predicted regions that are none of them.
-
-    """
-
+    # of the true regions, and last of the predicted ones that are none of them
     true: int
     correct: int
     over_segmented: int

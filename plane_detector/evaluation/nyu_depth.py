@@ -37,25 +37,12 @@ _MISSING = ('reading MATLAB 7.3 files needs h5py: pip install h5py, or the extra
 
 @dataclass(frozen=True)
 class NyuFrame:
-    """
-    A frame without its border.
+    """A frame without its border."""
 
-    Attributes
-    ----------
-    number : int
-        From 1.
-    rgb : (H, W, 3) uint8
-    depth_m : (H, W) float32
-        NaN where not measured.
-    segments : (H, W) int32
-        Index of each annotated instance, 0 for pixels without annotation.
-    intrinsics : CameraIntrinsics
-
-    """
-
-    number: int
-    rgb: np.ndarray
-    depth_m: np.ndarray
+    number: int  # from 1
+    rgb: np.ndarray  # (H, W, 3) uint8
+    depth_m: np.ndarray  # (H, W) float32: naN where not measured
+    # (H, W) int32: index of each annotated instance, 0 for pixels without annotation
     segments: np.ndarray
     intrinsics: CameraIntrinsics
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.geometry.disparity import valid_depth
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.types import CameraIntrinsics
 
@@ -28,30 +27,15 @@ _REFITS = 3
 
 @dataclass(frozen=True)
 class JudgedPlane:
-    """
-    Errors of one plane against the sensor's points in its pixels.
+    """Errors of one plane against the sensor's points in its pixels."""
 
-    Attributes
-    ----------
-    index : int
-        Of the plane among those evaluated.
-    pixels : int
-        Pixels of the plane with sensor depth.
-    distance_m : float
-        Median distance of the sensor's points from the plane.
-    purity : float
-        Share of these points close to the best plane through them; 1 if the pixels really are one
-        plane.
-    normal_error_deg, offset_error_m : float
-        Errors of the plane against that best plane.
-
-    """
-
-    index: int
-    pixels: int
-    distance_m: float
+    index: int  # of the plane among those evaluated
+    pixels: int  # pixels of the plane with sensor depth
+    distance_m: float  # median distance of the sensor's points from the plane
+    # share of these points close to the best plane through them; 1 if the pixels really are
+    # one plane
     purity: float
-    normal_error_deg: float
+    normal_error_deg: float  # errors of the plane against that best plane
     offset_error_m: float
 
 
@@ -86,15 +70,6 @@ def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndar
         if len(there_m) >= MIN_SENSOR_PIXELS:
             judged.append(_judge(k, plane, there_m, rng))
     return judged
-
-
-def depth_error(depth_m: np.ndarray, true_depth_m: np.ndarray) -> tuple[float, float]:
-    """Return the mean relative error of the depth (AbsRel) and the median ratio to the truth."""
-    both = valid_depth(depth_m) & valid_depth(true_depth_m)
-    if not both.any():
-        return np.nan, np.nan
-    ratio = depth_m[both] / true_depth_m[both]
-    return float(np.abs(ratio - 1).mean()), float(np.median(ratio))
 
 
 def best_plane(points_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:

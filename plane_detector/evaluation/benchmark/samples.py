@@ -38,35 +38,16 @@ _SCENES: dict[str, Callable[[int], Scene]] = {
 
 @dataclass(frozen=True)
 class Sample:
-    """
-    One method on one scene with one noise.
-
-    Attributes
-    ----------
-    method, kind : str
-        ``kind`` is ``rooms``, ``lived-in rooms``, ``curved`` or the name of a set of real frames.
-    scene : str
-        Seed or name of the frame.
-    noise : Noise
-    cpu_ms : float
-        Time on one core; for a quick method the faster of two runs.
-    numbers : dict of str to float
-        By metric; NaN if undefined.
-    plane_shares : (n,) float64
-        Share of the image of each true plane over MIN_PIXELS.
-    found : (n,) bool
-        Whether it was found.
-
-    """
+    """One method on one scene with one noise."""
 
     method: str
-    kind: str
-    scene: str
+    kind: str  # rooms, lived-in rooms, curved or the name of a set of real frames
+    scene: str  # seed or name of the frame
     noise: Noise
-    cpu_ms: float
-    numbers: dict[str, float]
-    plane_shares: np.ndarray
-    found: np.ndarray
+    cpu_ms: float  # time on one core; for a quick method the faster of two runs
+    numbers: dict[str, float]  # by metric; NaN if undefined
+    plane_shares: np.ndarray  # (n,) float64: share of the image of each true plane over MIN_PIXELS
+    found: np.ndarray  # (n,) bool: whether it was found
 
 
 @dataclass(frozen=True)

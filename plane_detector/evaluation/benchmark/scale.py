@@ -45,22 +45,12 @@ UP_TO_A_FACTOR = ' (up to one factor)'
 
 @dataclass(frozen=True)
 class Errors:
-    """
-    Errors of one estimate.
+    """Errors of one estimate."""
 
-    Attributes
-    ----------
-    angle_deg : (n,) float64
-        Of the angle between each wall and the floor.
-    distance_share : (m,) float64
-        Of each plane's distance along the ray through its centre.
-    bend_deg : float
-        Largest change of an angle between two planes due to scale and shift, without noise.
-
-    """
-
-    angle_deg: np.ndarray
+    angle_deg: np.ndarray  # (n,) float64: of the angle between each wall and the floor
+    # (m,) float64: of each plane's distance along the ray through its centre
     distance_share: np.ndarray
+    # largest change of an angle between two planes due to scale and shift, without noise
     bend_deg: float
 
 

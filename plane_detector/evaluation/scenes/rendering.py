@@ -28,37 +28,20 @@ NEAREST_M = 0.05
 
 @dataclass(frozen=True)
 class Scene:
-    """
-    A rendered image with its ground truth; the arrays are read-only.
+    """A rendered image with its ground truth; the arrays are read-only."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-    depth_m : (H, W) float32
-        Exact depth; NaN where the ray hits nothing.
-    labels : (H, W) int32
-        Index into ``planes``, -1 for none.
-    planes : (N, 4) float64
-        Unit normal pointing to the camera and offset of every visible plane, in the camera frame.
-    intrinsics : CameraIntrinsics
-    gravity_camera : (3,) float64
-        Direction of gravity in the camera frame.
-    rectangles : (N,) int
-        Index of each plane's rectangle in the rendered list, which identifies a surface in images
-        from several positions.
-    height_m : float
-        Height of the camera above z = 0, the floor of rooms.
-
-    """
-
-    rgb: np.ndarray
-    depth_m: np.ndarray
-    labels: np.ndarray
+    rgb: np.ndarray  # (H, W, 3) uint8
+    depth_m: np.ndarray  # (H, W) float32: exact depth; NaN where the ray hits nothing
+    labels: np.ndarray  # (H, W) int32: index into ``planes``, -1 for none
+    # (N, 4) float64: unit normal pointing to the camera and offset of every visible plane,
+    # in the camera frame
     planes: np.ndarray
     intrinsics: CameraIntrinsics
-    gravity_camera: np.ndarray
+    gravity_camera: np.ndarray  # (3,) float64: direction of gravity in the camera frame
+    # (N,) int: index of each plane's rectangle in the rendered list, which identifies a
+    # surface in images from several positions
     rectangles: np.ndarray
-    height_m: float = 0.0
+    height_m: float = 0.0  # height of the camera above z = 0, the floor of rooms
 
     def __post_init__(self) -> None:
         for value in vars(self).values():

@@ -33,29 +33,15 @@ _TEMPTATIONS = ('box', 'ellipsoid', 'curtain', 'torus')
 
 @dataclass(frozen=True)
 class TrueShape:
-    """
-    A shape of a scene and its visible pixels.
-
-    Attributes
-    ----------
-    type : ShapeType
-    position_m : (3,) float64
-        Centre, a point on the axis, or the apex, in the camera frame.
-    axis : (3,) float64
-        Camera frame; zeros for a sphere.
-    radius_m : float
-        0 for a cone.
-    half_angle_rad : float
-    mask : (H, W) bool
-
-    """
+    """A shape of a scene and its visible pixels."""
 
     type: ShapeType
+    # (3,) float64: centre, a point on the axis, or the apex, in the camera frame
     position_m: np.ndarray
-    axis: np.ndarray
-    radius_m: float
+    axis: np.ndarray  # (3,) float64: camera frame; zeros for a sphere
+    radius_m: float  # 0 for a cone
     half_angle_rad: float
-    mask: np.ndarray
+    mask: np.ndarray  # (H, W) bool
 
 
 @dataclass(frozen=True)

@@ -22,24 +22,12 @@ class Revolution:
 
     The squared radius is a polynomial of the coordinate t along the axis, which covers cylinders,
     cones, spheres, ellipsoids and bowls.
-
-    Attributes
-    ----------
-    origin : (3,) float64
-        Point with t = 0, metres.
-    axis : (3,) float64
-        Unit vector.
-    squared_radius : tuple of float
-        a, b, c of r**2 = a + b t + c t**2; metres.
-    low_m, high_m : float
-        Ends of the range of t.
-
     """
 
-    origin: np.ndarray
-    axis: np.ndarray
-    squared_radius: tuple[float, float, float]
-    low_m: float
+    origin: np.ndarray  # (3,) float64: point with t = 0, metres
+    axis: np.ndarray  # (3,) float64: unit vector
+    squared_radius: tuple[float, float, float]  # a, b, c of r**2 = a + b t + c t**2; metres
+    low_m: float  # the smallest t
     high_m: float
 
     def hull(self) -> np.ndarray:

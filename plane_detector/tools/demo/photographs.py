@@ -74,30 +74,14 @@ class Lens:
 
 @dataclass(frozen=True)
 class Photograph:
-    """
-    An image, its camera, and the true depth if known.
+    """An image, its camera, and the true depth if known."""
 
-    Attributes
-    ----------
-    name : str
-        Also used as name of the result files.
-    rgb : (H, W, 3) uint8
-    intrinsics : CameraIntrinsics
-    calibration : str
-        Readable source of the intrinsics.
-    true_depth_m : (H, W) float32 or None
-        NaN where unknown.
-    remark : str
-        Facts needed to judge the result.
-
-    """
-
-    name: str
-    rgb: np.ndarray
+    name: str  # also used as name of the result files
+    rgb: np.ndarray  # (H, W, 3) uint8
     intrinsics: CameraIntrinsics
-    calibration: str
-    true_depth_m: np.ndarray | None = None
-    remark: str = ''
+    calibration: str  # readable source of the intrinsics
+    true_depth_m: np.ndarray | None = None  # (H, W) float32 or None; NaN where unknown
+    remark: str = ''  # facts needed to judge the result
 
 
 def library_images() -> list[Photograph]:

@@ -32,31 +32,6 @@ class ReplayOptions:
     """
     What to replay, and how.
 
-    Attributes
-    ----------
-    source, target : Path
-        The input bag and the new bag.
-    config : Config
-    settings : NodeConfig
-    topics : mapping of str to str
-        Requested input topics, see :func:`find_camera`.
-    depth_by_bag : bool
-        Whether to use measured depth if the bag has it for the image, whatever
-        ``config.depth.source`` is.
-    start_s, duration_s : float
-        Part of the bag to replay, relative to its first message.
-    every : int
-        One frame in this many is processed, starting with the first.
-    outputs : tuple of str
-        Names of the outputs to write.
-    copied : tuple of str or None
-        Topics to copy; an empty tuple: the inputs; None: nothing.
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    compressed : bool
-    figures, ply, table : Path or None
-        See :class:`ReplayFiles`.
-
     Examples
     --------
     >>> options = ReplayOptions(Path('walk'), Path('planes/walk'), depth_by_bag=True, every=2)
@@ -65,20 +40,20 @@ class ReplayOptions:
 
     """
 
-    source: Path
-    target: Path
+    source: Path  # the input bag
+    target: Path  # the new bag
     config: Config = field(default_factory=Config)
     settings: NodeConfig = field(default_factory=NodeConfig)
-    topics: Mapping[str, str] = field(default_factory=dict)
-    depth_by_bag: bool = False
-    start_s: float = 0.0
+    topics: Mapping[str, str] = field(default_factory=dict)  # requested, see find_camera
+    depth_by_bag: bool = False  # measured depth if the bag has it, whatever config.depth.source is
+    start_s: float = 0.0  # of the part to replay, after the first message
     duration_s: float = float('inf')
-    every: int = 1
+    every: int = 1  # one frame in this many, starting with the first
     outputs: tuple[str, ...] = DEFAULT_OUTPUTS
-    copied: tuple[str, ...] | None = None
-    storage: str = 'mcap'
+    copied: tuple[str, ...] | None = None  # topics; empty: the inputs; None: nothing
+    storage: str = 'mcap'  # or sqlite3
     compressed: bool = False
-    figures: Path | None = None
+    figures: Path | None = None  # these three: see ReplayFiles
     ply: Path | None = None
     table: Path | None = None
 
