@@ -6,7 +6,7 @@
 # make test                      the tests
 # make lint                      ruff
 # make faults                    fault injection, results as a table; SOAK_MINUTES=20 adds a long run
-# make benchmark                 the tables of docs/results.md (ARGS='segmentation --only rooms')
+# make benchmark                 the tables of docs/results.md (ARGS='labelled --frames')
 # make lock                      .ci/requirements.lock, the hashes of all packages (needs uv)
 # make defaults                  config/plane_detector.yaml and docs/parameters.md from config.py
 #

@@ -88,6 +88,7 @@ def missing(name):
     ('tools.show', 'cv2', "raise ImportError('libGL.so.1: no such file')",
      r'cv2 [0-9.]+ cannot be imported \(libGL.so.1: no such file; .*: .* install '),
     ('tools.show', 'rclpy', missing('rclpy'), ".*'rclpy': source the setup file of ROS"),
+    ('tools.rviz', 'rclpy', missing('rclpy'), ".*'rclpy': source the setup file of ROS"),
     ('ros.node', 'numba', "__version__ = '0.56.4'",
      'numba 0.56.4 is too old, 0.58 is needed: .* install '),
     *((module, 'sitecustomize', "import numpy; numpy.__version__ = '1.25.2'",

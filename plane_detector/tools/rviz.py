@@ -16,13 +16,17 @@ import tempfile
 import time
 from pathlib import Path
 
-import rclpy
-from rclpy.executors import Executor, ExternalShutdownException
-from rclpy.node import Node
-from rclpy.qos import qos_profile_sensor_data
-from sensor_msgs.msg import CameraInfo
+from plane_detector.dependencies import explained_imports
+from plane_detector.stopping import quiet_interrupt
 
-from plane_detector.ros.inputs.topic_names import input_topics
+with quiet_interrupt(), explained_imports():
+    import rclpy
+    from rclpy.executors import Executor, ExternalShutdownException
+    from rclpy.node import Node
+    from rclpy.qos import qos_profile_sensor_data
+    from sensor_msgs.msg import CameraInfo
+
+    from plane_detector.ros.inputs.topic_names import input_topics
 
 _FILE = 'plane_detector.rviz'
 _INTERRUPTED = 130
