@@ -11,61 +11,49 @@ import cv2
 import numpy as np
 
 from plane_detector.config import ShapesConfig
-from plane_detector.geometry.robust import dilated
 from plane_detector.shapes.fitting import (
-    FittedShape,
     explained_share,
     fit_shape,
     fit_silhouette,
     shape_residuals,
 )
-from plane_detector.shapes.models import AXIS, HALF_ANGLE, POSITION, RADIUS, surface_of
-from plane_detector.shapes.surface import DEVIATIONS
-from plane_detector.shapes.surfels import depth_sigma_m
-from plane_detector.shapes.views import (
-    THROUGH_STEP_PX,
-    DepthView,
-    FoundShape,
-    pixels_on,
-    rays_through,
+from plane_detector.shapes.surface import (
+    AXIS,
+    DEVIATIONS,
+    HALF_ANGLE,
+    POSITION,
+    RADIUS,
+    surface_of,
 )
+from plane_detector.shapes.surfels import depth_sigma_m
+from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
 
-# derived: cells cut by the silhouette are not members; they form a border of at most two cells.
-_BORDER_CELLS = 2
 # Pixels at a silhouette are mixtures, so the surroundings are examined this far outside.
 _RING_PX = 3
 # derived: over this many pixels a surface at 45 degrees to the ray changes as much in depth.
 _MAX_GAP_PX = _RING_PX + 1.0
+# Quantiles, so that a few outliers do not lengthen a shape.
+_LENGTH_QUANTILES = (0.01, 0.99)
+# Pieces are merged if one shape explains this share of the pixels of both.
+# tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.63 to 0.93.
+_MIN_JOINT_SHARE = 0.9
+# derived: saves a fit of a third of a millisecond; no fit explains pieces that are further apart.
+_FAR_DEVIATIONS = 10 * DEVIATIONS
 
 
 def on_image(view: DepthView, found: FoundShape) -> FoundShape:
     """Return a shape with the free pixels that lie on it and are connected with its cells."""
-    cells = dilated_cells(view, found.members)
+    cells = view.around(found.members)
     window = view.window_of(cells)
-    ends = tuple(end for side in window for end in (side.start, side.stop))
-    mask = pixels_on(view.image_with(found.absorbed), cells, ends, found.fit.shape, view.camera)
-    count, pieces = cv2.connectedComponents(mask, connectivity=8)
+    mask = view.mask_on(found.fit.shape, cells, window, found.absorbed)
+    count, pieces = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     rows, columns = (np.arange(side.start, side.stop) // view.size_px for side in window)
     core = found.members.reshape(view.shape)[np.ix_(rows, columns)]
     on_shape = np.zeros(count, bool)
     on_shape[pieces[core]] = True
     on_shape[0] = False
     return replace(found, window=window, mask=on_shape[pieces])
-
-
-def seen_through_cost(view: DepthView, fit: FittedShape, members: np.ndarray,
-                      around: np.ndarray) -> float:
-    """
-    Return the cost of rays that pass through the surface of a shape; each counts as an outlier.
-
-    A cylinder may fit the depth of a cone, but not its silhouette. The rays are those of the cells
-    (R, C) around the members (R * C,) of the shape.
-    """
-    along_m = surface_of(fit.shape, view.surfels.points_m[members]).along_m
-    ends_m = (along_m.min(), along_m.max()) if fit.shape[AXIS].any() else (-np.inf, np.inf)
-    through = rays_through(view.depth_m, around, fit.shape, ends_m, view.camera)
-    return DEVIATIONS**2 * through * THROUGH_STEP_PX**2 / view.correlated
 
 
 def open_share(view: DepthView, found: FoundShape) -> float:
@@ -88,22 +76,8 @@ def open_share(view: DepthView, found: FoundShape) -> float:
     gap_m = np.abs(view.depth_m[window][ring] - level_m)
     allowed_m = (_MAX_GAP_PX * level_m / view.intrinsics.fx + DEVIATIONS * depth_sigma_m(
         level_m, view.noise.mean_sigma, view.noise.depth_floor_m))
-    goes_on = view.is_free(window)[ring] & (gap_m < allowed_m)
+    goes_on = view.is_free[window][ring] & (gap_m < allowed_m)
     return float(goes_on.mean()) if goes_on.size else 0.0
-
-
-def dilated_cells(view: DepthView, members: np.ndarray) -> np.ndarray:
-    """Return the cells (R, C) bool that the silhouette of some cells (R * C,) may cross."""
-    return np.ascontiguousarray(dilated(members.reshape(view.shape), _BORDER_CELLS), bool)
-
-
-# Quantiles, so that a few outliers do not lengthen a shape.
-_LENGTH_QUANTILES = (0.01, 0.99)
-# Pieces are merged if one shape explains this share of the pixels of both.
-# tuned: benchmark shapes --first-seed 100 --scenes 40; flat from 0.63 to 0.93.
-_MIN_JOINT_SHARE = 0.9
-# derived: saves a fit of a third of a millisecond; no fit explains pieces that are further apart.
-_FAR_DEVIATIONS = 10 * DEVIATIONS
 
 
 def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
@@ -149,7 +123,7 @@ def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:
     """Merge pieces of one shape that a plane or a nearer object separates."""
     for k, one in enumerate(found):
         for other in found[k + 1:]:
-            if one.fit.model is other.fit.model and (both := _as_one(view, one, other)):
+            if one.fit.type is other.fit.type and (both := _as_one(view, one, other)):
                 rest = [piece for piece in found if piece is not one and piece is not other]
                 return _joined(view, [*rest, both])
     return found
@@ -163,12 +137,12 @@ def _as_one(view: DepthView, one: FoundShape, other: FoundShape) -> FoundShape |
         return None
     members = one.members | other.members
     pixels, _ = view.free_pixels(members)
-    fit = fit_shape(large.fit.model, large.fit.shape, pixels)
+    fit = fit_shape(large.fit.type, large.fit.shape, pixels)
     if fit is not None:  # pixels of the smaller piece that were outliers may fit now
-        fit = fit_shape(fit.model, fit.shape, pixels)
+        fit = fit_shape(fit.type, fit.shape, pixels)
     if fit is None or explained_share(fit, pixels) < _MIN_JOINT_SHARE:
         return None
-    fit = fit_silhouette(fit, pixels, view.silhouette(members, dilated_cells(view, members)))
+    fit = fit_silhouette(fit, pixels, view.silhouette(members, view.around(members)))
     return on_image(view, FoundShape(fit, members, max(one.open_share, other.open_share),
                                      one.absorbed | other.absorbed))
 
@@ -182,11 +156,11 @@ def _measured(view: DepthView, found: FoundShape) -> Shape:
                      for share in _LENGTH_QUANTILES)
     share = explained_share(fit, view.free_pixels(found.members)[0])
     shape = Shape(
-        fit.model.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),
+        fit.type, fit.shape[POSITION], fit.shape[AXIS], float(fit.shape[RADIUS]),
         float(fit.shape[HALF_ANGLE]), 0.0, int(found.mask.sum()),
         float(np.sqrt(np.mean(surface.distance_m**2))), fit.covariance,
         (1 - found.open_share) * share)
-    if fit.model.type == ShapeType.CYLINDER:
+    if fit.type == ShapeType.CYLINDER:
         middle_m = shape.position_m + (low_m + high_m) / 2 * shape.axis
         return replace(shape, position_m=middle_m, length_m=high_m - low_m)
-    return replace(shape, length_m=high_m) if fit.model.type == ShapeType.CONE else shape
+    return replace(shape, length_m=high_m) if fit.type == ShapeType.CONE else shape

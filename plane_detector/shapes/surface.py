@@ -1,19 +1,55 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled geometry of one shape (8,): distances, motions, rays."""
+"""
+Sphere, cylinder and cone as one surface with eight parameters, and its geometry, compiled.
+
+A shape is a row: position (3), unit axis (3), radius, half angle. The position is the centre of a
+sphere, a point on the axis of a cylinder, or the apex of a cone, whose axis points from the apex
+into the cone. Parameters that a kind does not have are 0. The surface of all three is the zero of
+
+    distance = away cos(half angle) - along sin(half angle) - radius,
+
+where ``along`` is the coordinate along the axis and ``away`` the distance from it. Shapes are
+convex and seen from outside: normals point away from the axis.
+
+References
+----------
+R. Schnabel, R. Wahl, R. Klein: Efficient RANSAC for Point-Cloud Shape Detection, 2007.
+
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.types import ShapeType
 
+POSITION, AXIS, RADIUS, HALF_ANGLE = np.s_[..., 0:3], np.s_[..., 3:6], np.s_[..., 6], np.s_[..., 7]
 TINY = 1e-12
 # Values of ShapeType, which compiled code cannot look up.
 SPHERE, CYLINDER, CONE = (int(kind) for kind in ShapeType)
+FREEDOMS = {ShapeType.SPHERE: np.array([0, 1, 2, 5]),
+            ShapeType.CYLINDER: np.array([0, 1, 3, 4, 5]),
+            ShapeType.CONE: np.array([0, 1, 2, 3, 4, 6])}
+"""Fitted parameters of each kind, as indices of the seven steps of :func:`moved`."""
 # after: the usual limit of three standard deviations.
 DEVIATIONS = 3.0
+
+
+class Surface(NamedTuple):
+    """Points (N, 3) relative to a shape."""
+
+    distance_m: np.ndarray  # (N,), positive outside
+    normal: np.ndarray  # (N, 3), the gradient of the distance
+    along_m: np.ndarray  # (N,) along the axis from the position; 0 for a sphere
+
+
+def surface_of(shape: np.ndarray, points: np.ndarray) -> Surface:
+    """Return points (N, 3) relative to a shape (8,)."""
+    return Surface(*surface_at(shape, np.ascontiguousarray(points, float)))
 
 
 @kernel('UniTuple(float64, 5)(float64[::1], float64, float64, float64)')
@@ -156,29 +192,31 @@ def nearest_on_ray(shape, turn, ray_x, ray_y):
     return middle + slope * np.sqrt(max(square, 0.0) / (across * (across - slope * slope)))
 
 
-@kernel('float64(float64[::1], float64, float64, float64, float64)')
-def depth_on_ray(shape, ray_x, ray_y, low, high):
+def depths_on_rays(shape: np.ndarray, rays: np.ndarray,
+                   ends: tuple[float, float] = (-np.inf, np.inf)) -> np.ndarray:
     """
-    Return the depth at which a ray of depth 1 meets the near side of a shape (8,), or inf.
+    Return the depths (N,) at which rays meet the near side of a shape, or inf.
 
     With w = z r - position and h = w . axis, all three are |w|^2 - k h^2 = radius^2: k is 0 for a
-    sphere, 1 for a cylinder and 1 + tan^2 of the half angle for a cone. ``low`` and ``high`` are
-    the ends along the axis; a sphere has none.
+    sphere, 1 for a cylinder and 1 + tan^2 of the half angle for a cone.
+
+    Parameters
+    ----------
+    shape : (8,) float64
+    rays : (N, 2) float64
+        x and y at depth 1.
+    ends : (float, float)
+        The ends along the axis; a sphere has none.
+
     """
-    factor = 1 + np.tan(shape[7]) ** 2
-    x, y, z = shape[0], shape[1], shape[2]
-    towards = ray_x * shape[3] + ray_y * shape[4] + shape[5]
-    start = x * shape[3] + y * shape[4] + z * shape[5]
-    square = ray_x * ray_x + ray_y * ray_y + 1 - factor * towards * towards
-    half = ray_x * x + ray_y * y + z - factor * towards * start
-    rest = x * x + y * y + z * z - factor * start * start - shape[6] ** 2
-    inside = half * half - square * rest
-    nearest = np.inf
-    if inside < 0 or square == 0:
-        return nearest
-    root = np.sqrt(inside)
-    for z_m in ((half + root) / square, (half - root) / square):
-        way = z_m * towards - start
-        if z_m > 0 and way >= low and way <= high and z_m < nearest:
-            nearest = z_m
-    return nearest
+    position, axis, factor = shape[POSITION], shape[AXIS], 1 + np.tan(shape[HALF_ANGLE]) ** 2
+    towards, start = rays @ axis[:2] + axis[2], position @ axis
+    square = (rays**2).sum(axis=1) + 1 - factor * towards**2
+    half = rays @ position[:2] + position[2] - factor * towards * start
+    rest = position @ position - factor * start**2 - shape[RADIUS] ** 2
+    with np.errstate(invalid='ignore', divide='ignore'):
+        root = np.sqrt(half**2 - square * rest)
+        depth = np.stack([half + root, half - root]) / square
+        along = depth * towards - start
+        is_met = (depth > 0) & (along >= ends[0]) & (along <= ends[1])
+    return np.where(is_met, depth, np.inf).min(axis=0)

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import N
@@ -55,6 +56,11 @@ class Surfels:
         return self.table[:, POINT:NORMAL]
 
     @property
+    def normals(self) -> np.ndarray:
+        """The normals, (R * C, 3) float64."""
+        return self.table[:, NORMAL:RAY]
+
+    @property
     def count(self) -> np.ndarray:
         """Number of pixels with depth, (R * C,) float64."""
         return self.table[:, COUNT]
@@ -64,6 +70,12 @@ class Surfels:
         """1/depth of the median cell; 0 if there is none."""
         z_m = self.table[self.usable, POINT + 2]
         return 1 / float(np.median(z_m)) if z_m.size else 0.0
+
+    def mask(self, cells: np.ndarray) -> np.ndarray:
+        """Return cells (n,) int as a mask (R, C) bool."""
+        mask = np.zeros(self.shape, bool)
+        mask.flat[cells] = True
+        return mask
 
 
 def depth_sigma_m(depth_m: np.ndarray, disparity_sigma: float, floor_m: float) -> np.ndarray:
@@ -84,95 +96,53 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
         Noise of the cells of this grid.
 
     """
-    camera = np.array([
-        intrinsics.fx, intrinsics.fy, intrinsics.cx - (intrinsics.width - 1) / 2,
-        intrinsics.cy - (intrinsics.height - 1) / 2, grid.width_px, grid.size_px])
-    sigmas = np.array([noise.mean_sigma, noise.slope_sigma, noise.pixel_sigma,
-                       noise.depth_floor_m])
-    cells = np.column_stack([grid.mean, grid.slope, grid.residual_rms, grid.moments[:, N]])
-    table, usable = surfel_table(cells, grid.usable, camera, sigmas)
+    camera, unit_px = intrinsics, grid.width_px
+    table = np.full((len(grid.usable), 13), np.nan)
+    table[:, COUNT] = grid.moments[:, N]
+    usable = grid.usable & (grid.mean[:, 2] > 0)
+    x, y, disparity = grid.mean[usable].T
+    slope_x, slope_y = grid.slope[usable].T
+    ray_x = (x * unit_px - camera.cx + (camera.width - 1) / 2) / camera.fx
+    ray_y = (y * unit_px - camera.cy + (camera.height - 1) / 2) / camera.fy
+    # 1/z = a r_x + b r_y + c is the plane (a, b, c) . p = 1.
+    a, b = slope_x * (camera.fx / unit_px), slope_y * (camera.fy / unit_px)
+    c, depth_m = disparity - a * ray_x - b * ray_y, 1 / disparity
+    length = np.sqrt(a * a + b * b + c * c)
+    width_m = grid.size_px / camera.fx * depth_m
+    slope_sigma = noise.slope_sigma * (camera.fx + camera.fy) / 2 / unit_px
+    tolerance_rad = _NORMAL_TOLERANCE_RAD + DEVIATIONS * slope_sigma / length
+    table[usable, :COUNT] = np.stack([
+        ray_x * depth_m, ray_y * depth_m, depth_m, -a / length, -b / length, -c / length,
+        ray_x, ray_y, np.ones_like(depth_m),
+        depth_sigma_m(depth_m, noise.mean_sigma, noise.depth_floor_m), _CELL_TOLERANCE * width_m,
+        np.cos(np.minimum(tolerance_rad, 1.0))], axis=1)
+    # A step within a cell bends it more than any curved surface that cells can resolve.
+    grain_m = depth_sigma_m(depth_m, noise.pixel_sigma, noise.depth_floor_m)
+    usable[usable] = (grid.residual_rms[usable] * depth_m**2
+                      < np.sqrt((DEVIATIONS * grain_m)**2 + (_MAX_GAP_SHARE * width_m)**2))
     return Surfels(grid.shape, table, usable)
 
 
-@kernel('Tuple((float64[:, ::1], boolean[::1]))(float64[:, ::1], boolean[::1], float64[::1], '
-        'float64[::1])')
-def surfel_table(cells, usable, camera, sigmas):
-    """
-    Return the table (n, 13) of cells (n, 7), and which of them are usable.
-
-    Parameters
-    ----------
-    cells : (n, 7) float64
-        Mean x, y and 1/depth, their slopes, rms about the cell's plane, pixels.
-    usable : (n,) bool
-    camera : (6,) float64
-        fx, fy, cx and cy from the centre of the image, unit of x and y, side of a cell; pixels.
-    sigmas : (4,) float64
-        Noise of means, slopes and pixels, 1/m, and the lower bound of the depth noise in metres.
-
-    """
-    table, good = np.full((len(cells), 13), np.nan), np.zeros(len(cells), np.bool_)
-    slope_sigma = sigmas[1] * (camera[0] + camera[1]) / 2 / camera[4]
-    for i in range(len(cells)):
-        disparity, row = cells[i, 2], table[i]
-        row[COUNT] = cells[i, 6]
-        if not (usable[i] and disparity > 0):
-            continue
-        z = 1 / disparity
-        # 1/z = a r_x + b r_y + c is the plane (a, b, c) . p = 1.
-        row[RAY] = (cells[i, 0] * camera[4] - camera[2]) / camera[0]
-        row[RAY + 1] = (cells[i, 1] * camera[4] - camera[3]) / camera[1]
-        row[RAY + 2] = 1.0
-        a, b = cells[i, 3] * camera[0] / camera[4], cells[i, 4] * camera[1] / camera[4]
-        c = disparity - a * row[RAY] - b * row[RAY + 1]
-        length = np.sqrt(a * a + b * b + c * c)
-        row[NORMAL], row[NORMAL + 1], row[NORMAL + 2] = -a / length, -b / length, -c / length
-        row[POINT], row[POINT + 1], row[POINT + 2] = row[RAY] * z, row[RAY + 1] * z, z
-        width = camera[5] / camera[0] * z
-        row[SIGMA], row[CURVED] = np.hypot(sigmas[0] * z * z, sigmas[3]), _CELL_TOLERANCE * width
-        tolerance_rad = _NORMAL_TOLERANCE_RAD + DEVIATIONS * slope_sigma / length
-        row[MIN_COSINE] = np.cos(min(tolerance_rad, 1.0))
-        # A step within a cell bends it more than any curved surface that cells can resolve.
-        grain = np.hypot(sigmas[2] * z * z, sigmas[3])
-        good[i] = cells[i, 5] * z * z < np.hypot(DEVIATIONS * grain, _MAX_GAP_SHARE * width)
-    return table, good
+def smooth_components(surfels: Surfels, free: np.ndarray) -> np.ndarray:
+    """Return the component (R * C,) of smoothly connected free cells (R * C,), -1 for others."""
+    cells = np.arange(len(free)).reshape(surfels.shape)
+    one = np.concatenate([cells[:, :-1].ravel(), cells[:-1].ravel()])
+    other = np.concatenate([cells[:, 1:].ravel(), cells[1:].ravel()])
+    both = free[one] & free[other]
+    one, other = one[both], other[both]
+    joined = _goes_on(surfels.table[one], surfels.table[other])
+    graph = coo_array((joined[joined], (one[joined], other[joined])), (len(free),) * 2)
+    return np.where(free, connected_components(graph, directed=False)[1], -1)
 
 
-@kernel('boolean(float64[::1], float64[::1])')
-def goes_on(one, other):
+def _goes_on(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """
     Return whether the surface continues without a step between adjacent cells, rows of the table.
 
     The gap between two cells is the distance of each centre from the plane of the other.
     """
-    square = first = second = 0.0
-    for k in range(3):
-        apart = other[POINT + k] - one[POINT + k]
-        square += apart * apart
-        first += apart * one[NORMAL + k]
-        second += apart * other[NORMAL + k]
-    allowed = (DEVIATIONS * one[SIGMA]) ** 2 + _MAX_GAP_SHARE**2 * square
-    return max(first * first, second * second) < allowed
-
-
-@kernel('int64[::1](float64[:, ::1], boolean[::1], int64)')
-def smooth_components(table, free, columns):
-    """Return the component (n,) of smoothly connected free cells, -1 for other cells."""
-    component, stack = np.full(len(free), -1), np.empty(len(free), np.int64)
-    count = 0
-    for start in range(len(free)):
-        if not free[start] or component[start] >= 0:
-            continue
-        component[start], stack[0], top = count, start, 1
-        while top:
-            top -= 1
-            here = stack[top]
-            column = here % columns
-            for there in (here - columns, here + columns, here - 1 if column else -1,
-                          here + 1 if column < columns - 1 else -1):
-                if (0 <= there < len(free) and free[there] and component[there] < 0
-                        and goes_on(table[min(here, there)], table[max(here, there)])):
-                    component[there], stack[top] = count, there
-                    top += 1
-        count += 1
-    return component
+    apart_m = other[:, POINT:NORMAL] - one[:, POINT:NORMAL]
+    gap_m = np.maximum(*(np.abs((apart_m * cell[:, NORMAL:RAY]).sum(axis=1))
+                         for cell in (one, other)))
+    allowed_m2 = (DEVIATIONS * one[:, SIGMA])**2 + _MAX_GAP_SHARE**2 * (apart_m**2).sum(axis=1)
+    return gap_m**2 < allowed_m2

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Spheres, cylinders and cones: from oriented points, distances, derivatives."""
+"""Spheres, cylinders and cones: from oriented points, distances, derivatives, least squares."""
 
 from __future__ import annotations
 
@@ -8,29 +8,20 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from plane_detector.shapes.fitting import (
-    fitted,
-    gradient,
-    least_squares,
-)
-from plane_detector.shapes.models import CONE, CYLINDER, SPHERE, surface_of
-from plane_detector.shapes.search import shape_through
-from plane_detector.shapes.surface import (
-    depth_on_ray,
-    frame_of,
-    moved,
-    turn_of,
-)
+from plane_detector.shapes.fitting import Pixels, Silhouette, fit_shape, least_squares, linearized
+from plane_detector.shapes.search import shapes_through
+from plane_detector.shapes.surface import FREEDOMS, depths_on_rays, frame_of, moved, surface_of
+from plane_detector.types import ShapeType
 
-NO_RAYS, TRUST = np.zeros((0, 4)), (1.0, 0.002, 6.0)
+NO_RAYS = np.zeros((0, 4))
 SHAPES = {
-    'sphere': (SPHERE, np.array([0.1, 0.2, 2.0, 0, 0, 0, 0.5, 0])),
-    'cylinder': (CYLINDER, np.array([0.1, 0.2, 2.0, 0.6, 0.0, 0.8, 0.3, 0])),
-    'cone': (CONE, np.array([0.1, 0.2, 2.0, 0.6, 0.8, 0.0, 0.0, 0.4])),
-}
+    ShapeType.SPHERE: np.array([0.1, 0.2, 2.0, 0, 0, 0, 0.5, 0]),
+    ShapeType.CYLINDER: np.array([0.1, 0.2, 2.0, 0.6, 0.0, 0.8, 0.3, 0]),
+    ShapeType.CONE: np.array([0.1, 0.2, 2.0, 0.6, 0.8, 0.0, 0.0, 0.4])}
+every_kind = pytest.mark.parametrize('kind', SHAPES, ids=lambda kind: kind.name)
 
 
-def surface_points(model, shape, count, rng):
+def surface_points(shape, count, rng):
     """Return points on a shape and their normals: random points, moved along the gradient."""
     points = shape[:3] + rng.normal(0, 0.5, (count, 3)) + 0.7 * shape[3:6]
     for _ in range(60):
@@ -39,89 +30,84 @@ def surface_points(model, shape, count, rng):
     return points, surface_of(shape, points).normal
 
 
-@pytest.mark.parametrize('name', SHAPES)
-def test_a_shape_is_found_again_from_its_points_and_normals(name):
-    model, shape = SHAPES[name]
-    points, normals = surface_points(model, shape, 90, np.random.default_rng(0))
-    found = np.array([shape_through(int(model.type), *sample) for sample in zip(
-        points.reshape(-1, 3, 3), normals.reshape(-1, 3, 3), strict=True)])
+@every_kind
+def test_a_shape_is_found_again_from_its_points_and_normals(kind):
+    shape = SHAPES[kind]
+    points, normals = surface_points(shape, 90, np.random.default_rng(0))
+    found = shapes_through(kind, points.reshape(-1, 3, 3), normals.reshape(-1, 3, 3))
     distance_m = np.array([surface_of(one, points).distance_m for one in found])
     assert np.median(np.abs(distance_m)) < 1e-9
     np.testing.assert_allclose(np.median(found[:, 6:], axis=0), shape[6:], atol=1e-9)
 
 
-@pytest.mark.parametrize('name', SHAPES)
-def test_jacobian_is_that_of_small_steps(name):
-    model, shape = SHAPES[name]
-    points = np.random.default_rng(1).normal(0, 1, (20, 3))
-    frame, freedoms = frame_of(shape), list(model.freedoms)
+@every_kind
+def test_derivatives_are_those_of_small_steps(kind):
+    shape, rng = SHAPES[kind], np.random.default_rng(1)
+    points, weight = rng.normal(0, 1, (20, 3)), rng.uniform(1, 2, 20)
     expected = np.stack([
-        (surface_of(moved(shape, step, frame), points).distance_m
-         - surface_of(moved(shape, -step, frame), points).distance_m) / 2e-6
-        for step in 1e-6 * np.eye(7)[freedoms]])
-    found = np.empty((20, 7))
-    distance_m = [gradient(shape, turn_of(shape), frame, point, row)
-                  for point, row in zip(points, found, strict=True)]
-    np.testing.assert_allclose(distance_m, surface_of(shape, points).distance_m, atol=1e-12)
-    np.testing.assert_allclose(found.T[freedoms], expected, atol=1e-6)
+        (surface_of(moved(shape, step, frame_of(shape)), points).distance_m
+         - surface_of(moved(shape, -step, frame_of(shape)), points).distance_m) / 2e-6
+        for step in 1e-6 * np.eye(7)[FREEDOMS[kind]]])
+    distance, slope = linearized(shape, FREEDOMS[kind], points, NO_RAYS, weight)
+    np.testing.assert_allclose(distance, weight * surface_of(shape, points).distance_m, atol=1e-12)
+    np.testing.assert_allclose(slope, weight * expected, atol=1e-6)
 
 
-@pytest.mark.parametrize('name', SHAPES)
-def test_rays_meet_the_surface_at_their_depth(name):
-    model, shape = SHAPES[name]
-    slopes = np.random.default_rng(2).uniform(-0.3, 0.3, (200, 2))
-    rays = np.column_stack([slopes, np.ones(len(slopes))])
-    low_m = 0.0 if name == 'cone' else -np.inf
-    depth_m = np.array([depth_on_ray(shape, *slope, low_m, np.inf) for slope in slopes])
+@every_kind
+def test_rays_meet_the_surface_at_their_depth(kind):
+    shape, slopes = SHAPES[kind], np.random.default_rng(2).uniform(-0.3, 0.3, (200, 2))
+    ends_m = (0.0 if kind == ShapeType.CONE else -np.inf, np.inf)
+    depth_m = depths_on_rays(shape, slopes, ends_m)
     hit = np.isfinite(depth_m)
     assert 5 < hit.sum() <= 200
-    surface = surface_of(shape, rays[hit] * depth_m[hit, None])
+    rays = np.column_stack([slopes, np.ones(len(slopes))])[hit]
+    surface = surface_of(shape, rays * depth_m[hit, None])
     np.testing.assert_allclose(surface.distance_m, 0, atol=1e-7)
-    facing = (surface.normal * rays[hit]).sum(axis=1)
+    facing = (surface.normal * rays).sum(axis=1)
     assert (facing <= 1e-9).mean() > 0.95  # the near side
 
 
-def noisy_points(model, shape, rng):
-    """Return points with noise along their rays, and the noise (N, 2)."""
-    points, _ = surface_points(model, shape, 300, rng)
+def noisy_pixels(shape, rng, sigma=0.002, points=None):
+    """Return points with noise along their rays, a share of the depth."""
+    points = surface_points(shape, 300, rng)[0] if points is None else points
     points = points[points[:, 2] > 1.0]
-    sigma = 0.002 * points[:, 2]
-    points *= 1 + 0.002 * rng.normal(0, 1, (len(points), 1))
-    return points, np.column_stack([sigma, 2 * sigma])
+    points = points * (1 + sigma * rng.normal(0, 1, (len(points), 1)))
+    return Pixels(points, points[:, 2:] * [[sigma, 2 * sigma]], len(points))
 
 
-@pytest.mark.parametrize('name', SHAPES)
-def test_least_squares_equal_those_of_scipy(name):
-    model, shape = SHAPES[name]
-    rng = np.random.default_rng(3)
-    points, noise = noisy_points(model, shape, rng)
-    weight, freedoms = 1 / noise[:, 1], np.array(model.freedoms)
+@every_kind
+def test_least_squares_equal_those_of_scipy(kind):
+    shape, freedoms = SHAPES[kind], FREEDOMS[kind]
+    pixels = noisy_pixels(shape, np.random.default_rng(3))
+    weight = 1 / pixels.noise_m[:, 1]
 
     def residual(step):
         steps = np.zeros(7)
         steps[freedoms] = step
-        return surface_of(moved(shape, steps, frame_of(shape)), points).distance_m * weight
+        after = moved(shape, steps, frame_of(shape))
+        return surface_of(after, pixels.points_m).distance_m * weight
 
     best = optimize.least_squares(residual, np.zeros(len(freedoms)), method='lm')
     start = moved(shape, 0.01 * np.eye(7)[freedoms].sum(axis=0), frame_of(shape))
-    found = least_squares(start, freedoms, points, NO_RAYS, weight)
-    cost = ((surface_of(found, points).distance_m * weight) ** 2).sum() / 2
+    found, information = least_squares(start, freedoms, pixels.points_m, NO_RAYS, weight)
+    cost = ((surface_of(found, pixels.points_m).distance_m * weight) ** 2).sum() / 2
     assert best.cost <= cost * (1 + 1e-9)
     assert cost < best.cost * (1 + 1e-3)
+    expected = np.linalg.inv(best.jac.T @ best.jac)[-1, -1]  # of the size, whatever the frame
+    assert np.linalg.inv(information)[-1, -1] == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.parametrize('name', SHAPES)
-def test_outliers_do_not_change_a_fit(name):
-    model, shape = SHAPES[name]
-    points, noise = noisy_points(model, shape, np.random.default_rng(3))
-    freedoms = np.array(model.freedoms)
-    wild = points.copy()
-    wild[:20] *= 4
-    alone, _ = fitted(shape, freedoms, points[20:].copy(), noise[20:].copy(), NO_RAYS, TRUST)
-    found, information = fitted(shape, freedoms, wild, noise, NO_RAYS, TRUST)
-    np.testing.assert_allclose(found, alone, atol=1e-9)
-    sigma = np.sqrt(np.diag(np.linalg.inv(information)))[-1]
-    assert abs(found - shape)[6:].max() < 5 * sigma
+@every_kind
+def test_outliers_do_not_change_a_fit(kind):
+    shape = SHAPES[kind]
+    pixels = noisy_pixels(shape, np.random.default_rng(3))
+    wild_m = pixels.points_m.copy()
+    wild_m[:20] *= 4
+    alone = fit_shape(kind, shape, Pixels(pixels.points_m[20:], pixels.noise_m[20:], 100.0))
+    found = fit_shape(kind, shape, Pixels(wild_m, pixels.noise_m, 100.0))
+    np.testing.assert_allclose(found.shape, alone.shape, atol=1e-9)
+    assert abs(found.shape - shape)[6:].max() < 5 * found.size_sigma
+    assert fit_shape(kind, shape, Pixels(wild_m[:20], pixels.noise_m[:20], 20.0)) is None
 
 
 def test_the_silhouette_gives_the_size_that_noise_hides():
@@ -129,17 +115,14 @@ def test_the_silhouette_gives_the_size_that_noise_hides():
     rng, pixel = np.random.default_rng(7), 1 / 525
     pipe = np.array([0.0, 0.0, 2.0, 0.0, 1.0, 0.0, 0.05, 0.0])
     slopes = np.column_stack([rng.uniform(-0.024, 0.024, 400), rng.uniform(-0.3, 0.3, 400)])
-    depth_m = np.array([depth_on_ray(pipe, *slope, -np.inf, np.inf) for slope in slopes])
-    noisy_m = depth_m + rng.normal(0, 0.04, 400)
+    noisy_m = depths_on_rays(pipe, slopes) + rng.normal(0, 0.04, 400)
     points = np.column_stack([slopes, np.ones(400)]) * noisy_m[:, None]
-    noise = np.full((400, 2), [0.04, 2 * pixel])
+    pixels = Pixels(points, np.full((400, 2), [0.04, 2 * pixel]), 20.0)
     side = 0.05 / np.sqrt(4 - 0.05**2)
     rays = np.array([[sign * side + rng.uniform(-0.5, 0.5) * pixel, y, 2.0, 0.04]
                      for y in np.linspace(-0.3, 0.3, 60) for sign in (-1, 1)])
-    start, freedoms = pipe + [0.01, 0, 0.02, 0, 0, 0, 0.02, 0], np.array(CYLINDER.freedoms)
-    trust = (0.05, pixel, 10.0)
-    _, blind = fitted(start, freedoms, points, noise, NO_RAYS, trust)
-    found, information = fitted(start, freedoms, points, noise, rays, trust)
-    sigma = [np.sqrt(np.linalg.inv(one)[-1, -1]) for one in (blind, information)]
-    assert found[6] == pytest.approx(0.05, abs=0.001)
-    assert sigma[0] > 0.005 > 0.001 > sigma[1]
+    start = pipe + [0.01, 0, 0.02, 0, 0, 0, 0.02, 0]
+    blind = fit_shape(ShapeType.CYLINDER, start, pixels)
+    found = fit_shape(ShapeType.CYLINDER, start, pixels, Silhouette(rays, pixel), 10.0)
+    assert found.shape[6] == pytest.approx(0.05, abs=0.001)
+    assert blind.size_sigma > 0.005 > 0.001 > found.size_sigma
