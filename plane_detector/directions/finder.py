@@ -11,11 +11,16 @@ from functools import partial
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.directions.floor_evidence import surface_normals
-from plane_detector.directions.gravity_choice import Gravity, choose_gravity
+from plane_detector.directions.gravity_choice import LIKELY_SIGMAS, Gravity, choose_gravity
 from plane_detector.directions.line_segments import LineSegments, detect_line_segments
-from plane_detector.directions.posterior import NETWORK_NORMAL_DEG, SENSOR_NORMAL_DEG
-from plane_detector.directions.temporal_filter import TrackedDirections, track_directions
+from plane_detector.directions.posterior import (
+    NETWORK_NORMAL_DEG,
+    SENSOR_NORMAL_DEG,
+    Expected,
+    collect_evidence,
+    surface_normals,
+)
+from plane_detector.directions.temporal_filter import carried
 from plane_detector.directions.vanishing import SceneDirections, find_directions
 from plane_detector.types import CameraIntrinsics
 
@@ -29,7 +34,7 @@ class ImageDirections:
     ----------
     segments : LineSegments
     directions : SceneDirections
-        Averaged with those of the images before, or of this image alone.
+        Of this image and those before it.
 
     """
 
@@ -42,12 +47,12 @@ class ImageDirections:
         if self.directions.gravity_camera is None:
             return np.zeros((0, 3))
         return np.vstack([self.directions.gravity_camera[None],
-                          *(pair.axes for pair in self.directions.pairs[:1])])
+                          *self.directions.pairs[:1]])
 
     @property
     def all_axes(self) -> np.ndarray:
         """As ``axes``, with all pairs of horizontal axes about the vertical."""
-        return np.vstack([self.axes, *(pair.axes for pair in self.directions.pairs[1:])])
+        return np.vstack([self.axes, *self.directions.pairs[1:]])
 
 
 @dataclass(frozen=True)
@@ -77,22 +82,29 @@ class CameraImage:
     is_measured: bool = False
 
 
-def find_in_image(image: CameraImage, coarse_down: np.ndarray | None = None) -> ImageDirections:
+def find_in_image(image: CameraImage, expected: Expected | None = None,
+                  before: ImageDirections | None = None) -> ImageDirections:
     """
     Find the lines of an image and the directions common to them.
 
     Parameters
     ----------
     image : CameraImage
-    coarse_down : (3,) floating, optional
-        Approximate unit direction of gravity; default: that of an upright camera.
+    expected : Expected, optional
+        Default: a camera held upright.
+    before : ImageDirections, optional
+        Of the image before.
 
     """
+    expected = expected or Expected()
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
     surface = (None if image.disparity is None
                else surface_normals(image.disparity, image.intrinsics))
     normal_deg = SENSOR_NORMAL_DEG if image.is_measured else NETWORK_NORMAL_DEG
-    return ImageDirections(segments, find_directions(segments, coarse_down, surface, normal_deg))
+    if before is not None:
+        expected = carried(expected, before.directions, before.segments, segments)
+    return ImageDirections(segments, find_directions(
+        segments, collect_evidence(segments, surface, normal_deg), expected))
 
 
 class Need(Enum):
@@ -131,10 +143,10 @@ class Surroundings:
 
 
 class DirectionFinder:
-    """Finds the directions of each image and averages them over time."""
+    """Finds the directions of each image, with the posterior of the images before."""
 
     def __init__(self) -> None:
-        self._tracked: TrackedDirections | None = None
+        self._lines: ImageDirections | None = None
 
     def look(self, image: CameraImage, measured_down: np.ndarray | None, config: Config,
              need: Need = Need.GRAVITY, may_hold: bool = False) -> Surroundings:
@@ -159,13 +171,13 @@ class DirectionFinder:
         known = choose(None)
         if need != Need.PLANES and (known.is_sure or not config.directions.gravity):
             return Surroundings(known, None)
-        if self._tracked is None or not may_hold:
-            alone = find_in_image(image, known.gravity_camera)
-            self._tracked = track_directions(self._tracked, alone.directions, alone.segments)
-        lines = ImageDirections(self._tracked.segments, self._tracked.directions)
-        return Surroundings(choose(lines.directions) if config.directions.gravity else known,
-                            lines)
+        if self._lines is None or not may_hold:
+            expected = Expected() if known.gravity_camera is None else Expected(
+                known.gravity_camera, known.tolerance_deg / LIKELY_SIGMAS)
+            self._lines = find_in_image(image, expected, self._lines)
+        return Surroundings(choose(self._lines.directions) if config.directions.gravity
+                            else known, self._lines)
 
     def reset(self) -> None:
         """Discard what is kept from earlier images."""
-        self._tracked = None
+        self._lines = None

@@ -64,38 +64,6 @@ def _sine(normal, midpoint, direction):
     return cross / np.sqrt(x * x + y * y + 1e-12)
 
 
-def pointing(sine: np.ndarray, tolerance_deg: float) -> np.ndarray:
-    """Return 1 for segments that point exactly to a direction, 0 at the tolerance and beyond."""
-    return np.maximum(1.0 - (sine / np.sin(np.radians(tolerance_deg))) ** 2, 0.0)
-
-
-def significance(weights: np.ndarray, points: np.ndarray, tolerance_deg: float,
-                 directions: int = 1) -> np.ndarray:
-    """
-    Return the significance of segments that point to directions, in standard deviations.
-
-    Parameters
-    ----------
-    weights : (N,) float
-        Lengths of the segments.
-    points : (..., N) float
-        Values of :func:`pointing`, summed over the directions.
-    tolerance_deg : float
-    directions : int
-        Number of directions that a segment may point to.
-
-    Notes
-    -----
-    By chance the angle is uniform in 0 to 90 degrees, so the mean of 1 - (a / t)^2 below t is
-    2/3 t / 90, and the mean of its square is 8/15 t / 90.
-
-    """
-    share = directions * tolerance_deg / 90.0
-    mean, square = 2.0 / 3.0 * share, 8.0 / 15.0 * share
-    spread = np.sqrt((square - mean**2) * (weights**2).sum())
-    return (points @ weights - mean * weights.sum()) / max(spread, 1e-12)
-
-
 def fit_frame(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...] = (0, 1, 2)
               ) -> FrameFit:
     """

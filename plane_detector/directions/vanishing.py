@@ -1,15 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Vanishing directions of a calibrated image: the vertical and the horizontal axes.
+Directions of a calibrated image: the vertical and pairs of horizontal axes.
 
-1. The posterior of pitch, roll and azimuth has a main mode; the probability of its vertical
-   decides whether there is an answer.
-2. The tiles of an inclined floor may outvote the vertical edges: if lines along no horizontal axis
-   meet in another point near the vertical, that point is used, and the horizontal axes are
-   refused.
-3. With a known vertical the azimuths of pairs of horizontal axes are found by search.
-4. Vertical and pairs are fitted to their segments by reweighted least squares.
+1. The main mode of the posterior is fitted to its segments.
+2. Its level lines may be those of a floor that rises: the upright lines alone tell.
+3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else tells.
+   What remains is the probability of the vertical.
+4. The azimuth of horizontal axes about it has a posterior of the same kind. Further pairs (an
+   Atlanta world, Schindler and Dellaert 2004) have that of the segments that no direction before
+   explains, or these are strays.
+5. Vertical and first pair are fitted once more, and averaged with those of the images before.
 """
 
 from __future__ import annotations
@@ -18,47 +19,55 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.directions.axis_pairs import (
-    SYSTEMATIC_DEG,
-    AxisPair,
-    Azimuth,
-    find_azimuth,
-    more_pairs,
-    points_to,
-    support,
-)
-from plane_detector.directions.frames import (
-    fit_frame,
-    misalignment,
-    pointing,
-    significance,
-)
+from plane_detector.directions.frames import FrameFit, fit_frame, misalignment
 from plane_detector.directions.line_segments import LineSegments
 from plane_detector.directions.posterior import (
     CLOSE_DEG,
-    NETWORK_NORMAL_DEG,
+    FINE_ERROR_DEG,
+    STRAY_LINES,
+    Evidence,
+    Expected,
+    Modes,
+    collect_evidence,
+    log_likelihood,
+    turn_between,
+    unit,
     upright_posterior,
 )
 
-# An answer is given if its vertical is right with this probability.
+# An answer is given if it is right with this probability.
 MIN_PROBABILITY = 0.9
-# tuned: python -m plane_detector.evaluation.benchmark orientation, flat from 2 to 4.
-VERTICAL_TOLERANCE_DEG = 2.5
-# Search range and step for a vertical supported by vertical lines only. It replaces that of the
-# best frame if it differs by MIN_LEAN_DEG and the latter has at most this share of its score.
-# tuned: python -m plane_detector.evaluation.benchmark orientation --only rendered --first-seed 300
-# --scenes 30, flat from 0.7 to 0.9: the share is 0.94 and more with the right vertical, 0.64 and
-# less with that of a floor that rises by 8 degrees.
-MAX_LEAN_DEG, LEAN_STEP_DEG, MIN_LEAN_DEG, MAX_LEAN_SHARE = 14, 2, 3.0, 0.8
-# Its significance in standard deviations: 19 and more in rooms with a ramp, at most 12 for the
-# clutter of a kitchen.
-MIN_LEAN_SIGMAS = 15.0
+# Share of the images whose level lines are those of a floor that rises, by up to these angles, and
+# the angle up to which it does not. tuned: rooms whose floor rises by 8 degrees, seeds 300 to 311:
+# at 0.05 three of 11 answers are wrong, at 0.1 one of 10.
+RISING, RISES_DEG, LEVEL_DEG = 0.1, np.arange(-14.0, 15.0, 2.0), 3.0
+# Share of the images whose upright lines are those of a thing that leans. derived: above what the
+# probability of an answer leaves, so that upright lines alone are not enough; with other lines
+# flat from 0.05 to 0.3.
+LEANING = 0.15
+# Odds that the azimuth of the image before is that of this one.
+HELD_AXES_ODDS = 100.0
+# Azimuths within this angle are the same before the fit. tuned: at 5 degrees axes of 2 of 5 Kinect
+# frames are given, at 9 of 3; none is wrong.
+CLOSE_AZIMUTH_DEG = 9
+# Segments within this angle of a direction are explained by it and support no other direction.
+# derived: beyond three standard deviations of a long line.
+REACH_DEG = 4.0
+# derived: a third pair does not change any plane.
+MAX_PAIRS = 2
+# Accuracy of building edges and lens calibrations. tuned: on real images nine of ten directions of
+# gravity are within twice this value.
+SYSTEMATIC_DEG = 1.0
+# Random error of the directions of one image, and least weight of a new image in the average.
+# tuned: flat from 0.1 to 0.3, flicker of a still camera below half a degree.
+RANDOM_RAD, MIN_GAIN = np.radians(0.5), 0.2
+NO_PAIRS = np.zeros((0, 2, 3))
 
 
 @dataclass(frozen=True)
 class SceneDirections:
     """
-    Directions estimated from the lines of an image.
+    Directions of an image.
 
     Attributes
     ----------
@@ -66,98 +75,173 @@ class SceneDirections:
         Unit direction of gravity in the optical frame.
     covariance : (3, 3) float64
         Of that direction, rad^2; singular along it.
-    support : float
-        Share of the line length that points to it.
-    pairs : tuple of AxisPair
-        Horizontal axes, the best supported first; empty if none is reliable.
-    probability : float
-        That the direction of gravity is right within 5 degrees.
+    pairs : (P, 2, 3) float64
+        Pairs of horizontal unit directions at right angles, the best supported first; their signs
+        have no meaning.
     refusal : str
         Why there is no direction of gravity; empty if there is one.
     pair_refusal : str
         Why there are no horizontal axes; empty if there are.
+    probability : float
+        That the direction of gravity is right within 5 degrees.
+    modes : Modes or None
+        Of the posterior, for the next image.
 
     """
 
     gravity_camera: np.ndarray | None
     covariance: np.ndarray
-    support: float
-    pairs: tuple[AxisPair, ...]
-    refusal: str
-    pair_refusal: str
+    pairs: np.ndarray
+    refusal: str = ''
+    pair_refusal: str = ''
     probability: float = 1.0
+    modes: Modes | None = None
 
 
-def find_directions(segments: LineSegments, coarse_down: np.ndarray | None = None,
-                    surface: np.ndarray | None = None,
-                    normal_deg: float = NETWORK_NORMAL_DEG) -> SceneDirections:
+def find_directions(segments: LineSegments, evidence: Evidence | None = None,
+                    expected: Expected | None = None) -> SceneDirections:
     """
     Find the directions of gravity and of horizontal lines, or refuse.
 
     Parameters
     ----------
     segments : LineSegments
-    coarse_down : (3,) floating, optional
-        Approximate unit direction of gravity; default: that of an upright camera.
-    surface : (N, 3) floating, optional
-        Normals of the depth.
-    normal_deg : float
-        Their error.
+    evidence : Evidence, optional
+        Of them and of the depth; default: of the segments alone.
+    expected : Expected, optional
+        Default: a camera held upright.
 
     """
-    found = upright_posterior(segments, surface, coarse_down, normal_deg)
-    if found.probability < MIN_PROBABILITY:
+    evidence = evidence or collect_evidence(segments)
+    expected = expected or Expected()
+    axes, modes = upright_posterior(evidence, expected)
+    axes = _fitted(segments, axes, (0, 1, 2)).axes
+    level_share, axes, rises = _if_it_rises(axes, evidence)
+    gain = _gain(segments, axes, evidence, expected)
+    share = level_share * (1 - LEANING) / (1 - LEANING + LEANING * np.exp(-gain))
+    pairs = NO_PAIRS if rises else _pairs(segments, evidence, axes[0], expected)
+    fit = _fitted(segments, np.vstack([axes[:1], *pairs[:1]]) if len(pairs) else axes,
+                  (0, 1, 2) if len(pairs) else (0,))
+    down, covariance = _averaged(fit, modes.covariances[0], expected)
+    modes = replace(
+        modes, downs=np.vstack([down, modes.downs[1:]]),
+        covariances=np.concatenate([covariance[None], modes.covariances[1:]]),
+        masses=np.concatenate([share * modes.masses[:1], modes.masses[1:]]), gain=gain)
+    probability = float(modes.masses[0])
+    if probability < MIN_PROBABILITY:
         reason = (f'{len(segments)} straight lines and the depth leave the vertical open: the '
-                  f'most likely one is right with probability {found.probability:.2f}')
-        return SceneDirections(None, np.full((3, 3), np.nan), 0.0, (), reason, reason,
-                               found.probability)
-    axes = fit_frame(segments, found.axes).axes
-    if axes[0] @ found.axes[0] < np.cos(np.radians(CLOSE_DEG)):
-        axes = found.axes  # too few lines for a fit
-    down, level = _upright(segments, axes)
-    return _fitted(segments, down, level, found.probability)
+                  f'most likely one is right with probability {probability:.2f}')
+        return SceneDirections(None, np.full((3, 3), np.nan), NO_PAIRS, reason, reason,
+                               probability, modes)
+    if len(pairs):
+        pairs = np.stack([_level(pair, down) for pair in (fit.axes[1:], *pairs[1:])])
+    across = np.eye(3) - np.outer(down, down)
+    refusal = ('no horizontal axes are perpendicular to the upright lines' if rises else
+               'the lines and the depth leave the azimuth of the horizontal axes open')
+    return SceneDirections(
+        down, across @ covariance @ across + np.radians(SYSTEMATIC_DEG) ** 2 * across, pairs, '',
+        '' if len(pairs) else refusal, probability, modes)
 
 
-def _upright(segments: LineSegments, axes: np.ndarray) -> tuple[np.ndarray, Azimuth]:
-    """Return the vertical of a frame (3, 3), replaced if the vertical lines contradict it."""
-    level = find_azimuth(segments, axes[0])
-    candidates, weights, points = _leaning(segments, axes, level.axes)
-    score = weights @ points
-    best, own = candidates[score.argmax()], score[len(score) // 2]
-    sigmas = significance(weights, points[:, score.argmax()], VERTICAL_TOLERANCE_DEG)
-    if (best @ axes[0] > np.cos(np.radians(MIN_LEAN_DEG))
-            or own > MAX_LEAN_SHARE * score.max() or sigmas < MIN_LEAN_SIGMAS):
-        return axes[0], level
-    first = np.cross(best, axes[2])
-    first /= np.linalg.norm(first)
-    down = fit_frame(segments, np.stack([best, first, np.cross(best, first)]), (0,)).axes[0]
-    return down, replace(find_azimuth(segments, down),
-                         refusal='no horizontal axes are perpendicular to the vertical lines')
+def _fitted(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...]) -> FrameFit:
+    """Return axes fitted to their segments; unchanged if too few hold them."""
+    fit = fit_frame(segments, axes, used)
+    is_held = fit.axes[0] @ axes[0] > np.cos(np.radians(CLOSE_DEG))
+    return fit if is_held else FrameFit(axes, np.full((3, 3), np.inf))
 
 
-def _leaning(segments: LineSegments, axes: np.ndarray,
-             level: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return verticals (C, 3) around the first axis, weights (N,) of lines, and what points."""
-    lean = np.tan(np.radians(np.arange(-MAX_LEAN_DEG, MAX_LEAN_DEG + 1, LEAN_STEP_DEG)))
-    x, y = (lean.reshape(shape + (1,)) for shape in ((1, -1), (-1, 1)))
-    candidates = (axes[0] + x * axes[1] + y * axes[2]).reshape(-1, 3)
-    candidates /= np.linalg.norm(candidates, axis=1, keepdims=True)
-    return (candidates, segments.lengths * ~points_to(segments, level),
-            pointing(misalignment(segments, candidates), VERTICAL_TOLERANCE_DEG))
+def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarray, bool]:
+    """Return a probability, the axes that have it, and whether they are not those given."""
+    rises = np.radians(RISES_DEG)[:, None]
+    downs = np.concatenate([np.cos(rises) * axes[0] + np.sin(rises) * level for level in axes[1:]])
+    upright = _upright_votes(evidence.lines, downs, axes[1:])
+    mass = np.exp(upright - upright.max())
+    is_level = downs @ axes[0] > np.cos(np.radians(LEVEL_DEG))
+    level = (1 - RISING) * mass[is_level].max()
+    mass *= RISING / len(mass)
+    downs, mass = np.vstack([axes[:1], downs]), np.concatenate([[level], mass])
+    down = downs[mass.argmax()]
+    share = mass[downs @ down > np.cos(np.radians(CLOSE_DEG))].sum() / mass.sum()
+    rises = bool(down @ axes[0] < np.cos(np.radians(LEVEL_DEG)))
+    return float(share), axes @ turn_between(axes[0], down).T if rises else axes, rises
 
 
-def _fitted(segments: LineSegments, down: np.ndarray, level: Azimuth,
-            probability: float) -> SceneDirections:
-    """Fit the vertical and the first pair to their segments, then search for more pairs."""
-    used = (0,) if level.refusal else (0, 1, 2)
-    fit = fit_frame(segments, np.vstack([down, level.axes]), used)
-    if fit.axes[0] @ down > np.cos(np.radians(CLOSE_DEG)):
-        down = fit.axes[0]
-    covariance = fit.covariance + np.radians(SYSTEMATIC_DEG) ** 2 * np.eye(3)
-    turn = np.cross(np.eye(3), down)  # row k: change of the direction by a rotation about axis k
-    sigma_rad = float(np.sqrt(down @ covariance @ down))
-    first = () if level.refusal else (
-        AxisPair(fit.axes[1:], sigma_rad, support(segments, fit.axes[1:])),)
-    return SceneDirections(down, turn.T @ covariance @ turn, support(segments, down[None]),
-                           first + more_pairs(segments, down, first), '', level.refusal,
-                           probability)
+def _upright_votes(lines: np.ndarray, downs: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """Return the log likelihood of lines along verticals (C, 3), or along level axes (2, 3)."""
+    bases = np.concatenate([downs[:, None], np.broadcast_to(level, (len(downs), 2, 3))], axis=1)
+    alone = Evidence(lines, np.zeros((0, 3)), 1.0)
+    return log_likelihood(bases, np.zeros((len(downs), 1)), alone,
+                          np.radians(FINE_ERROR_DEG))[0][:, 0]
+
+
+def _gain(segments: LineSegments, axes: np.ndarray, evidence: Evidence,
+          expected: Expected) -> float:
+    """Return the log likelihood of all but the upright lines, of this image and those before."""
+    others = replace(evidence, lines=evidence.lines[_is_off(segments, axes[:1])])
+    gain = expected.new * log_likelihood(axes[None], np.zeros((1, 1)), others,
+                                         np.radians(FINE_ERROR_DEG))[1].item()
+    before = expected.before
+    if before is not None and before.downs[0] @ axes[0] > np.cos(np.radians(CLOSE_DEG)):
+        gain += expected.kept * before.gain
+    return gain
+
+
+def _is_off(segments: LineSegments, directions: np.ndarray) -> np.ndarray:
+    """Return the segments (N,), bool, that none of the directions (D, 3) explains."""
+    return np.abs(misalignment(segments, directions)).min(1) > np.sin(np.radians(REACH_DEG))
+
+
+def _pairs(segments: LineSegments, evidence: Evidence, down: np.ndarray,
+           expected: Expected) -> np.ndarray:
+    """Return pairs (P, 2, 3) of horizontal axes about a vertical."""
+    x = unit(np.cross(down, [0.0, 0.0, 1.0] if abs(down[2]) < 0.9 else [1.0, 0.0, 0.0]))
+    basis = np.stack([down, x, np.cross(down, x)])
+    angle = np.radians(np.arange(90))
+    axes = (np.cos(angle)[:, None, None] * basis[1:]
+            + np.sin(angle)[:, None, None] * np.stack([basis[2], -basis[1]]))
+    left = _is_off(segments, down[None])
+    pairs, used = NO_PAIRS, evidence
+    while len(pairs) < MAX_PAIRS:
+        used = replace(used, lines=evidence.lines[left])
+        score = log_likelihood(basis[None], angle[None], used, np.radians(FINE_ERROR_DEG))[1][0]
+        mass, none = np.exp(score - score.max()), 0.0
+        if len(pairs):  # or all other lines are strays
+            none = len(angle) * np.exp(-used.lines[:, 7].sum() * np.log(STRAY_LINES) - score.max())
+        elif expected.pair is not None:
+            off_rad = np.arccos(np.clip(np.abs(axes[:, 0] @ expected.pair.T).max(1), 0, 1))
+            seen = np.exp(-0.5 * off_rad**2 / (expected.pair_rad**2 + RANDOM_RAD**2))
+            mass *= 1 + expected.kept * HELD_AXES_ODDS * len(angle) * seen / seen.sum()
+        best = mass.argmax()
+        off = (np.arange(90) - best + 45) % 90 - 45
+        near = np.abs(off) <= CLOSE_AZIMUTH_DEG
+        if mass[near].sum() < MIN_PROBABILITY * (mass.sum() + none):
+            break
+        mean = round(best + mass[near] @ off[near] / mass[near].sum()) % 90
+        pairs = np.concatenate([pairs, axes[mean][None]])
+        left &= _is_off(segments, axes[mean])
+        used = replace(used, normals=np.zeros((0, 3)))
+    return pairs
+
+
+def _averaged(fit: FrameFit, mode: np.ndarray,
+              expected: Expected) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertical of a fit and its covariance, averaged with that of the images before."""
+    down = fit.axes[0]
+    turn = np.cross(np.eye(3), down)
+    covariance = mode
+    if np.isfinite(fit.covariance).all():
+        of_lines = turn.T @ fit.covariance @ turn + RANDOM_RAD**2 * np.eye(3)
+        covariance = np.linalg.inv(np.linalg.inv(of_lines) + np.linalg.inv(mode))
+    before = expected.before
+    if before is None or before.downs[0] @ down < np.cos(np.radians(CLOSE_DEG)):
+        return down, covariance
+    known = before.covariances[0] + MIN_GAIN / (1 - MIN_GAIN) * covariance
+    gain = known @ np.linalg.inv(known + covariance)
+    return (unit(before.downs[0] + gain @ (down - before.downs[0])),
+            (np.eye(3) - gain) @ known)
+
+
+def _level(axes: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Return two axes perpendicular to each other and to the vertical, keeping the first."""
+    first = unit(axes[0] - (axes[0] @ down) * down)
+    return np.stack([first, np.cross(down, first)])

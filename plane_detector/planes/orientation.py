@@ -199,7 +199,7 @@ def _hypotheses(normals: np.ndarray, directions: SceneDirections, evidence: Line
                 rays: np.ndarray) -> _Hypotheses:
     """Return all hypotheses, facing against the rays; the last one is the network's normal."""
     down = directions.gravity_camera
-    axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in directions.pairs)])
+    axes = directions.pairs.reshape(-1, 3)
     points = np.vstack([down[None], axes])
     across = [normals - np.outer(normals @ axis, axis) for axis in points[:MAIN_AXES]]
     candidates = np.stack([*(np.broadcast_to(point, normals.shape) for point in points),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.directions.gravity_choice import choose_gravity
-from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
 
 NONE = (0.0, 0.0, 0.0)
 GIVEN = (0.0, 2.0, 0.0)
@@ -16,7 +16,7 @@ IMU = np.array([0.0, 0.8, 0.6])
 def of_image(angle_deg=0.0, refusal=''):
     angle = np.radians(angle_deg)
     down = None if refusal else np.array([0.0, np.cos(angle), np.sin(angle)])
-    return SceneDirections(down, np.radians(1.0) ** 2 * np.diag([1.0, 0, 1]), 0.3, (), refusal, '')
+    return SceneDirections(down, np.radians(1.0) ** 2 * np.diag([1.0, 0, 1]), NO_PAIRS, refusal)
 
 
 def test_a_sensor_comes_before_the_parameter_and_that_before_the_image():

@@ -1,50 +1,52 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tests of the temporal filter of directions."""
+"""Tests of the posterior of the vertical over time."""
 
 import cv2
 import numpy as np
 import pytest
 
-from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.line_segments import LineSegments, segments_from_pixels
-from plane_detector.directions.temporal_filter import (
-    HELD_IMAGES,
-    JUMPS_BELIEVED,
-    track_directions,
-    turn_between,
-)
-from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.directions.posterior import Expected
+from plane_detector.directions.temporal_filter import carried, turn_between_images
+from plane_detector.directions.vanishing import MIN_PROBABILITY, find_directions
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
-AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-
-
-def rotated(rotation):
-    down = rotation @ AXES[0]
-    covariance = 1e-4 * (np.eye(3) - np.outer(down, down))
-    return SceneDirections(down, covariance, 0.3,
-                           (AxisPair(AXES[1:] @ rotation.T, 0.01, 0.3),), '', '')
-
-
-def refused():
-    return SceneDirections(None, np.full((3, 3), np.nan), 0.0, (), 'no lines', 'no lines')
+FRAME = cv2.Rodrigues(np.radians([15.0, 5.0, 4.0]))[0][[1, 0, 2]]
 
 
 def turn(x_deg=0.0, y_deg=0.0, z_deg=0.0):
     return cv2.Rodrigues(np.radians([x_deg, y_deg, z_deg]))[0]
 
 
-def lines(rotation=None) -> LineSegments:
-    """Return segments at infinity, seen by a rotated camera."""
-    rng = np.random.default_rng(0)
-    middle = rng.uniform([-0.5, -0.4], [0.5, 0.4], (30, 2))
-    along = rng.normal(0, 1, (30, 2))
-    along *= 0.08 / np.linalg.norm(along, axis=1, keepdims=True)
-    rays = np.dstack([np.stack([middle - along, middle + along], 1), np.ones((30, 2))])
-    rays = rays @ (np.eye(3) if rotation is None else rotation).T
-    return segments_from_pixels(rays[..., :2] / rays[..., 2:] * 500 + [319.5, 239.5], CAMERA)
+def room(rotation=None, axes=(0, 1, 2), seed=0) -> LineSegments:
+    """Return far segments along the axes of a frame, 14 of each, seen by a rotated camera."""
+    rotation = np.eye(3) if rotation is None else rotation
+    rng = np.random.default_rng(seed)
+    start = rng.uniform([-1.6, -1.2, 4.0], [1.6, 1.2, 6.0], (14 * len(axes), 3))
+    ends = np.stack([start, start + np.repeat(0.5 * FRAME[list(axes)], 14, axis=0)], axis=1)
+    ends = ends @ rotation.T
+    ends_px = ends[..., :2] / ends[..., 2:] * 500 + [319.5, 239.5]
+    return segments_from_pixels(ends_px, CAMERA)
+
+
+def nothing() -> LineSegments:
+    return segments_from_pixels(np.zeros((0, 2, 2)), CAMERA)
+
+
+def every(images):
+    """Return the directions of these images, found one after another."""
+    found, before = [], None
+    for segments in images:
+        expected = carried(Expected(), found[-1], before, segments) if found else Expected()
+        found.append(find_directions(segments, expected=expected))
+        before = segments
+    return found
+
+
+def walk(images):
+    return every(images)[-1]
 
 
 def angle_deg(a, b):
@@ -53,75 +55,73 @@ def angle_deg(a, b):
 
 @pytest.mark.parametrize('angles', [(0.5, 0, 0), (0, -1.0, 0), (0, 0, 2.0), (1.0, 0.5, -1.0)])
 def test_the_turn_of_the_lines_is_that_of_the_camera(angles):
-    rotation = turn(*angles)
-    found = turn_between(lines(), lines(rotation))
-    assert found == pytest.approx(cv2.Rodrigues(rotation)[0].ravel(), abs=1e-4)
+    found, share = turn_between_images(room(), room(turn(*angles)))
+    assert found == pytest.approx(np.radians(angles), abs=2e-3)
+    assert share > 0.85
 
 
 def test_lines_with_other_motion_do_not_count():
-    after = lines(turn(0, 1.0, 0))
+    after = room(turn(0, 1.0, 0))
     ends_px = after.ends_px.copy()
-    ends_px[:6] += [12.0, 9.0]
-    found = turn_between(lines(), segments_from_pixels(ends_px, CAMERA))
+    ends_px[:8] += [12.0, 9.0]
+    found, share = turn_between_images(room(), segments_from_pixels(ends_px, CAMERA))
     assert np.degrees(found) == pytest.approx([0, 1.0, 0], abs=0.1)
+    assert share < 0.9
 
 
-def test_few_lines_give_no_rotation():
-    few = segments_from_pixels(lines().ends_px[:5], CAMERA)
-    assert turn_between(few, few) is None
+def test_other_views_have_no_known_turn():
+    assert turn_between_images(room(), room(turn(0, 0, 60), seed=1))[1] < 0.2
+    assert turn_between_images(room(), nothing())[1] == 0
 
 
 def test_flicker_of_a_still_camera_is_averaged():
-    rng = np.random.default_rng(1)
-    tracked, alone = None, []
-    for _ in range(40):
-        found = rotated(turn(*rng.normal(0, 0.7, 3)))
-        tracked = track_directions(tracked, found, lines())
-        alone.append(angle_deg(found.gravity_camera, AXES[0]))
-    assert angle_deg(tracked.directions.gravity_camera, AXES[0]) < 0.5 * np.mean(alone)
-    pair = tracked.directions.pairs[0].axes
-    assert np.vstack([tracked.directions.gravity_camera, pair]) @ np.vstack(
-        [tracked.directions.gravity_camera, pair]).T == pytest.approx(np.eye(3), abs=1e-9)
+    images = [segments_from_pixels(
+        room().ends_px + np.random.default_rng(k).normal(0, 0.5, (42, 2, 2)), CAMERA)
+        for k in range(30)]
+    alone, averaged = ([angle_deg(one.gravity_camera, FRAME[0]) for one in found] for found in (
+        [find_directions(image) for image in images], every(images)))
+    assert np.mean(averaged[5:]) < 0.8 * np.mean(alone[5:])
+
+
+def test_the_same_image_again_proves_nothing():
+    posts = room(axes=(0,))
+    alone = find_directions(posts)
+    assert alone.gravity_camera is None
+    assert walk([posts] * 20).probability < MIN_PROBABILITY
 
 
 def test_a_turning_camera_does_not_lag():
-    tracked = None
-    for k in range(10):
-        rotation = turn(1.5 * k, 0, 0)
-        tracked = track_directions(tracked, rotated(rotation), lines(rotation))
-    assert angle_deg(tracked.directions.gravity_camera, rotation @ AXES[0]) < 0.3
+    rotations = [turn(1.5 * k, 0, 0) for k in range(10)]
+    found = walk([room(rotation) for rotation in rotations])
+    assert angle_deg(found.gravity_camera, rotations[-1] @ FRAME[0]) < 0.3
 
 
-def test_refused_directions_are_held_and_rotated():
-    tracked = track_directions(None, rotated(np.eye(3)), lines())
-    rotation = turn(0.3, 0, 0)
-    tracked = track_directions(tracked, refused(), lines(rotation))
-    assert angle_deg(tracked.directions.gravity_camera, rotation @ AXES[0]) < 0.05
-    for _ in range(HELD_IMAGES):
-        tracked = track_directions(tracked, refused(), lines(rotation))
-    assert tracked.directions.gravity_camera is None
+def test_images_that_leave_it_open_are_answered_by_those_before():
+    rotations = [turn(0.4 * k, 0, 0) for k in range(4)]
+    images = [room(rotations[0])] + [room(rotation, axes=(0,)) for rotation in rotations]
+    found = walk(images)
+    assert find_directions(images[-1]).gravity_camera is None
+    assert angle_deg(found.gravity_camera, rotations[-1] @ FRAME[0]) < 0.5
 
 
-def test_level_axes_are_not_held_while_the_camera_turns():
-    tracked = track_directions(None, rotated(np.eye(3)), lines())
-    assert track_directions(tracked, refused(), lines()).directions.pairs
-    rotation = turn(0, 1.0, 0)
-    turning = track_directions(tracked, refused(), lines(rotation))
-    assert turning.directions.gravity_camera is not None
-    assert not turning.directions.pairs
+def test_a_wrong_start_is_forgotten():
+    wrong = turn(0, 0, 20)
+    images = [room(wrong, seed=k) for k in range(5)] + [room(seed=k) for k in range(5, 10)]
+    assert angle_deg(walk(images[:5]).gravity_camera, wrong @ FRAME[0]) < 1
+    assert angle_deg(walk(images).gravity_camera, FRAME[0]) < 1
 
 
-def test_a_different_answer_must_be_repeated():
-    tracked = track_directions(None, rotated(np.eye(3)), lines())
-    other = rotated(turn(0, 0, 20))
-    for _ in range(JUMPS_BELIEVED - 1):
-        tracked = track_directions(tracked, other, lines())
-        assert angle_deg(tracked.directions.gravity_camera, AXES[0]) < 0.1
-    tracked = track_directions(tracked, other, lines())
-    assert angle_deg(tracked.directions.gravity_camera, other.gravity_camera) < 0.1
+def test_an_image_without_lines_is_not_answered():
+    assert walk([room(), nothing()]).gravity_camera is None
 
 
-def test_a_new_scene_is_not_averaged():
-    tracked = track_directions(None, rotated(np.eye(3)), lines())
-    nothing = segments_from_pixels(np.zeros((0, 2, 2)), CAMERA)
-    assert track_directions(tracked, refused(), nothing).directions.gravity_camera is None
+def test_level_axes_are_held_by_a_still_camera_only():
+    level, posts = room(), room(axes=(0,))
+    both = segments_from_pixels(np.concatenate([level.ends_px, posts.ends_px]), CAMERA)
+    assert len(walk([both, posts]).pairs) == 1
+    assert not len(walk([both, room(turn(0, 4.0, 0), axes=(0,))]).pairs)
+
+
+def test_a_sharp_direction_decides_between_axes():
+    known = find_directions(room(), expected=Expected(FRAME[1], 1.0))
+    assert angle_deg(known.gravity_camera, FRAME[1]) < 0.5

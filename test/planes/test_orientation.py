@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.line_segments import segments_from_pixels
-from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
 from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
 from plane_detector.planes.orientation import orient_planes
 from plane_detector.planes.region_samples import RegionSamples
@@ -20,9 +19,8 @@ SHARE = 0.06  # of the image
 
 
 def directions(pairs=True):
-    pair = AxisPair(AXES[1:], 0.01, 0.3)
     covariance = np.radians(1.0) ** 2 * (np.eye(3) - np.outer(AXES[0], AXES[0]))
-    return SceneDirections(AXES[0], covariance, 0.3, (pair,) if pairs else (), '', '')
+    return SceneDirections(AXES[0], covariance, AXES[None, 1:] if pairs else NO_PAIRS)
 
 
 def plane(normal, sigma_deg=1.0, rms_m=0.1):

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.directions.axis_pairs import AxisPair
 from plane_detector.directions.finder import CameraImage, ImageDirections, find_in_image
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import SceneDirections
@@ -75,8 +74,7 @@ def test_labels_are_only_joined_or_dropped():
 
 def upright_axes(camera):
     """Return the axes of an upright camera, without segments."""
-    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), 0.3,
-                            (AxisPair(np.eye(3)[[0, 2]], 0.01, 0.3),), '', '')
+    found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), np.eye(3)[None, [0, 2]])
     return ImageDirections(segments_from_pixels(np.zeros((0, 2, 2)), camera), found)
 
 

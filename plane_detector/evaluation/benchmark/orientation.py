@@ -10,9 +10,10 @@ plane through the sensor's points in their pixels.
 from __future__ import annotations
 
 import argparse
+import itertools
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -21,14 +22,15 @@ import numpy as np
 
 from plane_detector.config import Config, DirectionsConfig, RansacConfig, SegmentationConfig
 from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.directions.finder import CameraImage, find_in_image
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, find_in_image
+from plane_detector.directions.posterior import CLOSE_DEG
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.orientation_figure import write_figure
 from plane_detector.evaluation.benchmark.real_images import load_network
 from plane_detector.evaluation.benchmark.rooms import HELD_OUT
 from plane_detector.evaluation.benchmark.tables import emit, table
-from plane_detector.evaluation.datasets import Frame, frames
+from plane_detector.evaluation.datasets import Frame, frames, read_frame
 from plane_detector.evaluation.metrics import coverage, overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes import misleading, rooms, textures
@@ -36,12 +38,15 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.sensor_comparison import JudgedPlane, judge_planes
 from plane_detector.pipeline import PlaneDetector, segment_planes
 from plane_detector.planes.classification import lowest_level, refine_gravity
-from plane_detector.types import PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 INDOOR = ('kinect', 'nyu', 'living_room', 'kitchen')
 # Held-out frames of the long sequence.
 HELD_OUT_FRAME = 5
-PARTS = ('gravity', 'rendered', 'planes', 'misleading', 'cost')
+PARTS = ('gravity', 'sequences', 'calibration', 'rendered', 'planes', 'misleading', 'cost')
+# Of the probability that is said.
+BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.01)
+PARTS_PER_FRAME = 6
 MISLEADING_NOISE_PER_M, BLUR_PX = (0.0, 0.002, 0.008), 3.0
 PURE = 0.8
 PLAIN = 'doors, planks and tiles'
@@ -94,10 +99,10 @@ def report_gravity(name: str, found: Sequence[Frame]) -> None:
             rows.append([frame.name, seen.refusal or 'no floor in the sensor\'s depth', '-', '-'])
             continue
         errors.append(angle_deg(seen.gravity_camera, truth))
-        rows.append([frame.name, f'{errors[-1]:.1f}', f'{seen.support:.2f}',
-                     seen.pair_refusal or f'{seen.pairs[0].support:.2f}'])
+        rows.append([frame.name, f'{errors[-1]:.1f}', f'{seen.probability:.2f}',
+                     seen.pair_refusal or 'yes'])
     emit(f'### Gravity from lines, {name}: {_summary(errors, len(found))}',
-         table(('frame', 'error (deg)', 'share of vertical lines', 'of horizontal ones'), rows))
+         table(('frame', 'error (deg)', 'probability', 'horizontal axes'), rows))
 
 
 def _directions(rgb: np.ndarray, intrinsics) -> SceneDirections:
@@ -121,8 +126,8 @@ def report_rendered(count: int, first_seed: int) -> None:
         gravity = [angle_deg(one.gravity_camera, scene.gravity_camera)
                    for one, scene in zip(seen, scenes, strict=True)
                    if one.gravity_camera is not None]
-        axes = [error for one, scene in zip(seen, scenes, strict=True) if one.pairs
-                for error in _axis_errors(one.pairs[0].axes, scene)]
+        axes = [error for one, scene in zip(seen, scenes, strict=True) if len(one.pairs)
+                for error in _axis_errors(one.pairs[0], scene)]
         rows.append([name, _summary(gravity, count), _summary(axes, len(axes))])
     answers = sum(_directions(textures.clutter(np.random.default_rng(seed), textures.VGA),
                               textures.VGA).gravity_camera is not None
@@ -130,6 +135,75 @@ def report_rendered(count: int, first_seed: int) -> None:
     rows.append(['strokes of all directions', f'{answers} of {count} answer', '-'])
     emit('### Directions of rendered rooms with lines',
          table(('scene', 'gravity', 'horizontal axes, if a wall or slope is within 10 deg'), rows))
+
+
+def report_sequences(data: Path, model: str) -> None:
+    """Print how often the vertical is known in images that follow each other."""
+    estimate, title = load_network(model)
+    rows = []
+    for name in INDOOR:
+        found = [read_frame(path) for path in sorted((data / name).glob('*_depth.png'))]
+        truths = [true_down(segment_planes(frame.depth_m, frame.intrinsics)) for frame in found]
+        cells = []
+        for depth in ('', title) if estimate else ('',):
+            detector, finder, errors = PlaneDetector(Config(), estimate), DirectionFinder(), []
+            for frame, truth in zip(found, truths, strict=True):
+                disparity = (detector.observe(frame.rgb, frame.intrinsics).disparity if depth
+                             else None)
+                gravity = finder.look(CameraImage(frame.rgb, frame.intrinsics, None, disparity),
+                                      None, Config(), Need.PLANES).gravity
+                if gravity.gravity_camera is not None and truth is not None:
+                    errors.append(angle_deg(gravity.gravity_camera, truth))
+            cells.append(_summary(errors, sum(truth is not None for truth in truths)))
+        rows.append([name, *cells])
+    emit('### Gravity from images in a row', table(
+        ('set', 'lines alone', f'with the normals of {title}'), rows))
+
+
+def report_calibration(data: Path, count: int, first_seed: int) -> None:
+    """Print how many verticals are right, by the probability that is said."""
+    rng, said = np.random.default_rng(first_seed), {}
+    for frame in frames(data, (*INDOOR, 'real_unlabelled')) if data.is_dir() else ():
+        truth = true_down(segment_planes(frame.depth_m, frame.intrinsics))
+        for rows, columns in ((slice(None),) * 2, *_parts(frame, rng)):
+            if truth is not None:
+                said.setdefault('real frames and parts of them', []).append(_said(
+                    frame.rgb[rows, columns], frame.intrinsics, (rows, columns), truth))
+    for make in SCENES.values():
+        for seed in range(first_seed, first_seed + count):
+            scene = textures.textured(make, seed)
+            said.setdefault('rendered scenes', []).append(_said(
+                scene.rgb, scene.intrinsics, (slice(None),) * 2, scene.gravity_camera))
+    rows = []
+    for name, pairs in said.items():
+        probability, error_deg = np.array(pairs).T
+        is_in = np.digitize(probability, BINS) - 1
+        rows.append([name, *(f'{np.mean(error_deg[is_in == k] <= CLOSE_DEG):.2f} of '
+                             f'{np.sum(is_in == k)}' if (is_in == k).any() else '-'
+                             for k in range(len(BINS) - 1))])
+    emit(f'### Verticals within {CLOSE_DEG:.0f} degrees, by the probability that is said',
+         table(('images', *(f'{low:g} to {high:g}' for low, high in itertools.pairwise(BINS))),
+               rows))
+
+
+def _parts(frame: Frame, rng: np.random.Generator) -> list[tuple[slice, slice]]:
+    """Return rows and columns of parts of half to all of the width and height."""
+    parts = []
+    for _ in range(PARTS_PER_FRAME):
+        size = rng.uniform(0.5, 1.0) * np.array(frame.depth_m.shape)
+        top, left = rng.uniform(0, np.array(frame.depth_m.shape) - size).astype(int)
+        parts.append((slice(top, top + int(size[0])), slice(left, left + int(size[1]))))
+    return parts
+
+
+def _said(rgb: np.ndarray, intrinsics: CameraIntrinsics, part: tuple[slice, slice],
+          truth: np.ndarray) -> tuple[float, float]:
+    """Return the probability of the most likely vertical of a part, and its error in degrees."""
+    own = replace(intrinsics, cx=intrinsics.cx - (part[1].start or 0),
+                  cy=intrinsics.cy - (part[0].start or 0), width=rgb.shape[1],
+                  height=rgb.shape[0])
+    found = _directions(np.ascontiguousarray(rgb), own)
+    return found.probability, angle_deg(found.modes.downs[0], truth)
 
 
 def _axis_errors(axes: np.ndarray, scene) -> list[float]:
@@ -301,6 +375,10 @@ def run(options: argparse.Namespace) -> None:
             report_gravity(name, found)
         if 'planes' in parts:
             report_planes(name, found, options.model, options.seeds)
+    if 'sequences' in parts and options.data.is_dir():
+        report_sequences(options.data, options.model)
+    if 'calibration' in parts:
+        report_calibration(options.data, options.scenes, options.first_seed)
     if 'cost' in parts and options.data.is_dir():
         report_cost(list(frames(options.data, INDOOR)), options.model)
     if 'misleading' in parts:

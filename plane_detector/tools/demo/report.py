@@ -93,7 +93,7 @@ def _figure(outcome: Outcome) -> np.ndarray:
 def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
     """Return the image with its lines, and the vertical estimated from them as in the node."""
     found = _directions(photograph)
-    axes = np.concatenate([np.zeros((0, 3)), *(pair.axes for pair in found.pairs[:1])])
+    axes = found.pairs[:1].reshape(-1, 3)
     drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
     if found.gravity_camera is None:
         return 'image', drawn
