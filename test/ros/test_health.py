@@ -9,6 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from node_helpers import send, small_room, start
 
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.ros.diagnostics import Report
@@ -78,3 +79,13 @@ def test_it_is_not_told_of_other_sources(robot):
     send(robot, room)
     assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'parameter')
     assert 'gravity_probability' not in robot.diagnosis()[1]
+
+
+def test_without_a_unit_no_drops_are_told_and_why(robot):
+    room = small_room()
+    start(robot, DepthFunction(lambda rgb: 1 / room.depth_m, 'relative_disparity'),
+          scale__gravity=room.gravity_camera.tolist())
+    send(robot, room)
+    assert robot.wait_for('planes')
+    assert robot.spin(lambda: robot.diagnosis()[1].get('drops', '').startswith('none told: '))
+    assert not robot.received['drops'] and not robot.received['ground']
