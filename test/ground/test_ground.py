@@ -83,22 +83,41 @@ def test_what_is_too_small_for_a_plane_behind_a_ramp_is_ground(sign, seed):
     assert share(detect(landing), landing, Kind.LANDING) > 0.95
 
 
+def ground_by_pixels(terrain):
+    """Return the ground of exact depth of which only the own floor is a plane."""
+    scene = terrain.scene
+    found = detect(terrain, scene.depth_m)
+    own = found.labels[-1, 320]
+    planes = PlaneSegmentation((found.planes[own],), np.where(found.labels == own, 0, -1), 0.0)
+    return find_ground(planes, scene.depth_m, scene.intrinsics,
+                       Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).mask
+
+
+def sloping(slope_deg, view=FROM_ABOVE):
+    """Return a ramp that begins after 1.5 m and rises over 2 m."""
+    slope, way = np.radians(slope_deg), Course(2.0)
+    way.on(1.5, 0.0, Kind.FLOOR)
+    way.on(3.5, 2.0 * np.tan(slope), Kind.RAMP)
+    way.on(9.0, 2.0 * np.tan(slope), Kind.LANDING)
+    return look(way, view, np.random.default_rng(3))
+
+
+@pytest.mark.parametrize('slope_deg, is_ground', [(10.0, True), (25.0, False)])
+def test_pixels_without_a_plane_lead_up_a_ramp(slope_deg, is_ground):
+    terrain = sloping(slope_deg)
+    ramp_m = terrain.points_m[..., 2]
+    high = (terrain.kinds == Kind.RAMP) & (ramp_m > 0.15)
+    assert high.sum() > 10000 and abs(ground_by_pixels(terrain)[high].mean() - is_ground) < 0.05
+
+
 def test_what_is_too_small_for_a_plane_behind_an_obstacle_is_ground_only_at_its_level():
-    rng = np.random.default_rng(3)
     room = Course(2.0)
     room.on(8.0, 0.0, Kind.FLOOR)
     room.add_box(0.0, 1.5, np.array([2.0, 0.1, 0.15]))
     room.add_box(0.0, 2.0, np.array([2.0, 0.1, 0.25]))
-    terrain = look(room, FROM_ABOVE, rng)
-    scene = terrain.scene
-    found = PlaneDetector(MEASURED).detect(scene.rgb, scene.intrinsics, scene.depth_m,
-                                           scene.gravity_camera)
-    own = found.labels[-1, 320]
-    planes = PlaneSegmentation((found.planes[own],), np.where(found.labels == own, 0, -1), 0.0)
-    ground = find_ground(planes, scene.depth_m, scene.intrinsics,
-                         Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).mask
+    terrain = look(room, FROM_ABOVE, np.random.default_rng(3))
     high = (terrain.kinds == Kind.OBSTACLE) & (terrain.above_m > 0.051)
-    assert high.sum() > 10000 and not ground[high].any()
+    assert high.sum() > 10000 and not ground_by_pixels(terrain)[high].any()
 
 
 def test_a_rough_floor_without_a_plane_is_the_own_floor():
@@ -110,6 +129,13 @@ def test_a_rough_floor_without_a_plane_is_the_own_floor():
     assert found.camera_height_m == pytest.approx(0.8, abs=0.01)
     assert share(found, terrain, Kind.FLOOR) > 0.97
     assert len(found.drops_m) > 100 and off_edges_m(found, terrain).max() < 0.1
+
+
+def test_a_steep_ramp_is_ground_for_legs():
+    terrain = sloping(25.0, View(1.4, 20.0))
+    climbs = replace(MEASURED, ground=GroundConfig(max_slope=30.0))
+    assert share(detect(terrain, config=climbs), terrain, Kind.RAMP) > 0.97
+    assert share(detect(terrain), terrain, Kind.RAMP) < 0.1
 
 
 def test_a_ramp_that_is_too_steep_is_no_ground():

@@ -170,7 +170,7 @@ def _limits(seeds: Sequence[int]) -> str:
                        if np.mean([_finds_box(height, distance_m, noise, seed)
                                    for seed in some]) >= 0.8]
             smallest.append(f'{100 * min(heights):.0f} cm' if heights else 'none')
-        farthest = [distance_m for distance_m in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0)
+        farthest = [distance_m for distance_m in (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0)
                     if np.mean([_finds_kerb(distance_m, noise, seed) for seed in some]) >= 0.8]
         rows.append([str(noise), *smallest, f'{max(farthest):g} m' if farthest else 'none'])
     return table(('noise (1/m)', 'box at 1 m', '2 m', '3 m', 'drop of 10 cm'), rows)
