@@ -29,36 +29,16 @@ _PERIOD_S = 1.0
 
 @dataclass(frozen=True)
 class Report:
-    """
-    Events since the last report, and totals.
+    """Events since the last report, and totals."""
 
-    Attributes
-    ----------
-    processed, dropped, skipped : int
-        Totals of frames: processed; replaced by a newer one or without partner; unusable.
-    rate_hz, arrival_hz : float
-        Processed frames, and frames that arrived, per second since the last report.
-    stage_seconds : mapping of str to float
-        Mean time of each stage since the last report; empty without frames.
-    skipped_lately, unpaired_lately : bool
-        Whether frames were skipped, or images had no partner, since the last report.
-    last_error : str
-        Empty if there was none.
-    error_age_s : float
-        Time since the last error.
-    last : DetectedFrame or None
-        The last frame since the last report.
-
-    """
-
-    processed: int
-    dropped: int
-    skipped: int
-    rate_hz: float
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    skipped_lately: bool = False
+    processed: int  # frames, in total
+    dropped: int  # in total: replaced by a newer one, or without partner
+    skipped: int  # in total: unusable
+    rate_hz: float  # of processed frames, since the last report
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)  # mean since the last report
+    skipped_lately: bool = False  # since the last report, as all that follows
     unpaired_lately: bool = False
-    last_error: str = ''
+    last_error: str = ''  # ever
     arrival_hz: float = 0.0
     error_age_s: float = 0.0
     last: DetectedFrame | None = None

@@ -38,62 +38,28 @@ _TICK_S = 1 / os.sysconf('SC_CLK_TCK')
 
 @dataclass(frozen=True)
 class Show:
-    """
-    What the camera shows.
-
-    Attributes
-    ----------
-    title : str
-    views : sequence of Frame
-        Shown in turn, each for HELD_S.
-    rate_hz : float
-        Of the images.
-    motion_px : int
-        By which each image is moved sideways against the one before; 0: the camera is still.
-
-    """
+    """What the camera shows."""
 
     title: str
-    views: Sequence[Frame]
-    rate_hz: float
-    motion_px: int = 0
+    views: Sequence[Frame]  # shown in turn, each for HELD_S
+    rate_hz: float  # of the images
+    motion_px: int = 0  # each image is moved sideways against the one before; 0: a still camera
 
 
 @dataclass(frozen=True)
 class Load:
-    """
-    Measurements of a node under load.
+    """Measurements of a node under load."""
 
-    Attributes
-    ----------
-    rate_hz : float
-        Of ``~/planes``, as received.
-    latency_ms : (3,) float
-        From stamp to receipt of ``~/planes``: median, 95 %, worst; NaN without subscribers.
-    stage_ms : dict of str to float
-        Median over the seconds of each stage's mean time, from the diagnostics.
-    core_share : float
-        Time of all threads of the node on a core, as a share of the time that passed.
-    busy_ms, waiting_ms : float
-        Per frame, for all threads of the node: time on a core; time waiting for a core that other
-        programs were using.
-    resident_mb, proportional_mb : float
-        Memory of the node, the second with its share of pages that processes have in common.
-    start_s, start_core_s : float
-        From the start of the process until it has subscribed, and on a core in that time.
-
-    """
-
-    rate_hz: float
-    latency_ms: np.ndarray
-    stage_ms: dict[str, float]
-    core_share: float
-    busy_ms: float
-    waiting_ms: float
+    rate_hz: float  # of ~/planes, as received
+    latency_ms: np.ndarray  # from stamp to receipt of ~/planes: median, 95 %, worst; NaN: none
+    stage_ms: dict[str, float]  # median over the seconds of its mean, from the diagnostics
+    core_share: float  # time of all threads on a core, as a share of the time that passed
+    busy_ms: float  # on a core per frame, all threads
+    waiting_ms: float  # per frame, for a core that other programs were using
     resident_mb: float
-    proportional_mb: float
-    start_s: float
-    start_core_s: float
+    proportional_mb: float  # with a share of pages that processes have in common
+    start_s: float  # from the start of the process until it has subscribed
+    start_core_s: float  # on a core in that time
 
 
 class CameraLoad:

@@ -35,28 +35,13 @@ _SAME_SURFACE = 0.02
 
 @dataclass(frozen=True)
 class ConvertedFrame:
-    """
-    Inputs of the pipeline.
+    """Inputs of the pipeline."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-        Rectified, with these intrinsics.
-    intrinsics : CameraIntrinsics
-    depth_m : (H, W) float32 or None
-        Measured depth, metres, NaN invalid.
-    covered : (H, W) bool or None
-        True where the original image had pixels; None: everywhere.
-    distortion : Distortion
-        That the image still has.
-
-    """
-
-    rgb: np.ndarray
+    rgb: np.ndarray  # (H, W, 3) uint8, rectified, with these intrinsics
     intrinsics: CameraIntrinsics
-    depth_m: np.ndarray | None
-    covered: np.ndarray | None = None
-    distortion: Distortion = NO_DISTORTION
+    depth_m: np.ndarray | None  # (H, W) float32, measured, NaN invalid
+    covered: np.ndarray | None = None  # (H, W) bool, the original has pixels; None: everywhere
+    distortion: Distortion = NO_DISTORTION  # that the image still has
 
 
 class FrameConverter:

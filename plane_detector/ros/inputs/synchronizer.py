@@ -32,27 +32,15 @@ class Frame:
     """
     The messages of one image.
 
-    Attributes
-    ----------
-    image : sensor_msgs.msg.Image or CompressedImage
-        The image.
-    camera_info : sensor_msgs.msg.CameraInfo
-        With the same stamp if there is one, otherwise the latest. An image of another size waits
-        for the next CameraInfo while these keep arriving.
-    depth : sensor_msgs.msg.Image or None
-        Measured depth, if used.
-    gravity_camera : (3,) float64 or None
-        Direction of gravity in the optical frame, if there is an IMU.
-    epoch : int
-        Increases if time jumps back: frames of different epochs share no history.
-
+    Its CameraInfo has the same stamp if there is one, otherwise it is the latest. An image of
+    another size waits for the next CameraInfo while these keep arriving.
     """
 
     image: Image | CompressedImage
     camera_info: CameraInfo
-    depth: Image | None
-    gravity_camera: np.ndarray | None
-    epoch: int
+    depth: Image | None  # measured, if used
+    gravity_camera: np.ndarray | None  # (3,) float64, direction in the optical frame, by an IMU
+    epoch: int  # increases if time jumps back: frames of different epochs share no history
 
 
 def depth_use(config: Config, output: str) -> str:

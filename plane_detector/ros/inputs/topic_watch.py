@@ -28,36 +28,16 @@ MESSAGES_LOST = 'messages get lost between processes without config/fastdds_larg
 
 @dataclass
 class _Topic:
-    """
-    State of one input.
+    """State of one input."""
 
-    Attributes
-    ----------
-    name, type_name : str
-        Resolved; as in ``sensor_msgs/msg/Image``.
-    may_stop : bool
-        Whether a single message is enough.
-    only_reliable : bool
-        Whether the subscription rejects best-effort publishers.
-    is_needed : bool
-        Whether no frame is possible without it.
-    heard_s : deque of float
-        Arrival times of the last messages.
-    offered_s : float or None
-        Time when a publisher was first seen.
-    problem : str
-        Last logged problem; empty if there is none.
-
-    """
-
-    name: str
-    type_name: str
-    may_stop: bool
-    only_reliable: bool
-    is_needed: bool = True
-    heard_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))
-    offered_s: float | None = None
-    problem: str = ''
+    name: str  # resolved
+    type_name: str  # as in sensor_msgs/msg/Image
+    may_stop: bool  # a single message is enough
+    only_reliable: bool  # best-effort publishers are rejected
+    is_needed: bool = True  # no frame is possible without it
+    heard_s: deque[float] = field(default_factory=lambda: deque(maxlen=_REMEMBERED))  # arrivals
+    offered_s: float | None = None  # when a publisher was first seen
+    problem: str = ''  # last logged one; empty if there is none
 
 
 class TopicWatch:

@@ -29,41 +29,17 @@ from plane_detector.types import CameraIntrinsics, Detection
 
 @dataclass(frozen=True)
 class DetectedFrame:
-    """
-    An image and what was found in it.
+    """An image and what was found in it."""
 
-    Attributes
-    ----------
-    header : std_msgs.msg.Header
-        Of the image message.
-    rgb : (H, W, 3) uint8
-        The rectified image.
-    intrinsics : CameraIntrinsics
-        Of this image.
-    detection : Detection
-        Result of the pipeline, in the frame of the image.
-    settings : NodeConfig
-        For this frame.
-    to_target : RigidTransform or None
-        From the frame of the image into the target frame; None: they are equal.
-    distortion : Distortion
-        That the image still has.
-    merged : tuple of int
-        Label that was merged into each plane, 0 for none; empty: none for all.
-    stage_seconds : mapping of str to float
-        Time of each stage so far.
-
-    """
-
-    header: Header
-    rgb: np.ndarray
-    intrinsics: CameraIntrinsics
-    detection: Detection
-    settings: NodeConfig
-    to_target: RigidTransform | None = None
-    distortion: Distortion = NO_DISTORTION
-    merged: tuple[int, ...] = ()
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    header: Header  # of the image message
+    rgb: np.ndarray  # (H, W, 3) uint8, rectified
+    intrinsics: CameraIntrinsics  # of this image
+    detection: Detection  # in the frame of the image
+    settings: NodeConfig  # for this frame
+    to_target: RigidTransform | None = None  # from the image's frame to the target; None: the same
+    distortion: Distortion = NO_DISTORTION  # that the image still has
+    merged: tuple[int, ...] = ()  # label merged into each plane, 0: none; empty: none for all
+    stage_seconds: Mapping[str, float] = field(default_factory=dict)  # so far
 
     @cached_property
     def target_header(self) -> Header:
