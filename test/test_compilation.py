@@ -44,12 +44,6 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def kernels(monkeypatch):
-    monkeypatch.setattr(compilation, '_KERNELS', [])
-    return [compilation.Kernel(function, 'i8(i8)') for function in (abs_of, double_of)]
-
-
-@pytest.fixture
 def sample(tmp_path, monkeypatch, folder):
     """Return a function: constant, sign -> what a program with kernels of two files prints."""
     stage = tmp_path / 'sample' / 'stage'
@@ -154,11 +148,3 @@ def last_of_sequence(steps):
     for _ in range(steps):  # no formula: a compiler cannot leave the loop out
         value = (value ^ (value >> 7)) * 6364136223846793005 + 1442695040888963407
     return value
-
-
-def abs_of(number):
-    return abs(number)
-
-
-def double_of(number):
-    return 2 * number

@@ -16,7 +16,6 @@ from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
-GRAVITY = [0.0, 1.0, 0.0]
 LENGTH = re.compile(r'\d\s*(mm|cm|m|m2|met(re|er)s?)\b')
 WORD = re.compile(r'\b(met(re|er)s?|metric)\b', re.IGNORECASE)
 DENIALS = ('neither metres nor gravity are known',
