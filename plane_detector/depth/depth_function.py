@@ -66,14 +66,7 @@ class DepthFunction:
 
 def wrapped(function: Callable[[np.ndarray], np.ndarray], output: str) -> DepthFunction:
     """
-    Return a function wrapped as a depth model.
-
-    Parameters
-    ----------
-    function : callable
-        As in :class:`DepthFunction`.
-    output : str
-        What it returns; ``auto``: metres.
+    Return a function wrapped as a depth model; output ``auto``: metres.
 
     Raises
     ------

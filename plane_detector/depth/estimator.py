@@ -32,7 +32,8 @@ class DepthEstimator:
     """
     A depth network, ready to run: the constructor has already run it once.
 
-    The same image gives the same output. Calls must not overlap.
+    A :class:`~plane_detector.types.DepthModel`. The same image gives the same output. Calls must
+    not overlap.
 
     Parameters
     ----------
@@ -41,20 +42,10 @@ class DepthEstimator:
 
     Attributes
     ----------
-    output : str
-        Kind of the returned values: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    name, provider, reason : str
+        Name in the zoo or path, execution provider in use, and why they were chosen.
     needs_lens : bool
         Whether it needs the intrinsics of the image.
-    name : str
-        Name in the zoo, or path.
-    reason : str
-        Why this network and this execution provider were chosen.
-    noise_share : float
-        Typical error of its disparity as a share of the disparities of the image; 0: unknown.
-    focal_per_height : float
-        Focal length over image height that the network assumes; 0: unknown.
-    provider : str
-        Execution provider in use.
 
     Raises
     ------
@@ -80,28 +71,14 @@ class DepthEstimator:
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
-        """
-        Return the values (H, W) float32 of :meth:`predict` for an image with an unknown lens.
-
-        Only for networks that do not need the lens.
-        """
+        """Return the values (H, W) float32 of :meth:`predict` without the lens, if it may be."""
         return self.predict(rgb).values
 
     def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None = None) -> Prediction:
         """
-        Estimate depth, and normals if the network provides them.
+        Return the depth of an image (H, W, 3) uint8, and normals if the network provides them.
 
-        Parameters
-        ----------
-        rgb : (H, W, 3) uint8
-            The image.
-        intrinsics : CameraIntrinsics, optional
-            Of the image; required if `needs_lens`.
-
-        Returns
-        -------
-        Prediction
-            With the size of the image.
+        The intrinsics are required if `needs_lens`.
 
         Raises
         ------
@@ -126,14 +103,7 @@ class DepthEstimator:
         Choose the largest input, or number of views, that keeps a rate beside the other work.
 
         Two are timed, the smallest and the largest: the time is affine in the pixels of the input
-        and in the number of views.
-
-        Parameters
-        ----------
-        rate_hz : float
-        other_s : float
-            Time of all other work on a frame.
-
+        and in the number of views. All other work on a frame takes ``other_s``.
         """
         rgb, limit_s = plausibility.corridor()[0], LOAD / rate_hz - other_s
         self._target_rate_hz = rate_hz

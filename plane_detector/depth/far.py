@@ -42,7 +42,7 @@ _BORDER_PX = 3  # the texture window reaches this far beyond the region
 
 def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray:
     """
-    Return the pixels whose disparity determines a distance.
+    Return the pixels (H, W) bool whose disparity determines a distance, which is not in the sky.
 
     Parameters
     ----------
@@ -51,12 +51,6 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
     noise : float
         Its standard deviation; 0: not known.
     rgb : (H, W, 3) uint8
-        The image.
-
-    Returns
-    -------
-    (H, W) bool
-        False where the depth is too far for its noise, and in clear sky.
 
     """
     # If some values are negative, 0 is not infinitely far: the shift is unknown.
@@ -70,19 +64,9 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
 
 def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     """
-    Find clear sky, or overcast sky that is overexposed.
+    Return the clear sky, or the overcast sky that is overexposed, (H, W) bool; None without sky.
 
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-    disparity : (H, W) floating
-        Not finite where invalid; invalid pixels count as far.
-
-    Returns
-    -------
-    (H, W) bool or None
-        None if there is no sky.
-
+    Invalid pixels of the disparity (H, W), which are not finite, count as far.
     """
     height, width = rgb.shape[:2]
     size = (_SMALL_WIDTH_PX, max(2, round(height * _SMALL_WIDTH_PX / width)))
@@ -91,8 +75,7 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
                         nan=0.0, posinf=0.0).astype(np.float32)
     is_even = _is_even(small)
     region = _clear_sky(small, far, is_even)
-    if region is None:
-        region = _overexposed_sky(small, far, is_even)
+    region = _overexposed_sky(small, far, is_even) if region is None else region
     if region is None:
         return None
     least_grey = float(np.quantile(small[region].mean(axis=-1), 0.1)) - _HORIZON_DARKER
@@ -142,8 +125,6 @@ def _share(region: np.ndarray) -> float:
 def _at_the_top(candidates: np.ndarray) -> np.ndarray:
     """Return the candidates that are connected to the upper border."""
     top = np.zeros_like(candidates)
-    if not candidates[0].any():
-        return top
     top[0] = candidates[0]
     return _touching(candidates, top)
 

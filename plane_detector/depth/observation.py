@@ -106,15 +106,7 @@ class SensorDepth:
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:
-        """
-        Return the observation of a depth image; depth beyond ``depth.max_depth`` is invalid.
-
-        Raises
-        ------
-        ValueError
-            There is no depth image.
-
-        """
+        """Return the observation of a depth image; ValueError without one."""
         if depth_m is None:
             raise ValueError('depth.source is topic, but no depth image was given')
         prediction = Prediction(self.output, limited_depth(depth_m, config.depth.max_depth))
@@ -132,14 +124,7 @@ class SensorDepth:
 
 
 class ModelDepth:
-    """
-    Depth source that uses a model; its flicker is averaged while nothing moves.
-
-    Parameters
-    ----------
-    model : DepthModel
-
-    """
+    """Depth source that uses a model; its flicker is averaged while nothing moves."""
 
     def __init__(self, model: DepthModel) -> None:
         self.model = model
@@ -157,15 +142,7 @@ class ModelDepth:
 
     def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics, depth_m: np.ndarray | None,
                 config: Config) -> Observation:
-        """
-        Return the observation of an image with its prediction, and measured depth if available.
-
-        Raises
-        ------
-        ValueError
-            The depth and the image differ in size.
-
-        """
+        """Return the observation of an image with its prediction, averaged while it is still."""
         prediction, (height, width) = self.model.predict(rgb, intrinsics), rgb.shape[:2]
         output, values = prediction.output, np.asarray(prediction.values, np.float32)
         if values.shape != (height, width):

@@ -40,16 +40,8 @@ class OnnxSession:
     """
     One ONNX Runtime session that takes (3, H, W) float32 and returns arrays.
 
-    Parameters
-    ----------
-    path : Path
-        Of the file.
-    provider : str
-        Execution provider.
-    threads : int
-        0: as many as ONNX Runtime chooses.
-    network : Network
-        What the file does not state: its other inputs, the required outputs, the input size.
+    The network says what the file does not: its other inputs, the required outputs, the input
+    size. With 0 threads, ONNX Runtime chooses their number.
 
     Raises
     ------

@@ -42,15 +42,10 @@ class ImplausibleDepthError(ValueError):
 
 def corridor() -> tuple[np.ndarray, np.ndarray]:
     """
-    Render a corridor seen by a horizontal camera, with a checkerboard on every face.
+    Return an image (480, 640, 3) uint8 of a corridor, and its depth in metres, float32.
 
-    Every row and every distance has the same mean grey level.
-
-    Returns
-    -------
-    rgb : (480, 640, 3) uint8
-    depth_m : (480, 640) float32
-
+    A horizontal camera sees a checkerboard on every face, so that every row and every distance
+    has the same mean grey level.
     """
     lens = CORRIDOR_LENS
     x, y = np.meshgrid((np.arange(lens.width) - lens.cx) / lens.fx,
@@ -70,21 +65,9 @@ def corridor() -> tuple[np.ndarray, np.ndarray]:
 
 def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     """
-    Reject an output that cannot be depth, whatever the image.
+    Raise ImplausibleDepthError for an output (h, w) that cannot be depth of its stated kind.
 
-    Parameters
-    ----------
-    values : (h, w) floating
-        Output of the network, including invalid values.
-    kind : str
-        Its stated kind, `Prediction.output`.
-    rgb : (H, W, 3) uint8
-        The image.
-
-    Raises
-    ------
-    ImplausibleDepthError
-        The message states the reason and the values found.
+    Values of only one kind are an error unless the image (H, W, 3) shows nothing.
     """
     values = _sample(values)
     finite = values[np.isfinite(values)]
@@ -103,20 +86,7 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
 
 
 def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
-    """
-    Reject a network whose output contradicts its stated kind on an image of known depth.
-
-    Parameters
-    ----------
-    prediction : Prediction
-        For that image.
-    depth_m : (H, W) float32
-
-    Raises
-    ------
-    ImplausibleDepthError
-
-    """
+    """Raise ImplausibleDepthError if a prediction contradicts its kind on known depth (H, W)."""
     values, truth = _sample(prediction.values), _sample(depth_m)
     seen = np.isfinite(values)
     if seen.mean() < _MIN_SEEN:

@@ -149,24 +149,7 @@ def lower_bound_size(width: int, height: int, short_side: int, multiple: int) ->
 
 
 def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -> np.ndarray:
-    """
-    Convert an image to a network's input.
-
-    Parameters
-    ----------
-    rgb : (H, W, 3) uint8
-        The image.
-    size : (int, int)
-        Width and height of the input.
-    recipe : InputRecipe
-        The preprocessing that the network was trained with.
-
-    Returns
-    -------
-    (3, height, width) float32
-        Normalised R, G and B channels.
-
-    """
+    """Return the input (3, height, width) float32 of a network for an image (H, W, 3) uint8."""
     framing = recipe.framing((rgb.shape[1], rgb.shape[0]), size)
     inner = (framing.width, framing.height)
     if rgb.shape[1] >= FIRST_REDUCED * inner[0] and rgb.shape[0] >= FIRST_REDUCED * inner[1]:
@@ -178,7 +161,10 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
         kind = (_SHRINKING if shrinks else _GROWING)[recipe.resize]
         image = cv2.resize(image, inner, interpolation=kind)
     if not framing.is_whole:
-        image = _bordered(image, framing, recipe.border_rgb)
+        whole = np.empty((size[1], size[0], 3), np.float32)
+        whole[:] = recipe.border_rgb
+        framing.crop(whole)[:] = image
+        image = whole
     planes = np.empty((3, size[1], size[0]), np.float32)
     for channel, (mean, std) in enumerate(zip(recipe.mean, recipe.std, strict=True)):
         np.multiply(image[..., channel], np.float32(recipe.scale / std), out=planes[channel])
@@ -186,35 +172,12 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
     return planes
 
 
-def _bordered(image: np.ndarray, framing: Framing, border_rgb: tuple[float, ...]) -> np.ndarray:
-    """Return an image with its border, (height, width, 3) float32, of the size of the input."""
-    width, height = framing.input_size
-    whole = np.empty((height, width, 3), np.float32)
-    whole[:] = border_rgb
-    framing.crop(whole)[:] = image
-    return whole
-
-
 def finish_output(raw: np.ndarray, size: tuple[int, int], output: str) -> np.ndarray:
     """
-    Resize a network's output to the size of the image and set invalid pixels to NaN.
+    Return a network's output (h, w) resized to an image of ``size``, width and height, float32.
 
-    Depth is interpolated as disparity, in which planes are linear; otherwise they would bend.
-
-    Parameters
-    ----------
-    raw : (h, w) floating
-        Output of the network.
-    size : (int, int)
-        Width and height of the image.
-    output : str
-        ``metric_depth``, ``disparity`` or ``relative_disparity``.
-
-    Returns
-    -------
-    (H, W) float32
-        Of the same kind as ``raw``; NaN where it is not finite or not positive.
-
+    It is NaN where the output is not finite or not positive. Depth (``metric_depth``) is
+    interpolated as disparity, in which planes are linear; otherwise they would bend.
     """
     values = np.array(raw, np.float32)
     values[~((values > 0) & (values < np.inf))] = np.nan

@@ -37,22 +37,10 @@ _FIT_ROUNDS, _FEWEST_FITTED = 3, 100
 
 @dataclass(frozen=True)
 class FilteredDisparity:
-    """
-    Averages up to and including an image.
+    """Averages up to and including an image."""
 
-    Attributes
-    ----------
-    disparity : (H, W) float32
-        Not finite where the disparity of the last image is not finite.
-    grey : (H, W) float32
-        Blurred brightness.
-    image_count : int
-        Number of images in the averages.
-
-    """
-
-    disparity: np.ndarray
-    grey: np.ndarray
+    disparity: np.ndarray  # (H, W) float32, not finite where that of the last image is not
+    grey: np.ndarray  # (H, W) float32, blurred brightness
     image_count: int
 
 
@@ -108,7 +96,7 @@ def _averaged(previous: FilteredDisparity, alone: FilteredDisparity, keep: float
         return None
     weight = min(keep, previous.image_count / (previous.image_count + 1))
     moving = changed | differs
-    still = ~_spread(moving) if moving.any() else ~moving
+    still = ~dilated(moving, _SPREAD_PX) if moving.any() else ~moving
     return FilteredDisparity(_mixed(expected, disparity, weight, still & known),
                              _mixed(previous.grey, grey, weight, still),
                              previous.image_count + 1)
@@ -135,10 +123,6 @@ def _has_changed(before: np.ndarray, grey: np.ndarray) -> np.ndarray:
     least, most = _GREY_NOISE
     sigma = SIGMA_PER_MEDIAN * median(difference[::_STEP_PX, ::_STEP_PX].ravel())
     return difference > _GREY_SIGMAS * min(max(sigma, least), most)
-
-
-def _spread(mask: np.ndarray) -> np.ndarray:
-    return dilated(mask, _SPREAD_PX)
 
 
 def _in_scale_of(disparity: np.ndarray, before: np.ndarray,

@@ -31,21 +31,10 @@ SAMPLE_STEP = 8
 
 @dataclass(frozen=True)
 class View:
-    """
-    A part of an image.
+    """A part of an image."""
 
-    Attributes
-    ----------
-    share : float
-        Of the image's height and width.
-    is_at_end : bool
-        At the lower right corner instead of the upper left one.
-    is_mirrored : bool
-
-    """
-
-    share: float = 1.0
-    is_at_end: bool = False
+    share: float = 1.0  # of the image's height and width
+    is_at_end: bool = False  # at the lower right corner instead of the upper left one
     is_mirrored: bool = False
 
     def of(self, image: np.ndarray) -> np.ndarray:
@@ -62,14 +51,9 @@ class View:
 
 def choose_views(lens_ratio: float, most: int) -> tuple[View, ...]:
     """
-    Return the views of an image: the whole of it, then crops with a longer lens.
+    Return at most 1 to 3 views of an image: the whole of it, then crops with a longer lens.
 
-    Parameters
-    ----------
-    lens_ratio : float
-        Focal length over height of the image, over that of the training images.
-    most : int
-        Number of views, at most; 1 to 3.
+    The ratio is the focal length over height of the image, over that of the training images.
 
     Examples
     --------
@@ -87,20 +71,9 @@ def choose_views(lens_ratio: float, most: int) -> tuple[View, ...]:
 
 def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> Prediction:
     """
-    Average the disparity of views.
+    Average the disparity of views, the whole image first, at whose scale the result is.
 
-    Parameters
-    ----------
-    views : sequence of View
-        The whole image first.
-    predictions : sequence of Prediction
-        Metric depth or disparity of each.
-
-    Returns
-    -------
-    Prediction
-        Of the whole image and at its scale; NaN where all views are invalid.
-
+    Predictions are metric depth or disparity; the result is NaN where all of them are invalid.
     """
     kind = predictions[0].output
     whole = _inverted(predictions[0].values, kind)
@@ -118,12 +91,7 @@ def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> P
 
 
 def _inverted(values: np.ndarray, kind: str) -> np.ndarray:
-    """
-    Convert between values of a kind and disparity; disparity is returned as it is.
-
-    Readers have just converted disparity to depth. To convert a view of 640 x 480 back takes 0.03
-    ms, and each prediction holds what its kind says.
-    """
+    """Convert between values of a kind and disparity; disparity is returned as it is."""
     return 1 / values if kind == 'metric_depth' else values
 
 
