@@ -34,22 +34,11 @@ _FIRST_CAUTION = 0.01
 
 @dataclass(frozen=True)
 class PlaneMotion:
-    """
-    A similarity from the previous camera frame to the present one.
+    """A similarity from the previous camera frame to the present one."""
 
-    Attributes
-    ----------
-    rotation : (3, 3) float64
-    translation_m : (3,) float64
-        In the unit of the present image.
-    scale : float
-        Factor on lengths; 1 if the unit is known.
-
-    """
-
-    rotation: np.ndarray
-    translation_m: np.ndarray
-    scale: float
+    rotation: np.ndarray  # (3, 3) float64
+    translation_m: np.ndarray  # (3,) float64, in the unit of the present image
+    scale: float  # factor on lengths; 1 if the unit is known
 
     def move(self, planes: PlaneArrays) -> PlaneArrays:
         """Return planes of the previous camera frame in the present one."""

@@ -5,35 +5,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 
 from plane_detector.types import Plane
 
-_TINY_M = 1e-12
+_TINY_M = _TINY_M2 = 1e-12
 
 
 @dataclass(frozen=True)
 class PlaneArrays:
-    """
-    N planes in one camera frame; the fields are those of :class:`~plane_detector.types.Plane`.
+    """N planes in one camera frame, float64; fields of :class:`~plane_detector.types.Plane`."""
 
-    Attributes
-    ----------
-    normals, centroids_m : (N, 3) float64
-    offsets_m, areas_m2 : (N,) float64
-    covariances : (N, 4, 4) float64
-
-    """
-
-    normals: np.ndarray
-    offsets_m: np.ndarray
-    centroids_m: np.ndarray
-    areas_m2: np.ndarray
-    covariances: np.ndarray
+    normals: np.ndarray  # (N, 3)
+    offsets_m: np.ndarray  # (N,)
+    centroids_m: np.ndarray  # (N, 3)
+    areas_m2: np.ndarray  # (N,)
+    covariances: np.ndarray  # (N, 4, 4)
 
     @classmethod
     def of(cls, planes: Sequence[Plane]) -> PlaneArrays:
@@ -77,25 +69,12 @@ class PlaneArrays:
         return np.einsum('ni,nij,nj->n', point, self.covariances, point) / self.distances_m ** 2
 
 
-_TINY_M2 = 1e-12
-
-
 @dataclass(frozen=True)
 class Overlap:
-    """
-    Pixels that known planes share with found planes.
+    """Pixels that T known planes share with N found planes, (T, N) float64."""
 
-    Attributes
-    ----------
-    of_union : (T, N) float64
-        As a share of the union of their pixels: 1 only for identical pixels.
-    of_known : (T, N) float64
-        As a share of the pixels of the known plane: 1 also for each part of a merged plane.
-
-    """
-
-    of_union: np.ndarray
-    of_known: np.ndarray
+    of_union: np.ndarray  # share of the union of their pixels: 1 only for identical pixels
+    of_known: np.ndarray  # share of the known plane: 1 also for each part of a merged plane
 
 
 def measure_overlap(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> Overlap:
@@ -176,3 +155,8 @@ def _nearness(before: PlaneArrays, after: PlaneArrays) -> np.ndarray:
     smaller_m2 = np.maximum(np.minimum.outer(before.areas_m2, after.areas_m2), _TINY_M2)
     larger_m2 = np.maximum(np.maximum.outer(before.areas_m2, after.areas_m2), _TINY_M2)
     return np.exp(-(apart_m ** 2).sum(axis=2) / smaller_m2) * np.sqrt(smaller_m2 / larger_m2)
+
+
+def free_labels(taken: Collection[int]) -> Iterator[int]:
+    """Yield the smallest labels above 0 that are not taken."""
+    return (label for label in count(1) if label not in taken)

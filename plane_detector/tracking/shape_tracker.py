@@ -5,13 +5,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import count
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from plane_detector.tracking.matching import measure_overlap
+from plane_detector.tracking.matching import free_labels, measure_overlap
 from plane_detector.types import Shape
 
 # Shapes are small and move far relative to their size, so a small overlap suffices, or a motion by
@@ -24,26 +23,12 @@ _MAX_SIZE_CHANGE = 0.5
 
 @dataclass(frozen=True)
 class ShapeTrack:
-    """
-    A known shape.
+    """A known shape, as last seen."""
 
-    Attributes
-    ----------
-    label : int
-        Above 0.
-    shape : Shape
-        As last seen.
-    pixels : (M,) int
-        Indices of its pixels in the subsampled image in which it was last seen.
-    missed : int
-        Images since it was last seen.
-
-    """
-
-    label: int
+    label: int  # above 0
     shape: Shape
-    pixels: np.ndarray
-    missed: int = 0
+    pixels: np.ndarray  # (M,) int, indices in the subsampled image
+    missed: int = 0  # images since it was last seen
 
 
 def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], labels: np.ndarray,
@@ -76,12 +61,10 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     thinned = labels[::step, ::step].ravel()
     pixels = [np.flatnonzero(thinned == first_label + k) for k in range(len(shapes))]
     match = _match(tracks, shapes, pixels)
-    kept = {index for _, index in match.items()}
-    gone = [ShapeTrack(track.label, track.shape, track.pixels, track.missed + 1)
-            for index, track in enumerate(tracks)
+    kept = set(match.values())
+    gone = [replace(track, missed=track.missed + 1) for index, track in enumerate(tracks)
             if index not in kept and track.missed < keep_frames]
-    taken = {track.label for track in gone} | {tracks[index].label for index in kept}
-    free = (label for label in count(1) if label not in taken)
+    free = free_labels({track.label for track in gone} | {tracks[index].label for index in kept})
     seen = [ShapeTrack(tracks[match[k]].label if k in match else next(free), shape, pixels[k])
             for k, shape in enumerate(shapes)]
     return (*seen, *gone), tuple(track.label for track in seen)

@@ -14,9 +14,8 @@ A label is reused only after its plane has been dropped.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -26,6 +25,7 @@ from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
     PlaneArrays,
+    free_labels,
     likeness,
     measure_overlap,
     squared_deviation,
@@ -47,44 +47,20 @@ _NOISE_DEVIATIONS, _NOISE_ANGLE_DEG, _NOISE_OFFSET = 3.0, 0.3, 0.003
 
 @dataclass(frozen=True)
 class Track:
-    """
-    A known plane.
+    """A known plane."""
 
-    Attributes
-    ----------
-    label : int
-        Above 0.
-    pixels : (M,) int
-        Indices of its pixels in the subsampled image in which it was last seen.
-    streak : int
-        Number of consecutive images in which it was found, up to the last one.
-    missed : int
-        Images since it was last found.
-
-    """
-
-    label: int
-    pixels: np.ndarray
-    streak: int = 1
-    missed: int = 0
+    label: int  # above 0
+    pixels: np.ndarray  # (M,) int, indices in the subsampled image in which it was last seen
+    streak: int = 1  # consecutive images in which it was found, up to the last one
+    missed: int = 0  # images since it was last found
 
 
 @dataclass(frozen=True)
 class KnownPlanes:
-    """
-    The known planes after an image.
+    """The known planes after an image."""
 
-    Attributes
-    ----------
-    tracks : tuple of Track
-        Those of the planes of the image, in its order, then those missing for a short time.
-    planes : PlaneArrays
-        Their coefficients in the camera frame of that image.
-
-    """
-
-    tracks: tuple[Track, ...]
-    planes: PlaneArrays
+    tracks: tuple[Track, ...]  # of the planes of the image, in its order, then missing ones
+    planes: PlaneArrays  # their coefficients in the camera frame of that image
 
 
 NONE_KNOWN = KnownPlanes((), PlaneArrays.of(()))
@@ -187,7 +163,7 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
 def _seen_tracks(tracks: Sequence[Track], match: Mapping[int, int], gone: Sequence[int],
                  pixels: Sequence[np.ndarray]) -> Iterator[Track]:
     """Yield the track of each found plane, new ones with the smallest free labels."""
-    new_labels = _free_labels({tracks[index].label for index in (*gone, *match.values())})
+    new_labels = free_labels({tracks[index].label for index in (*gone, *match.values())})
     for index, where in enumerate(pixels):
         if index in match:
             old = tracks[match[index]]
@@ -241,11 +217,6 @@ def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays, ove
     rows, columns = linear_sum_assignment(score, maximize=True)
     return {column: row for row, column, value in zip(
         rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
-
-
-def _free_labels(taken: Collection[int]) -> Iterator[int]:
-    """Yield the smallest free labels."""
-    return (label for label in count(1) if label not in taken)
 
 
 def _smoothed(planes: Sequence[Plane], known: KnownPlanes, after: PlaneArrays,
