@@ -63,6 +63,12 @@ def test_noise_falls_according_to_the_share():
     assert rms(state) == pytest.approx(NOISE / 3, rel=0.05)  # sqrt((1 - k) / (1 + k))
 
 
+def test_the_first_images_have_equal_weights():
+    images, disparities = still(4)
+    np.testing.assert_allclose(damped(images, disparities, keep=0.8).disparity,
+                               np.mean(disparities, axis=0), atol=1e-6)
+
+
 @pytest.mark.parametrize('pixels', [0.7, 1.5, 40])
 def test_a_camera_that_turns_is_left_alone(pixels):
     images, disparities = still(6)
