@@ -133,6 +133,7 @@ def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, level, mi
     ground = np.zeros((height, width), np.bool_)
     reference = np.full(width, own, np.int32)
     low, foot, error = np.float32(min_height), np.float32(FOOT_M), np.float32(error)
+    nearest, endless = np.float32(MIN_DEPTH_M), np.float32(np.inf)
     # Of each column: the row of its last pixel on a plane of the ground, until a pixel is measured
     # from it; then how far below the camera and ahead of it the point is; whether an obstacle is
     # between: the ground behind may be level, but is not seen to rise or fall.
@@ -147,6 +148,8 @@ def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, level, mi
         a, b, c = np.float32(0), np.float32(0), np.float32(0)
         for u in range(width):
             z, k = depth_m[v, u], labels[v, u]
+            if not nearest <= z < endless:
+                continue
             on_plane = 0 <= k < count
             belongs = on_plane and is_ground[k]
             r = k if belongs else reference[u]
@@ -155,12 +158,9 @@ def mark_ground(depth_m, labels, ray_x, ray_y, planes, is_ground, own, level, mi
                 b, last = (planes[r, 1] * y + planes[r, 2]) * planes[r, 4], r
             s = a * ray_x[u] + b
             off = abs(s * z + c)
-            # A plane that is no ground was told from it by all its pixels. The second is true of
-            # an infinite depth; of NaN neither is.
+            # A plane that is no ground was told from it by all its pixels.
             near = (off <= (foot if on_plane and not belongs else low)
                     or off <= abs(s) * z * z * error)
-            if not MIN_DEPTH_M <= z < np.inf:
-                continue
             if near and belongs:
                 ground[v, u], is_hidden[u] = True, False
                 reference[u], last_v[u] = k, v

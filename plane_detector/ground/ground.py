@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from plane_detector.config import Config, GroundConfig
+from plane_detector.config import Config
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.ground.columns import (
@@ -186,8 +186,10 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     walkable = surfaces.slopes_deg <= limits.max_slope + SLOPE_MARGIN_DEG
     joins, risers = count_borders(labels, *rays, table, walkable, limits.max_step * unit_m,
                                   STEP_RANGE_M * unit_m)
-    joined, at_level, lower = _ground_planes(surfaces, own, walkable, joins, limits, unit_m)
-    classes = _classes(found, surfaces, own, joined, at_level, risers, unit_m)
+    above, error = surfaces.above(own)
+    joined, at_level, lower = _ground_planes(surfaces, own, above, error, walkable, joins,
+                                             limits.max_step * unit_m)
+    classes = _classes(found, surfaces, above, joined, at_level, risers, unit_m)
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
@@ -289,13 +291,11 @@ def _nearest_floor(votes: np.ndarray, heights_m: np.ndarray, width: int,
     return int(np.where(at_level, votes, -1).argmax())
 
 
-def _ground_planes(surfaces: Surfaces, own: int, walkable: np.ndarray, joins: np.ndarray,
-                   limits: GroundConfig, unit_m: float
+def _ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.ndarray,
+                   walkable: np.ndarray, joins: np.ndarray, max_step: float
                    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the planes (K + 1,) that join the own floor, those at its level, and lower ones."""
-    above, error = surfaces.above(own)
     is_level = abs(surfaces.slopes_deg - surfaces.slopes_deg[own]) <= LEVEL_DEG
-    max_step = limits.max_step * unit_m
     # The error of a plane makes no step of what is level, nor hides a step of half as much again.
     at_level = walkable & is_level & (
         abs(above) <= max_step + np.minimum(SIGMAS * error, 0.5 * max_step))
@@ -308,11 +308,10 @@ def _ground_planes(surfaces: Surfaces, own: int, walkable: np.ndarray, joins: np
         joined = more
 
 
-def _classes(found: PlaneSegmentation, surfaces: Surfaces, own: int, joined: np.ndarray,
+def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
              at_level: np.ndarray, risers: np.ndarray, unit_m: float) -> tuple[PlaneClass, ...]:
     """Return the class of each plane."""
     classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
-    above, _ = surfaces.above(own)
     is_level = surfaces.slopes_deg <= LEVEL_DEG
     # Steps are reached from the ground, or from other steps.
     is_step, linked = joined.copy(), risers >= MIN_JOINS
