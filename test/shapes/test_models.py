@@ -11,6 +11,7 @@ from scipy import optimize
 from plane_detector.shapes.fitting import Pixels, Silhouette, fit_shape, least_squares, linearized
 from plane_detector.shapes.search import shapes_through
 from plane_detector.shapes.surface import FREEDOMS, depths_on_rays, frame_of, moved, surface_of
+from plane_detector.shapes.views import silhouette_rays
 from plane_detector.types import ShapeType
 
 NO_RAYS = np.zeros((0, 4))
@@ -126,3 +127,20 @@ def test_the_silhouette_gives_the_size_that_noise_hides():
     found = fit_shape(ShapeType.CYLINDER, start, pixels, Silhouette(rays, pixel), 10.0)
     assert found.shape[6] == pytest.approx(0.05, abs=0.001)
     assert blind.size_sigma > 0.005 > 0.001 > found.size_sigma
+
+
+def test_rays_of_the_silhouette_touch_the_shape():
+    fx, fy, cx, cy, centre_m, radius_m = 100.0, 130.0, 70.0, 55.0, np.array([0.1, 0.05, 2.0]), 0.4
+    v, u = np.mgrid[:120, :160].reshape(2, -1)
+    depth_m = depths_on_rays(np.array([*centre_m, 0, 0, 0, radius_m, 0]),
+                             np.column_stack([(u - cx) / fx, (v - cy) / fy])).reshape(120, 160)
+    is_ball = np.isfinite(depth_m)
+    rays = silhouette_rays(np.where(is_ball, depth_m, 5).astype(np.float32), is_ball,
+                           np.arange(15 * 20), 20, np.array([fx, fy, cx, cy, 0.0, 0.0, 8]))
+    assert len(rays) > 100
+    direction = np.column_stack([rays[:, :2], np.ones(len(rays))])
+    away_m = np.linalg.norm(np.cross(direction, centre_m), axis=1) / np.linalg.norm(direction,
+                                                                                    axis=1)
+    assert np.abs(away_m - radius_m).max() < centre_m[2] / fx
+    assert abs(np.median(away_m) - radius_m) < 0.2 * centre_m[2] / fx
+    np.testing.assert_allclose(rays[:, 2], 2.0, atol=radius_m)
