@@ -36,6 +36,9 @@ VOID_NEAR_M, VOID_LENGTH_M = 3.0, 0.4
 # derived: a vertical riser leads from the near to the far level; looking down by 40 degrees, the
 # depth changes by this share of its height at most, a table's edge before the floor by more.
 RISER_DEPTH = 0.7
+# derived: the inverse of the vertical share of a normal, 5 degrees off the vertical. Heights of
+# planes are those under the camera, which say nothing of a riser between steeper ones.
+LEVEL = 1.004
 
 _DEPTH, _LABELS = (f"Array({kind}, 2, 'C', readonly=True)" for kind in ('float32', 'int32'))
 _RAYS, _PLANES = 'float32[::1], float32[::1]', 'float32[:, ::1]'
@@ -67,8 +70,9 @@ def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
     """
     Return where walkable planes border on each other.
 
-    The first table (K, K) counts the samples of a border at which both have the same height, the
-    second those at which a riser leads from one to the other.
+    The first table (K, K) counts the samples of a border at which both have the same height, or at
+    which a riser that the robot climbs leads from one level to the other; the second those with a
+    higher riser.
     """
     count = len(planes)
     joins, risers = np.zeros((count, count), np.int32), np.zeros((count, count), np.int32)
@@ -109,10 +113,14 @@ def count_borders(labels, ray_x, ray_y, planes, walkable, max_step, max_riser):
             under = planes[k, 3] * planes[k, 4]
             if last >= 0 and k != last:
                 up = below - under
-                if max_step < abs(up) <= max_riser and (
+                if abs(up) <= max_riser and (
                         up < 0 or abs(z - track) <= max(RISER_DEPTH * up, max_step)):
-                    risers[last, k] += 1
-                    risers[k, last] += 1
+                    if abs(up) > max_step:
+                        risers[last, k] += 1
+                        risers[k, last] += 1
+                    elif max(planes[last, 4], planes[k, 4]) < LEVEL:
+                        joins[last, k] += 1
+                        joins[k, last] += 1
             last, track, below = k, z, under
     return joins, risers
 

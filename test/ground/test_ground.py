@@ -131,6 +131,15 @@ def test_a_rough_floor_without_a_plane_is_the_own_floor():
     assert len(found.drops_m) > 100 and off_edges_m(found, terrain).max() < 0.1
 
 
+@pytest.mark.parametrize('sign', [1, -1])
+def test_stairs_are_ground_for_legs(sign):
+    terrain = course(stairs, sign, start_m=1.5)
+    climbs = replace(MEASURED, ground=GroundConfig(max_step=0.2, min_height=0.2, max_slope=30.0,
+                                                   min_drop=0.25))
+    found = detect(terrain, config=climbs)
+    assert share(found, terrain, Kind.UPPER, Kind.LOWER) > 0.9
+
+
 def test_a_steep_ramp_is_ground_for_legs():
     terrain = sloping(25.0, View(1.4, 20.0))
     climbs = replace(MEASURED, ground=GroundConfig(max_slope=30.0))
