@@ -124,7 +124,7 @@ class PlaneDetector:
              may_hold: bool = False) -> Surroundings:
         """Run the second stage: gravity and lines, those found last if allowed."""
         given = None if seen.output == 'relative_disparity' else seen.disparity
-        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given, seen.is_measured)
+        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
         need = Need.PLANES if is_turned(seen) else Need.GRAVITY
         stages = StageTimer()
         with stages('directions'):

@@ -13,13 +13,7 @@ import numpy as np
 from plane_detector.config import Config
 from plane_detector.directions.gravity_choice import LIKELY_SIGMAS, Gravity, choose_gravity
 from plane_detector.directions.line_segments import LineSegments, detect_line_segments
-from plane_detector.directions.posterior import (
-    NETWORK_NORMAL_DEG,
-    SENSOR_NORMAL_DEG,
-    Expected,
-    collect_evidence,
-    surface_normals,
-)
+from plane_detector.directions.posterior import Expected, collect_evidence, surface_normals
 from plane_detector.directions.temporal_filter import carried
 from plane_detector.directions.vanishing import SceneDirections, find_directions
 from plane_detector.types import CameraIntrinsics
@@ -70,8 +64,6 @@ class CameraImage:
         Pixels that the image covers after rectification; None: all.
     disparity : (H, W) float32 or None
         1/z without a shift; NaN invalid. Its normals are evidence for the vertical.
-    is_measured : bool
-        By a sensor, not a network.
 
     """
 
@@ -79,7 +71,6 @@ class CameraImage:
     intrinsics: CameraIntrinsics
     covered: np.ndarray | None = None
     disparity: np.ndarray | None = None
-    is_measured: bool = False
 
 
 def find_in_image(image: CameraImage, expected: Expected | None = None,
@@ -100,11 +91,10 @@ def find_in_image(image: CameraImage, expected: Expected | None = None,
     segments = detect_line_segments(image.rgb, image.intrinsics, image.covered)
     surface = (None if image.disparity is None
                else surface_normals(image.disparity, image.intrinsics))
-    normal_deg = SENSOR_NORMAL_DEG if image.is_measured else NETWORK_NORMAL_DEG
     if before is not None:
         expected = carried(expected, before.directions, before.segments, segments)
     return ImageDirections(segments, find_directions(
-        segments, collect_evidence(segments, surface, normal_deg), expected))
+        segments, collect_evidence(segments, surface), expected))
 
 
 class Need(Enum):

@@ -154,7 +154,11 @@ def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarra
     """Return a probability, the axes that have it, and whether they are not those given."""
     rises = np.radians(RISES_DEG)[:, None]
     downs = np.concatenate([np.cos(rises) * axes[0] + np.sin(rises) * level for level in axes[1:]])
-    upright = _upright_votes(evidence.lines, downs, axes[1:])
+    bases = np.concatenate([downs[:, None], np.broadcast_to(axes[1:], (len(downs), 2, 3))], axis=1)
+    upright = _log_likelihood(bases, replace(evidence, normals=evidence.normals[:0]))[0]
+    # The normals tell, too: those of a floor that rises are along no axis then.
+    turned = np.stack([axes @ turn_between(axes[0], down).T for down in downs])
+    upright += _log_likelihood(turned, replace(evidence, lines=evidence.lines[:0]))[1]
     mass = np.exp(upright - upright.max())
     is_level = downs @ axes[0] > np.cos(np.radians(LEVEL_DEG))
     level = (1 - RISING) * mass[is_level].max()
@@ -166,20 +170,18 @@ def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarra
     return float(share), axes @ turn_between(axes[0], down).T if rises else axes, rises
 
 
-def _upright_votes(lines: np.ndarray, downs: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Return the log likelihood of lines along verticals (C, 3), or along level axes (2, 3)."""
-    bases = np.concatenate([downs[:, None], np.broadcast_to(level, (len(downs), 2, 3))], axis=1)
-    alone = Evidence(lines, np.zeros((0, 3)), 1.0)
-    return log_likelihood(bases, np.zeros((len(downs), 1)), alone,
-                          np.radians(FINE_ERROR_DEG))[0][:, 0]
+def _log_likelihood(frames: np.ndarray, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+    """Return the log likelihoods (C,) of frames (C, 3, 3): of the upright lines, of all else."""
+    upright, others = log_likelihood(frames, np.zeros((len(frames), 1)), evidence,
+                                     np.radians(FINE_ERROR_DEG))
+    return upright[:, 0], others[:, 0]
 
 
 def _gain(segments: LineSegments, axes: np.ndarray, evidence: Evidence,
           expected: Expected) -> float:
     """Return the log likelihood of all but the upright lines, of this image and those before."""
     others = replace(evidence, lines=evidence.lines[_is_off(segments, axes[:1])])
-    gain = expected.new * log_likelihood(axes[None], np.zeros((1, 1)), others,
-                                         np.radians(FINE_ERROR_DEG))[1].item()
+    gain = expected.new * _log_likelihood(axes[None], others)[1].item()
     before = expected.before
     if before is not None and before.downs[0] @ axes[0] > np.cos(np.radians(CLOSE_DEG)):
         gain += expected.kept * before.gain

@@ -81,6 +81,8 @@ def test_one_direction_is_the_vertical_if_the_depth_is_along_it(rng, off_deg, is
     down, x, y = tilted_frame()
     turn = cv2.Rodrigues(np.radians(off_deg) * y)[0]
     surface = np.vstack([np.tile(turn @ down, (400, 1)), np.tile(turn @ x, (600, 1))])
+    surface += rng.normal(0, 0.2, surface.shape)  # as those of a network
+    surface /= np.linalg.norm(surface, axis=1, keepdims=True)
     lines = lines_along(down[None], 40, rng)
     found = find_directions(lines, collect_evidence(lines, surface))
     assert (found.gravity_camera is not None) == is_found
