@@ -14,7 +14,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.planes.region_samples import MIN_COSINE
 from plane_detector.segmentation.cells.labels import relabel_sequential
-from plane_detector.segmentation.cells.noise import SLOPE_PER_NOISE
+from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, SLOPE_PER_NOISE
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import (
     MIN_EIGENVALUE,
@@ -42,9 +42,6 @@ CENTROID, OFFSET, RMS, AREA, CONFIDENCE, COVARIANCE = 3, 6, 7, 8, 9, 10
 # The errors of a plane are those of its whole cells, which it was fitted to, if they hold at least
 # this share of its pixels; otherwise, of all its pixels.
 MIN_WHOLE_SHARE = 0.3
-# Area with the same smooth noise where the image has no region large enough to measure it.
-# derived: a cell and its eight neighbours.
-CORRELATED_CELLS = 9.0
 # Structure throughout the image resembles noise. Above this share of the typical disparity it is
 # not noise, and regions with such residuals are rejected.
 MAX_NOISE_SHARE = 0.125

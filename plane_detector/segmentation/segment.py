@@ -141,7 +141,7 @@ def _label(frame: Frame, regions: PlaneRegions,
 def _exact(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarray]:
     """Return pixel labels and planes of exact depth."""
     graph = merge_coplanar(frame.cells, RegionGraph.of(frame.cells, regions), None)
-    return _label_flat_ones(frame, graph, None, 0.0, MIN_TURN_DEG)
+    return _label_flat_ones(frame, graph, None, frame.noise.density, MIN_TURN_DEG)
 
 
 def _measured(frame: Frame, regions: PlaneRegions,

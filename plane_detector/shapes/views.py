@@ -13,7 +13,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import dilated
-from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, Noise
 from plane_detector.shapes.fitting import FittedShape, Pixels, Silhouette, shape_residuals
 from plane_detector.shapes.surface import DEVIATIONS, depths_on_rays
 from plane_detector.shapes.surfels import Surfels, depth_sigma_m
@@ -26,8 +26,6 @@ _STEEP = 8.0
 # Limits on the time of a fit and of the measurement of a shape.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; equal with 500 pixels and 200 rays.
 _FITTED_PIXELS, _SILHOUETTE_RAYS, _MEASURED_PIXELS = 300, 120, 2000
-# derived: smooth noise is about equal in a cell and its eight neighbours.
-_CORRELATED_CELLS = 9.0
 # derived: cells cut by the silhouette are not members; they form a border of at most two cells.
 _BORDER_CELLS = 2
 
@@ -132,7 +130,7 @@ class DepthView:
         """Number of pixels that carry the information of one with independent noise."""
         smooth, grain = self.noise.mean_sigma**2, self.noise.pixel_sigma**2
         floor = self.noise.variance_floor(self.surfels.median_disparity)
-        return ((smooth * _CORRELATED_CELLS * self.size_px**2 + grain + floor)
+        return ((smooth * CORRELATED_CELLS * self.size_px**2 + grain + floor)
                 / (smooth + grain + floor))
 
     @cached_property

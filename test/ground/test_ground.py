@@ -35,6 +35,14 @@ MEASURED = Config(depth=DepthConfig(source='topic'))
 FROM_ABOVE = View(1.0, 25.0, roll_deg=3.0)
 
 
+def test_a_far_landing_keeps_its_plane_though_near_ground_is_exact():
+    seed = 110
+    view = random_terrain('ramp down', np.random.default_rng([seed, *b'ramp down']))
+    found = detect(view, noisy(view, 0.001, np.random.default_rng([seed, 1])))
+    landing = view.kinds == Kind.LANDING
+    assert (found.labels[landing] >= 0).mean() > 0.95
+
+
 def detect(terrain, depth_m=None, config=MEASURED, gravity_camera=None):
     scene = terrain.scene
     depth_m = noisy(terrain, 0.001, np.random.default_rng(1)) if depth_m is None else depth_m

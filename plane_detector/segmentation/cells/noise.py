@@ -53,6 +53,9 @@ SLOPE_PER_NOISE = 8.0
 # tuned: 14 real frames through FastDepth, SC with the planes of the sensor's depth; flat from 0.7
 # to 1.4 times, -0.028 at 0.
 GRAIN_PER_NOISE = 0.25
+# Cells with the same smooth noise where no region of the image is large enough to measure it.
+# derived: a cell and its eight neighbours.
+CORRELATED_CELLS = 9.0
 
 
 class DepthKind(Enum):
@@ -112,6 +115,11 @@ class Noise:
     def is_metric(self) -> bool:
         """Whether the disparity is 1/metres: only then is there a lower bound of the depth's."""
         return self.depth_floor_m > 0
+
+    @property
+    def density(self) -> float:
+        """Variance of a cell times the number of cells that share its error, if not measured."""
+        return CORRELATED_CELLS * self.mean_sigma**2
 
     def variance_floor(self, disparity: np.ndarray) -> np.ndarray:
         """Return the lower bound of the variance of pixels of this disparity."""
