@@ -58,7 +58,7 @@ class FrameFlow:
         self._processor: FrameProcessor | None = processor
         self._outputs, self._query, self._live = outputs, query, live
         self._records = records
-        self.worker = FrameWorker(self._begin)
+        self.worker = FrameWorker(self._begin, overlaps=processor.has_network)
 
     def accept(self, frame: Frame) -> None:
         """Pass a frame to the worker if it is wanted; called in the executor's thread."""

@@ -20,19 +20,20 @@ class FrameWorker:
     """
     Processes frames in order; one more may wait, and a newer one replaces it.
 
-    Frames are finished in a second thread, while the next one is begun.
-
     Parameters
     ----------
     begin : callable
         Called with each frame; returns the function that finishes it, which is called after that
         of the frame before. Both run under a stop for the frame, and must not raise, except
         Stopped.
+    overlaps : bool
+        Whether frames are finished in a second thread, while the next one is begun. It is worth
+        it only if beginning takes long: two threads of Python wait for each other.
 
     """
 
-    def __init__(self, begin: Callable[[Frame], Callable[[], None]]):
-        self._begin = begin
+    def __init__(self, begin: Callable[[Frame], Callable[[], None]], overlaps: bool):
+        self._begin, self._overlaps = begin, overlaps
         self._changed = threading.Condition()
         self._waiting: Frame | None = None
         self._stops: tuple[Stop, ...] = ()
@@ -77,8 +78,10 @@ class FrameWorker:
             finish = _under(stop, partial(self._begin, frame))
             del frame  # no reference while waiting
             self._begun.join()  # the frame before is finished
-            if finish is not None:
+            if finish is not None and self._overlaps:
                 self._begun.put(partial(_under, stop, finish))
+            elif finish is not None:
+                _under(stop, finish)
             del finish
         self._begun.put(None)
         finisher.wait()

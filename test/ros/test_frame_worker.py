@@ -36,10 +36,10 @@ class Work:
             self.ended.release()
 
 
-def started(listens=True):
+def started(listens=True, overlaps=False):
     """Return a worker that is busy with a frame."""
     work = Work(listens)
-    worker = FrameWorker(work)
+    worker = FrameWorker(work, overlaps)
     assert not worker.put('first')
     assert work.begun.acquire(timeout=STUCK_S)
     return work, worker
@@ -64,7 +64,7 @@ def test_the_next_frame_is_begun_while_one_is_finished_and_finished_after_it():
         begun.release()
         return lambda: (free.wait(STUCK_S), finished.append(frame), has_finished.release())
 
-    worker = FrameWorker(begin)
+    worker = FrameWorker(begin, overlaps=True)
     for frame in ('first', 'second'):
         worker.put(frame)
         assert begun.acquire(timeout=STUCK_S)
@@ -78,9 +78,10 @@ def test_the_next_frame_is_begun_while_one_is_finished_and_finished_after_it():
     assert finished[:2] == ['first', 'second']
 
 
+@pytest.mark.parametrize('overlaps', [True, False])
 @pytest.mark.parametrize('listens', [True, False])
-def test_a_dropped_frame_is_known_as_such_and_the_next_one_comes_after_it(listens):
-    work, worker = started(listens)
+def test_a_dropped_frame_is_known_as_such_and_the_next_one_comes_after_it(listens, overlaps):
+    work, worker = started(listens, overlaps)
     worker.put('waiting')
     worker.drop()
     worker.put('next')
@@ -95,8 +96,9 @@ def test_a_dropped_frame_is_known_as_such_and_the_next_one_comes_after_it(listen
     assert work.dropped == ([] if listens else ['first'])
 
 
-def test_stop_does_not_wait_for_work_that_ignores_it():
-    work, worker = started(listens=False)
+@pytest.mark.parametrize('overlaps', [True, False])
+def test_stop_does_not_wait_for_work_that_ignores_it(overlaps):
+    work, worker = started(listens=False, overlaps=overlaps)
     worker.stop()
     assert not worker.wait(0.05)
     work.free.release()
