@@ -60,10 +60,10 @@ CLOSE_RAD = np.radians(15.0)
 # Error of a network's normals: possible values, median and spread factor of their prior.
 SIGMAS_RAD = np.radians([0.5, 1.0, 2.0, 3.0, 5.0, 7.0, 10.0, 14.0, 20.0])
 EXPECTED_SIGMA_RAD, LOG_SIGMA_SPREAD = np.radians(12.0), 1.0
-# Error of a region's normal relative to its bend, the rms distance from its plane over its size.
+# Error of a region's normal relative to its bend, the distance from its plane over its size.
 # tuned: pure regions of fastdepth on frames of a Kinect, NYU and a living room: the median of
-# their errors is 4 times the bend, nine of ten are below this.
-TILT_PER_BEND = 10.0
+# their errors is 4 times the bend, nine of ten are below this; angles the same from 10 to 14.
+TILT_PER_BEND = 12.0
 # No plane is turned by more than this multiple of the error that its bend and its fit allow.
 MOST_TILTS = 10.0
 # derived: the mean relative error of fastdepth's depth on frames of other cameras.
@@ -126,9 +126,10 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
-    variances, outliers = _variances(planes), _outliers(planes, samples.image_shares)
+    tilts = _tilts_rad(planes, samples)
+    variances, outliers = _variances(planes, tilts), _outliers(tilts, samples.image_shares)
     # Whatever its lines: a region without a bend is what it is.
-    most = MOST_TILTS * np.sqrt(_fit_variance(planes) + _tilt_rad(planes) ** 2)
+    most = MOST_TILTS * np.sqrt(_fit_variance(planes) + tilts**2)
     lost[hypotheses.angle_rad > most[:, None]] = np.inf
     scores = _log_likelihood(hypotheses, variances, outliers[:, None]) - lost
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
@@ -160,9 +161,9 @@ def _probability(hypotheses: _Hypotheses, scores: np.ndarray, chosen: np.ndarray
     return (posterior * near[:, hypotheses.freedoms]).sum(1)
 
 
-def _variances(planes: tuple[Plane, ...]) -> np.ndarray:
+def _variances(planes: tuple[Plane, ...], tilts: np.ndarray) -> np.ndarray:
     """Return the variance (S, K) of the network's normals, rad^2, for each of SIGMAS_RAD."""
-    return _fit_variance(planes) + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / _tilt_rad(planes) ** 2)
+    return _fit_variance(planes) + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / tilts**2)
 
 
 def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
@@ -171,17 +172,16 @@ def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
     return np.trace(covariances, axis1=1, axis2=2) / 2
 
 
-def _tilt_rad(planes: tuple[Plane, ...]) -> np.ndarray:
+def _tilts_rad(planes: tuple[Plane, ...], samples: RegionSamples) -> np.ndarray:
     """Return the largest error (K,) of normals that the bend of their regions allows."""
-    bend = np.array([plane.rms_m / np.sqrt(plane.area_m2) for plane in planes])
+    bend = samples.roughness() * [plane.offset_m / np.sqrt(plane.area_m2) for plane in planes]
     return np.maximum(TILT_PER_BEND * bend, 1e-6)
 
 
-def _outliers(planes: tuple[Plane, ...], image_shares: np.ndarray) -> np.ndarray:
+def _outliers(tilts: np.ndarray, image_shares: np.ndarray) -> np.ndarray:
     """Return the share (K,) of normals unrelated to the true ones; 0 for exactly flat regions."""
-    tilt = _tilt_rad(planes) ** 2
     share = np.minimum(OUTLIER_SIZE / np.maximum(image_shares, 1e-6), MAX_OUTLIER_SHARE)
-    return share * tilt / (tilt + EXPECTED_SIGMA_RAD**2)
+    return share * tilts**2 / (tilts**2 + EXPECTED_SIGMA_RAD**2)
 
 
 def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray,

@@ -4,12 +4,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -93,6 +95,22 @@ class RegionSamples:
             for values in (seen**2, seen * self.disparity, seen > 0, np.ones(len(seen))))
         is_known = usable >= np.maximum(MIN_SAMPLES, MIN_POSSIBLE_SHARE * pixels)
         return np.divide(squares, products, out=np.full(self.count, np.nan), where=is_known)
+
+    def roughness(self) -> np.ndarray:
+        """
+        Return how far the depth of each region (K,) is from a plane, as a share of its depth.
+
+        It is the standard deviation of normal errors with the median of these: pixels of another
+        surface at the border of a region do not bend it.
+        """
+        ratio = self.own_cosine / self.disparity  # of plane and depth, times the offset
+        bounds = np.searchsorted(self.region, np.arange(self.count + 1))
+        found = np.zeros(self.count)
+        for k, (start, end) in enumerate(itertools.pairwise(bounds)):
+            if end > start:
+                offset = median(ratio[start:end])
+                found[k] = SIGMA_PER_MEDIAN * median(np.abs(ratio[start:end] / offset - 1))
+        return found
 
     def joined(self, group: np.ndarray) -> RegionSamples:
         """Return the samples after merging regions: region k becomes ``group[k]``."""

@@ -9,6 +9,7 @@ import pytest
 
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
+from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
 from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
 from plane_detector.planes.orientation import orient_planes
 from plane_detector.planes.region_samples import RegionSamples
@@ -23,11 +24,11 @@ def directions(pairs=True):
     return SceneDirections(AXES[0], covariance, AXES[None, 1:] if pairs else NO_PAIRS)
 
 
-def plane(normal, sigma_deg=1.0, rms_m=0.1):
+def plane(normal, sigma_deg=1.0):
     normal = np.asarray(normal, float) / np.linalg.norm(normal)
     covariance = np.zeros((4, 4))
     covariance[:3, :3] = np.radians(sigma_deg) ** 2 * (np.eye(3) - np.outer(normal, normal))
-    return Plane(normal, 2.0, -2 * normal, 1000, rms_m, 1.0, covariance, 0.9)
+    return Plane(normal, 2.0, -2 * normal, 1000, 0.1, 1.0, covariance, 0.9)
 
 
 def turned(normal, angle_deg, about):
@@ -44,19 +45,26 @@ def no_lines(count):
 
 
 def samples_of(planes, rays):
-    """Return samples of regions of which each has these rays (n, 3), exactly on its plane."""
+    """Return samples of regions, each with these rays (n, 3), in turn before and behind it."""
     rays = np.asarray(rays, float)
     cosine = np.concatenate([-rays @ p.normal for p in planes])
-    return RegionSamples(np.tile(rays, (len(planes), 1)), cosine / 2.0,
+    return RegionSamples(np.tile(rays, (len(planes), 1)), bent(cosine / 2.0),
                          np.repeat(np.arange(len(planes)), len(rays)), cosine,
                          np.full(len(planes), SHARE))
+
+
+def bent(disparity):
+    """Return disparities in turn above and below by what a bend of 10 cm at 2 m does."""
+    share = 0.1 / 2.0 / SIGMA_PER_MEDIAN
+    return disparity * (1 + share * np.where(np.arange(len(disparity)) % 2, 1, -1))
 
 
 def orient(planes, found, evidence):
     """Orient planes that are each seen in one spot: the depth excludes no rotation."""
     count = len(planes)
-    spots = RegionSamples(np.stack([-p.normal for p in planes]), np.full(count, 0.5),
-                          np.arange(count), np.ones(count), np.full(count, SHARE))
+    spots = RegionSamples(np.stack([-p.normal for p in planes]).repeat(2, axis=0),
+                          bent(np.full(2 * count, 0.5)), np.arange(count).repeat(2),
+                          np.ones(2 * count), np.full(count, SHARE))
     return orient_planes(planes, found, evidence, spots)
 
 
