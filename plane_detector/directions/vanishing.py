@@ -203,6 +203,8 @@ def _pairs(segments: LineSegments, evidence: Evidence, down: np.ndarray,
             + np.sin(angle)[:, None, None] * np.stack([basis[2], -basis[1]]))
     left = _is_off(segments, down[None])
     pairs, used = NO_PAIRS, evidence
+    if not left.any() and expected.pair is None:
+        return pairs  # axes of normals alone would turn planes to what their own depth says
     while len(pairs) < MAX_PAIRS:
         used = replace(used, lines=evidence.lines[left])
         score = log_likelihood(basis[None], angle[None], used, np.radians(FINE_ERROR_DEG))[1][0]
