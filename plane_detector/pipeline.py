@@ -159,7 +159,7 @@ class PlaneDetector:
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
             ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config,
-                                 is_metric=scale.is_metric)
+                                 is_metric=scale.is_metric, doubt=seen.doubt)
         with stages('tracking'):
             # 6. Labels that are stable from image to image.
             planes, track_labels = self._tracker.update(planes, config.tracking)

@@ -86,6 +86,8 @@ class Prediction:
         Unit normals of the surfaces in the optical frame, pointing to the camera; NaN invalid.
     normal_confidence : (H, W) float32, optional
         Confidence of the network in its normals, in the network's own unit; higher is better.
+    is_indoor : bool
+        By a network of indoor images only, which is wrong outdoors.
 
     """
 
@@ -93,6 +95,7 @@ class Prediction:
     values: np.ndarray
     normals_camera: np.ndarray | None = None
     normal_confidence: np.ndarray | None = None
+    is_indoor: bool = False
 
 
 @runtime_checkable

@@ -40,9 +40,9 @@ _HORIZON_DARKER, _HORIZON_REDDER = 15.0, 5.0
 _BORDER_PX = 3  # the texture window reaches this far beyond the region
 
 
-def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray:
+def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> tuple[np.ndarray, bool]:
     """
-    Return the pixels (H, W) bool whose disparity determines a distance, which is not in the sky.
+    Return the pixels (H, W) bool whose disparity determines a distance, and whether sky is seen.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def knowable(disparity: np.ndarray, noise: float, rgb: np.ndarray) -> np.ndarray
     known = (~(disparity < nearest_unknown) if least < nearest_unknown
              else np.ones(disparity.shape, bool))
     sky = find_sky(rgb, disparity)
-    return known & ~sky if sky is not None else known
+    return (known, False) if sky is None else (known & ~sky, True)
 
 
 def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:

@@ -105,7 +105,7 @@ _INDOOR = Network(
     sources=(UrlSource(_DEPTH_ANYTHING + 'depth_anything_v2_vits_indoor_dynamic.onnx'),),
     sha256='2e25a3f332b34d885a1b3059cab471f7916a36099325810821b2d6e0471f74ad',
     licence='Apache-2.0', summary='metres, indoors up to 20 m (Hypersim)',
-    recipe=_IMAGENET, outputs=Outputs('metric_depth'), noise_share=0.009,
+    recipe=_IMAGENET, outputs=Outputs('metric_depth', is_indoor=True), noise_share=0.009,
     short_side=518, side_multiple=14, focal_per_height=886.81 / 768)
 # The outdoor version is left out because its SHA-256 is not known; it can be used by path with
 # depth.output metric_depth and depth.short_side 518.
@@ -143,7 +143,7 @@ _FASTDEPTH = Network(
     size_bytes=5775869,
     sha256='6275c23f467d476874d0eecea2a2c7059733ca6681de4f17bfbfe3fc3a52a71d',
     licence='MIT', summary='metres, indoors up to 10 m (NYU Depth V2)',
-    recipe=replace(_UNIT_RANGE, resize='area'), outputs=Outputs('metric_depth'),
+    recipe=replace(_UNIT_RANGE, resize='area'), outputs=Outputs('metric_depth', is_indoor=True),
     noise_share=FASTDEPTH_NOISE_SHARE, short_side=224, side_multiple=32,
     focal_per_height=519.47 / (480 * (1 - 22 / 250)), views=3)
 # 1200 tokens are the minimum of its training; an input of 560 x 420 has that many patches of

@@ -57,6 +57,8 @@ class Observation:
         Pixels that the image covers after rectification; None: all.
     is_still : bool
         Nothing has moved since the image before: its prediction is averaged with the earlier ones.
+    sees_sky : bool
+        The image shows the sky; only found for a network's depth.
 
     """
 
@@ -71,6 +73,13 @@ class Observation:
     depth_seconds: float = 0.0
     covered: np.ndarray | None = None
     is_still: bool = False
+    sees_sky: bool = False
+
+    @property
+    def doubt(self) -> str:
+        """Why its lengths mean nothing; empty if nothing is known against them."""
+        return ('the network was trained indoors, and the image shows the sky'
+                if self.prediction.is_indoor and self.sees_sky else '')
 
     @property
     def output(self) -> str:
@@ -157,8 +166,10 @@ class ModelDepth:
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
         seen = self._averaged(seen, config.depth.damping)
-        values, known = seen.prediction.values, knowable(seen.disparity, seen.disparity_noise, rgb)
-        return seen if known.all() else seen.with_values(np.where(known, values, np.nan))
+        known, sees_sky = knowable(seen.disparity, seen.disparity_noise, rgb)
+        if not known.all():
+            seen = seen.with_values(np.where(known, seen.prediction.values, np.nan))
+        return replace(seen, sees_sky=sees_sky)
 
     def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
         """Choose the largest input that keeps the rate, see :class:`DepthModel`."""

@@ -58,6 +58,8 @@ class Outputs:
         Validity of the points, 0 to 1, and one number, metres per unit of the points.
     normals, confidence : str
         Normals in the optical frame, all to the camera or all away from it, and their confidence.
+    is_indoor : bool
+        The network was trained on indoor images only.
 
     """
 
@@ -69,6 +71,7 @@ class Outputs:
     scale: str = ''
     normals: str = ''
     confidence: str = ''
+    is_indoor: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -137,7 +140,7 @@ class Outputs:
         if self.confidence:
             confidence = framing.resized(maps['confidence'].astype(np.float32))
         return Prediction(self.kind, finish_output(depth, framing.image_size, self.kind), normals,
-                          confidence)
+                          confidence, self.is_indoor)
 
 
 def _as_map(array: np.ndarray, channels: int) -> np.ndarray:

@@ -87,7 +87,8 @@ def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> P
         total[part] += np.where(share > 0, share * crop, 0)
         weight[part] += share
     with np.errstate(invalid='ignore'):  # 0 / 0 is NaN, for invalid
-        return Prediction(kind, _inverted(total / weight, kind))
+        return Prediction(kind, _inverted(total / weight, kind),
+                          is_indoor=predictions[0].is_indoor)
 
 
 def _inverted(values: np.ndarray, kind: str) -> np.ndarray:

@@ -135,7 +135,8 @@ class Surfaces:
 
 
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
-                gravity: Gravity, config: Config, *, is_metric: bool = True) -> Ground:
+                gravity: Gravity, config: Config, *, is_metric: bool = True,
+                doubt: str = '') -> Ground:
     """
     Find the ground of an image.
 
@@ -152,6 +153,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     is_metric : bool
         Whether lengths are in metres. If not, the camera is taken to be 1 m above the floor for
         the classes, and there are neither ground nor drops.
+    doubt : str
+        Why lengths mean nothing, which then is the note instead of drops.
 
     Returns
     -------
@@ -199,6 +202,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     mask = mark_ground(depth_m, labels, *rays, table, is_ground, own, level_axes(down),
                        limits.min_height, np.tan(np.radians(limits.max_slope)), SIGMAS * sigma)
     # 5. Drops.
+    if doubt:
+        return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg, note=doubt)
     error_m = SIGMAS * sigma * TOLD_AT_M * height_m
     if error_m > LARGEST_ERROR_M:
         return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg,

@@ -67,9 +67,9 @@ def test_a_white_wall_is_not_sky(share):
 def test_a_disparity_within_its_noise_of_zero_determines_no_distance():
     rgb = np.zeros((1, 4, 3), np.uint8)
     disparity = np.array([[0.029, 0.031, 0.5, np.nan]], np.float32)
-    np.testing.assert_array_equal(knowable(disparity, 0.01, rgb), [[False, True, True, True]])
-    assert knowable(disparity, 0.0, rgb).all()
-    assert knowable(disparity - 0.1, 0.01, rgb).all(), 'the shift is not known'
+    np.testing.assert_array_equal(knowable(disparity, 0.01, rgb)[0], [[False, True, True, True]])
+    assert knowable(disparity, 0.0, rgb)[0].all()
+    assert knowable(disparity - 0.1, 0.01, rgb)[0].all(), 'the shift is not known'
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])

@@ -10,6 +10,7 @@ import pytest
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.rendering import Rectangle
 from plane_detector.evaluation.scenes.terrain import (
@@ -346,6 +347,23 @@ def test_depth_that_is_too_wrong_tells_no_drop_and_why():
     coarse = noisy(terrain, 0.1, np.random.default_rng(1))
     found = detect(terrain, coarse)
     assert len(found.drops_m) == 0 and 'm off' in found.drop_note
+
+
+@pytest.mark.parametrize('is_indoor', [False, True])
+def test_an_indoor_network_under_the_sky_tells_no_drop_and_why(is_indoor):
+    scene = course(kerb, -1, 0.2).scene
+    rgb, depth_m, sky = scene.rgb.copy(), scene.depth_m.copy(), 120
+    rgb[:sky] = np.linspace((160, 195, 245), (225, 235, 245), sky)[:, None]
+    depth_m[:sky] = 9.0
+
+    class Network(DepthFunction):
+        def predict(self, rgb, intrinsics):
+            return replace(super().predict(rgb, intrinsics), is_indoor=is_indoor)
+
+    found = PlaneDetector(Config(), Network(lambda rgb: depth_m)).detect(
+        rgb, scene.intrinsics, gravity_camera=scene.gravity_camera)
+    assert (len(found.drops_m) == 0) == is_indoor
+    assert ('indoors' in found.drop_note) == is_indoor
 
 
 def test_without_gravity_nothing_is_claimed():
