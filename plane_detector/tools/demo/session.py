@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -79,6 +80,7 @@ class Session:
             self._executor.add_node(node)
         self._messages: dict[str, Any] = {}
         self._facts: dict[str, str] = {}
+        self._is_interrupted = False
         self._publishers = {name: self._camera.create_publisher(kind, name, 5)
                             for name, kind in _INPUTS.items()}
         for name, kind in _OUTPUTS.items():
@@ -89,6 +91,9 @@ class Session:
         self._reset = self._camera.create_client(Trigger, 'plane_detector/reset_tracking')
 
     def __enter__(self) -> Session:
+        # Raised within the conversion of a message, KeyboardInterrupt would become another error.
+        self._handlers = {number: signal.signal(number, self._interrupt)
+                          for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             self._spin_until(
                 lambda: (self._detector.state == 'active' and self._reset.service_is_ready()
@@ -102,6 +107,8 @@ class Session:
         return self
 
     def __exit__(self, *_: object) -> None:
+        for number, handler in self._handlers.items():
+            signal.signal(number, handler)
         for node in (self._camera, self._detector):
             node.destroy_node()
         self._executor.shutdown()
@@ -162,14 +169,22 @@ class Session:
         for status in msg.status:
             self._facts.update({pair.key: pair.value for pair in status.values})
 
+    def _spin_once(self) -> None:
+        self._executor.spin_once(timeout_sec=0.02)
+        if self._is_interrupted:
+            raise KeyboardInterrupt
+
+    def _interrupt(self, *_: object) -> None:
+        self._is_interrupted = True
+
     def _spin(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
-            self._executor.spin_once(timeout_sec=0.02)
+            self._spin_once()
 
     def _spin_until(self, done: Callable[[], Any], timeout_s: float, problem: str) -> None:
         end_s = time.monotonic() + timeout_s
         while not done():
             if time.monotonic() > end_s:
                 raise TimeoutError(f'{problem} within {timeout_s:g} s; its log says why')
-            self._executor.spin_once(timeout_sec=0.02)
+            self._spin_once()
