@@ -11,7 +11,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
-from plane_detector.segmentation.pixels.labelling import label_pixels
+from plane_detector.segmentation.pixels.labelling import label_pixels, pixel_tolerance
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
@@ -56,10 +56,82 @@ def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
     part = tuple(slice(side.start * size, side.stop * size) for side in box)
     left = _unlabelled_part(frame, labels, part, wanted[box])
     graph = _flat_regions(left, room, min_turn_deg)
-    if len(graph.planes):
-        labels = labels.copy()
-        labels[part] = label_pixels(left, graph, (labels[part], len(planes)))
-    return labels, np.concatenate([planes, graph.planes])
+    if not len(graph.planes):
+        return labels, planes
+    labels, known = labels.copy(), len(planes)
+    planes = np.concatenate([planes, graph.planes])
+    found = label_pixels(left, graph, (labels[part], known))
+    _take_back(found, known, frame.image.values[part], left.grid.planes_in_pixels(planes),
+               pixel_tolerance(left), frame.grid.size_px)
+    labels[part] = found
+    return labels, planes
+
+
+@kernel('void(int32[:, ::1], int64, float32[:, :], float64[:, ::1], UniTuple(float64, 2), int64)')
+def _take_back(labels, known, disparity, planes, tolerance, reach):
+    """
+    Give the new planes the pixels at their borders that the known planes took alone.
+
+    Beside the line where two planes intersect, each pixel belongs to the plane of its side,
+    whatever its noise; elsewhere to the nearer plane. The planes grow by at most ``reach`` pixels.
+    """
+    (height, width), sides = labels.shape, _sides_of_intersections(labels, known, planes)
+    queue, first, last = np.empty((labels.size, 3), np.int64), 0, 0
+    for v in range(1, height - 1):
+        above, here, below = labels[v - 1], labels[v], labels[v + 1]
+        for u in range(1, width - 1):
+            k = here[u]
+            if k >= known and not (above[u] == below[u] == here[u - 1] == here[u + 1] == k):
+                queue[last] = v, u, 0
+                last += 1
+    while first < last:
+        v, u, steps = queue[first]
+        first += 1
+        k = labels[v, u]
+        if steps == reach:
+            break
+        for row, column in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
+            if row < 0 or column < 0 or row == height or column == width:
+                continue
+            j, d = labels[row, column], disparity[row, column]
+            if j < 0 or j >= known:
+                continue
+            own = planes[k, 0] * column + planes[k, 1] * row + planes[k, 2]
+            other = planes[j, 0] * column + planes[j, 1] * row + planes[j, 2]
+            square = tolerance[0] + tolerance[1] * d**4
+            is_close = sides[k, j] != 0 and (own - other) ** 2 < square
+            is_own = sides[k, j] * (own - other) > 0 if is_close else abs(own - d) < abs(other - d)
+            if is_own and (own - d) ** 2 <= square:
+                labels[row, column] = k
+                queue[last] = row, column, steps + 1
+                last += 1
+
+
+@kernel('int8[:, ::1](int32[:, ::1], int64, float64[:, ::1])')
+def _sides_of_intersections(labels, known, planes):
+    """
+    Return the sign of 1/z of plane k minus known plane j where k is, (K, known).
+
+    It is 0 if the middle of the pixels of j is on the same side of the intersection.
+    """
+    count, sums = len(planes), np.zeros((len(planes), 3))
+    for v in range(0, labels.shape[0], 2):  # half of the rows show it
+        for u in range(labels.shape[1]):
+            if labels[v, u] >= 0:
+                sums[labels[v, u], 0] += u
+                sums[labels[v, u], 1] += v
+                sums[labels[v, u], 2] += 1
+    sides = np.zeros((count, known), np.int8)
+    for k in range(known, count):
+        for j in range(known):
+            here, there = 0.0, 0.0
+            for term in range(3):
+                difference = planes[k, term] - planes[j, term]
+                here += difference * sums[k, term]
+                there += difference * sums[j, term]
+            if here * there < 0:
+                sides[k, j] = 1 if here > 0 else -1
+    return sides
 
 
 def _unlabelled_part(frame: Frame, labels: np.ndarray, part: tuple[slice, slice],

@@ -15,6 +15,7 @@ from plane_detector.segmentation.regions.region_graph import RegionGraph
 from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 from plane_detector.segmentation.segment import MIN_TURN_DEG
+from plane_detector.types import CameraIntrinsics
 
 CONFIG = Config()
 NEAR_M, LEFT_M, RIGHT_M = 1.9, 2.0, 2.3
@@ -62,6 +63,21 @@ def test_the_plane_is_in_coordinates_of_the_image(first_px):
     a, b, c = given[0].grid.planes_in_pixels(planes)[own]
     disparity = given[0].image.values[rows, columns]
     np.testing.assert_allclose(a * columns + b * rows + c, disparity, atol=1e-4)
+
+
+@pytest.mark.parametrize('roll', [0.0, 0.3])
+def test_a_narrow_face_gets_the_pixels_on_its_side_of_the_edges(roll):
+    """Its neighbours, found before, are within the noise of a scanner's depth there."""
+    v, u = np.indices((512, 512))
+    across = (u - 250) * np.cos(roll) + (v - 250) * np.sin(roll)
+    depth_m = 1 / (1 / 0.9 - 0.0025 * np.clip(across, 0, 12))
+    depth_m += np.random.default_rng(0).normal(0, 0.0005, depth_m.shape)
+    scanner = CameraIntrinsics(1611.0, 2337.0, 255.0, 255.0, 512, 512)
+    found = segment_planes((0.0013 * np.round(depth_m / 0.0013)).astype(np.float32), scanner)
+    is_face = (across >= 0) & (across < 12)
+    own = found.labels == np.bincount(found.labels[is_face] + 1).argmax() - 1
+    assert len(found.planes) == 3
+    assert np.count_nonzero(own & is_face) > 0.85 * np.count_nonzero(own | is_face)
 
 
 @pytest.mark.parametrize('second_px', [335, 500])

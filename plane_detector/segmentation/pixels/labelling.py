@@ -53,16 +53,22 @@ def label_pixels(frame: Frame, graph: RegionGraph,
         found, first = others[0].copy(), others[1]
     elif sees_creases(grid, noise, frame.threshold):
         sweeps = sum(grid.shape)  # a border moves by one cell per sweep
-    variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
-    tolerance = frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2
     disparity = image.values
     # In other depth neighbouring pixels share their error, and small planes gain nothing.
     if others is None and frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
     _label((found, first), (disparity, image.valid, grid.size_px),
            (graph.labels, at_borders(graph.labels)),
-           (grid.planes_in_pixels(graph.planes), graph.intersections()), tolerance, sweeps)
+           (grid.planes_in_pixels(graph.planes), graph.intersections()), pixel_tolerance(frame),
+           sweeps)
     return found
+
+
+def pixel_tolerance(frame: Frame) -> tuple[float, float]:
+    """Return the squared tolerance of a pixel's 1/z: t[0] + t[1] / z**4."""
+    noise = frame.noise
+    variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
+    return frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2
 
 
 @kernel('void(Tuple((int32[:, ::1], int64)), Tuple((float32[:, ::1], boolean[:, ::1], int64)), '
