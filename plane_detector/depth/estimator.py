@@ -14,7 +14,12 @@ from plane_detector.depth import plausibility
 from plane_detector.depth.model_zoo import resolve
 from plane_detector.depth.networks import Network
 from plane_detector.depth.onnx_file import check_external_data
-from plane_detector.depth.onnx_session import OnnxSession, ProviderError, available_providers
+from plane_detector.depth.onnx_session import (
+    MIN_SIDE_PX,
+    OnnxSession,
+    ProviderError,
+    available_providers,
+)
 from plane_detector.depth.plausibility import ImplausibleDepthError
 from plane_detector.depth.preprocessing import prepare_input
 from plane_detector.depth.readers import OWN_FOCAL, OutputError, lens_factor
@@ -33,19 +38,8 @@ class DepthEstimator:
     A depth network, ready to run: the constructor has already run it once.
 
     A :class:`~plane_detector.types.DepthModel`. The same image gives the same output. Calls must
-    not overlap.
-
-    Parameters
-    ----------
-    config : DepthConfig
-        Selects the network and how it is run.
-
-    Attributes
-    ----------
-    name, provider, reason : str
-        Name in the zoo or path, execution provider in use, and why they were chosen.
-    needs_lens : bool
-        Whether it needs the intrinsics of the image.
+    not overlap. Attributes are ``name`` in the zoo, or path, the execution ``provider`` in use,
+    the ``reason`` why they were chosen, and whether it ``needs_lens``, the intrinsics.
 
     Raises
     ------
@@ -191,7 +185,7 @@ class DepthEstimator:
         """Reject a network whose output contradicts its kind where the depth is known."""
         rgb, depth_m = plausibility.corridor()
         prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
-        if plausibility.shows_corridor(self.input_size(*plausibility.CORRIDOR_SIZE)):
+        if min(self.input_size(*plausibility.CORRIDOR_SIZE)) >= MIN_SIDE_PX:
             try:
                 plausibility.check_kind(prediction, depth_m)
             except ImplausibleDepthError as error:

@@ -50,14 +50,7 @@ def cached_path(network: Network, cache_dir: str | Path = '') -> Path:
 
 def fetch(name: str, cache_dir: str | Path = '') -> Path:
     """
-    Return the verified file of a network; downloads it if it is not in the cache.
-
-    Parameters
-    ----------
-    name : str
-        One of `NETWORKS`.
-    cache_dir : str or Path
-        Folder of the files; empty: `default_cache_dir`.
+    Return the verified file of one of `NETWORKS`; downloads it if it is not in the cache.
 
     Raises
     ------
@@ -102,20 +95,8 @@ def choose(cache_dir: str | Path = '', output: str = 'auto') -> tuple[Network, P
     """
     Return the first network of `AUTO_ORDER` that is cached or can be downloaded now.
 
-    Parameters
-    ----------
-    cache_dir : str or Path
-        As for `fetch`.
-    output : str
-        Only networks with this output; ``auto``: any.
-
-    Returns
-    -------
-    network : Network
-    path : Path
-        Its verified file.
-    reason : str
-        Why this network was chosen, and why the preferred ones were not.
+    Also its verified file, and why it was chosen and the preferred ones were not. Only networks
+    with this ``output`` are considered; ``auto``: any.
 
     Raises
     ------

@@ -11,8 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from plane_detector.depth.download import Source, UrlSource
-from plane_detector.depth.npm import NpmSource
+from plane_detector.depth.download import NpmSource, Source, UrlSource
 from plane_detector.depth.preprocessing import InputRecipe
 from plane_detector.depth.readers import Outputs
 
@@ -22,64 +21,29 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 
 @dataclass(frozen=True)
 class Network:
-    """
-    A depth network: of the zoo, or a file with what the settings say about it.
+    """A depth network: of the zoo, or a file with what the settings say about it."""
 
-    Attributes
-    ----------
-    name, file_name : str
-        Value of `DepthConfig.model`, and the name of the file in the cache folder.
-    sources : tuple of Source
-        Sources of the file; they are tried in turn.
-    size_bytes, sha256 : int, str
-        Size of the file, 0 if unknown, and its hash.
-    licence : str
-        Of the weights: the SPDX name if it is clear, else a description.
-    summary : str
-        Its output and training data.
-    recipe : InputRecipe
-        Conversion of an image to its input.
-    outputs : Outputs
-        Which of its outputs is what.
-    noise_share : float
-        Typical error of its disparity as a share of the disparities of the image, see
-        `plane_detector.geometry.disparity.noise_reference`.
-    input_size : (int, int)
-        Width and height of its input; (0, 0): as the file states.
-    short_side : int
-        Short side of an input of any size for best quality, pixels.
-    side_multiple : int
-        The sides of an input of any size are multiples of this.
-    focal_per_height : float
-        Focal length over height of the training images, as given to the network; 0 if the output
-        does not depend on the lens. The metric depth of another camera is wrong by about the
-        ratio of the two.
-    views : int
-        Number of views of an image that are averaged for best quality.
-    scalars : mapping of str to int
-        Additional integer inputs and their values.
-    is_opt_in : bool
-        Used only if it is named, because of its licence.
-
-    """
-
-    name: str
-    file_name: str
-    recipe: InputRecipe
-    outputs: Outputs
+    name: str  # value of `DepthConfig.model`
+    file_name: str  # in the cache folder
+    recipe: InputRecipe  # conversion of an image to its input
+    outputs: Outputs  # which of its outputs is what
+    # Typical error of its disparity as a share of the disparities of the image, see
+    # `plane_detector.geometry.disparity.noise_reference`.
     noise_share: float
-    sources: tuple[Source, ...] = ()
-    size_bytes: int = 0
+    sources: tuple[Source, ...] = ()  # of the file; they are tried in turn
+    size_bytes: int = 0  # of the file; 0: not known
     sha256: str = ''
-    licence: str = ''
-    summary: str = ''
-    input_size: tuple[int, int] = (0, 0)
-    short_side: int = 0
-    side_multiple: int = 1
+    licence: str = ''  # of the weights: the SPDX name if it is clear, else a description
+    summary: str = ''  # its output and training data
+    input_size: tuple[int, int] = (0, 0)  # width and height; (0, 0): as the file states
+    short_side: int = 0  # pixels, of an input of any size for best quality
+    side_multiple: int = 1  # the sides of an input of any size are multiples of this
+    # Focal length over height of the training images, as given to the network; 0 if the output
+    # does not depend on the lens. Metric depth of another camera is wrong by about their ratio.
     focal_per_height: float = 0.0
-    views: int = 1
-    scalars: Mapping[str, int] = field(default_factory=dict)
-    is_opt_in: bool = False
+    views: int = 1  # of an image that are averaged for best quality
+    scalars: Mapping[str, int] = field(default_factory=dict)  # more integer inputs, their values
+    is_opt_in: bool = False  # used only if it is named, because of its licence
 
     @property
     def output(self) -> str:

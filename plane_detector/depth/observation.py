@@ -25,55 +25,28 @@ from plane_detector.geometry.disparity import (
 )
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
-FILTER_SIDE_PX = 640
-"""Flicker is averaged in an image with sides up to this: a network sees no finer detail."""
+# Flicker is averaged in an image with sides up to this: a network sees no finer detail.
+_FILTER_SIDE_PX = 640
 
 
 @dataclass(frozen=True)
 class Observation:
-    """
-    An image with its depth, before the scale is known.
+    """An image with its depth, before the scale is known."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-    intrinsics : CameraIntrinsics
-    config : Config
-        Settings for this image.
-    prediction : Prediction
-        The input of the segmentation.
-    is_measured : bool
-        The prediction is the measurement of a sensor, in metres.
-    sensor_depth_m : (H, W) floating or None
-        Measured depth that may determine the scale of the prediction.
-    noise_share : float
-        Standard deviation of the disparity stated for the source, as a share of the disparities
-        of an image; 0: not known.
-    edge_blur_px : float
-        Largest error of depth edges, in pixels of this image; 0: sharp edges.
-    depth_seconds : float
-        Time of the prediction.
-    covered : (H, W) bool or None
-        Pixels that the image covers after rectification; None: all.
-    is_still : bool
-        Nothing has moved since the image before: its prediction is averaged with the earlier ones.
-    sees_sky : bool
-        The image shows the sky; only found for a network's depth.
-
-    """
-
-    rgb: np.ndarray
+    rgb: np.ndarray  # (H, W, 3) uint8
     intrinsics: CameraIntrinsics
-    config: Config
-    prediction: Prediction
-    is_measured: bool = False
-    sensor_depth_m: np.ndarray | None = None
+    config: Config  # settings for this image
+    prediction: Prediction  # the input of the segmentation
+    is_measured: bool = False  # the prediction is the measurement of a sensor, in metres
+    sensor_depth_m: np.ndarray | None = None  # (H, W), may tell the scale of the prediction
+    # Standard deviation of the disparity stated for the source, as a share of the disparities of
+    # an image; 0: not known.
     noise_share: float = 0.0
-    edge_blur_px: float = 0.0
-    depth_seconds: float = 0.0
-    covered: np.ndarray | None = None
-    is_still: bool = False
-    sees_sky: bool = False
+    edge_blur_px: float = 0.0  # largest error of depth edges, in pixels of this image
+    depth_seconds: float = 0.0  # time of the prediction
+    covered: np.ndarray | None = None  # (H, W) bool, after rectification; None: all
+    is_still: bool = False  # nothing moved since the image before: averaged with earlier ones
+    sees_sky: bool = False  # only found for a network's depth
 
     @property
     def doubt(self) -> str:
@@ -161,7 +134,9 @@ class ModelDepth:
                              self.model.focal_per_height)
         if output != 'relative_disparity' and factor != 1.0:
             values = values * np.float32(factor if output == 'metric_depth' else 1 / factor)
-        values = _without_the_far(values, output, config.depth.max_depth)
+        if output != 'relative_disparity':
+            limited = limited_depth if output == 'metric_depth' else limited_disparity
+            values = limited(values, config.depth.max_depth)
         seen = Observation(rgb, intrinsics, config, replace(prediction, values=values),
                            sensor_depth_m=depth_m, noise_share=self.model.noise_share,
                            edge_blur_px=self.model.edge_blur_px(width, height))
@@ -172,7 +147,7 @@ class ModelDepth:
         return replace(seen, sees_sky=sees_sky)
 
     def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
-        """Choose the largest input that keeps the rate, see :class:`DepthModel`."""
+        """Choose the largest input that keeps the rate; see :class:`DepthModel`."""
         self.model.fit_to_rate(rate_hz, other_s)
 
     def advise(self, share: float) -> str:
@@ -189,7 +164,7 @@ class ModelDepth:
             self._average = None
             return seen
         height, width = seen.disparity.shape
-        factor = min(1.0, FILTER_SIDE_PX / max(height, width))
+        factor = min(1.0, _FILTER_SIDE_PX / max(height, width))
         size = max(round(factor * width), 1), max(round(factor * height), 1)
         disparity, rgb = seen.disparity, seen.rgb
         if factor < 1:
@@ -237,11 +212,3 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
     if not isinstance(model, DepthModel):
         model = wrapped(model, config.depth.output)
     return ModelDepth(model)
-
-
-def _without_the_far(values: np.ndarray, output: str, max_depth_m: float) -> np.ndarray:
-    """Return the depth or disparity of a model with NaN beyond the largest depth."""
-    if output == 'relative_disparity':
-        return values
-    limited = limited_depth if output == 'metric_depth' else limited_disparity
-    return limited(values, max_depth_m)

@@ -22,7 +22,7 @@ _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
 # Where a provider stores its inputs and outputs. Providers that are not listed use the memory of
 # the host.
 _DEVICES = {'CUDAExecutionProvider': 'cuda', 'TensorrtExecutionProvider': 'cuda'}
-# A network cannot recognise anything in smaller inputs.
+# In smaller inputs a network cannot recognise anything, nor the checkerboard of the corridor.
 MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
 
@@ -81,8 +81,7 @@ class OnnxSession:
         if all(network.input_size) or any(self._fixed_size):
             return ()
         least = -(-MIN_SIDE_PX // network.side_multiple) * network.side_multiple
-        return (*range(least, network.short_side, network.side_multiple),
-                network.short_side)
+        return (*range(least, network.short_side, network.side_multiple), network.short_side)
 
     @property
     def short_side(self) -> int:

@@ -17,15 +17,13 @@ import numpy as np
 from plane_detector.types import CameraIntrinsics, Prediction
 
 # Share of negative metres tolerated, because resampling in a network may undershoot.
-MOST_NEGATIVE = 0.01
+_MOST_NEGATIVE = 0.01
 # derived: fastdepth, the weakest network of the zoo, reaches 0.81 on the corridor; a network that
 # depends only on the colour of a pixel reaches 0.01.
-MIN_OPPOSITE_CORRELATION = 0.4
+_MIN_OPPOSITE_CORRELATION = 0.4
 # With less contrast an image shows nothing, and constant depth is not an error.
 _MIN_CONTRAST = 2.0
 _SAMPLED_SIDE = 96
-# Smaller inputs cannot resolve the checkerboard.
-MIN_SIDE_PX = 64
 # A network that gives values for a smaller share of the corridor is not judged by it.
 _MIN_SEEN = 0.5
 
@@ -80,7 +78,7 @@ def check_values(values: np.ndarray, kind: str, rgb: np.ndarray) -> None:
     if high - low <= 1e-6 * high and _sample(rgb).std(axis=(0, 1)).max() > _MIN_CONTRAST:
         raise ImplausibleDepthError(f'its output is {high:g} everywhere')
     negative = np.mean(finite < 0)
-    if kind == 'metric_depth' and negative > MOST_NEGATIVE:
+    if kind == 'metric_depth' and negative > _MOST_NEGATIVE:
         raise ImplausibleDepthError(
             f'{negative:.0%} of its output is negative (down to {low:g}), but metres are not')
 
@@ -93,7 +91,7 @@ def check_kind(prediction: Prediction, depth_m: np.ndarray) -> None:
         return
     sign = 1 if prediction.output == 'metric_depth' else -1
     correlation = sign * _rank_correlation(values[seen], truth[seen])
-    if correlation < -MIN_OPPOSITE_CORRELATION:
+    if correlation < -_MIN_OPPOSITE_CORRELATION:
         rises, other = (('falls', 'disparity') if sign > 0 else ('rises', 'depth'))
         raise ImplausibleDepthError(
             f'it is declared as {prediction.output}, but its output {rises} with distance on an '
@@ -107,11 +105,6 @@ def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
     if min(np.ptp(rank) for rank in ranks) == 0:
         return 0.0
     return float(np.corrcoef(*ranks)[0, 1])
-
-
-def shows_corridor(input_size: tuple[int, int]) -> bool:
-    """Return whether an input of (width, height) is large enough for the corridor."""
-    return min(input_size) >= MIN_SIDE_PX
 
 
 def _sample(image: np.ndarray) -> np.ndarray:

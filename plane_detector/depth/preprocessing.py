@@ -14,9 +14,9 @@ from plane_detector.types import CameraIntrinsics
 _SHRINKING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_AREA, 'linear': cv2.INTER_LINEAR}
 _GROWING = {'cubic': cv2.INTER_CUBIC, 'area': cv2.INTER_CUBIC, 'linear': cv2.INTER_LINEAR}
 _LONGEST_ASPECT = 10
-FIRST_REDUCED = 4
-"""Images so many times larger than the input are first reduced by their mean to twice its size:
-bytes are faster than floats, and cubic interpolation would use one pixel of sixteen."""
+# Images so many times larger than the input are first reduced by their mean to twice its size:
+# bytes are faster than floats, and cubic interpolation would use one pixel of sixteen.
+_FIRST_REDUCED = 4
 
 
 @dataclass(frozen=True)
@@ -29,24 +29,6 @@ class Framing:
     top: int
     width: int
     height: int
-
-    @classmethod
-    def stretched(cls, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
-        """Return the framing of an image that is stretched to the whole input."""
-        return cls(image_size, input_size, 0, 0, *input_size)
-
-    @classmethod
-    def letterboxed(cls, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
-        """
-        Return the framing of an image centred in the input with its aspect ratio.
-
-        If the number of border pixels is odd, right and bottom get one more, as in Metric3D.
-        """
-        factor = min(input_size[0] / image_size[0], input_size[1] / image_size[1])
-        width, height = (max(1, min(int(side * factor), most))
-                         for side, most in zip(image_size, input_size, strict=True))
-        return cls(image_size, input_size, (input_size[0] - width) // 2,
-                   (input_size[1] - height) // 2, width, height)
 
     @property
     def is_whole(self) -> bool:
@@ -92,34 +74,31 @@ def rays(intrinsics: CameraIntrinsics, shape: tuple[int, int]) -> np.ndarray:
 
 @dataclass(frozen=True)
 class InputRecipe:
-    """
-    Conversion of an image to the network's input: resizing, scaling, normalisation.
+    """Conversion of an image to the network's input: resizing, scaling, normalisation."""
 
-    Attributes
-    ----------
-    scale : float
-        Factor applied to the pixel values first.
-    mean, std : (3,) floats
-        Applied to the scaled RGB.
-    resize : str
-        Interpolation: ``cubic``; ``area``, which avoids aliasing when shrinking and is cubic when
-        enlarging; or ``linear``.
-    border_rgb : (3,) floats, optional
-        The image keeps its aspect ratio and gets a border of this colour, 0 to 255; empty: the
-        image is stretched to the whole input.
-
-    """
-
-    scale: float
-    mean: tuple[float, ...]
+    scale: float  # factor applied to the pixel values first
+    mean: tuple[float, ...]  # of the scaled RGB
     std: tuple[float, ...]
+    # Interpolation: ``cubic``; ``area``, which avoids aliasing when shrinking and is cubic when
+    # enlarging; or ``linear``.
     resize: str = 'cubic'
+    # The image keeps its aspect ratio and gets a border of this colour, 0 to 255; empty: the image
+    # is stretched to the whole input.
     border_rgb: tuple[float, ...] = ()
 
     def framing(self, image_size: tuple[int, int], input_size: tuple[int, int]) -> Framing:
-        """Return the position of an image (width, height) in an input (width, height)."""
-        kind = Framing.letterboxed if self.border_rgb else Framing.stretched
-        return kind(image_size, input_size)
+        """
+        Return the position of an image (width, height) in an input (width, height).
+
+        If the number of border pixels is odd, right and bottom get one more, as in Metric3D.
+        """
+        if not self.border_rgb:
+            return Framing(image_size, input_size, 0, 0, *input_size)
+        factor = min(input_size[0] / image_size[0], input_size[1] / image_size[1])
+        width, height = (max(1, min(int(side * factor), most))
+                         for side, most in zip(image_size, input_size, strict=True))
+        return Framing(image_size, input_size, (input_size[0] - width) // 2,
+                       (input_size[1] - height) // 2, width, height)
 
 
 def lower_bound_size(width: int, height: int, short_side: int, multiple: int) -> tuple[int, int]:
@@ -152,7 +131,7 @@ def prepare_input(rgb: np.ndarray, size: tuple[int, int], recipe: InputRecipe) -
     """Return the input (3, height, width) float32 of a network for an image (H, W, 3) uint8."""
     framing = recipe.framing((rgb.shape[1], rgb.shape[0]), size)
     inner = (framing.width, framing.height)
-    if rgb.shape[1] >= FIRST_REDUCED * inner[0] and rgb.shape[0] >= FIRST_REDUCED * inner[1]:
+    if rgb.shape[1] >= _FIRST_REDUCED * inner[0] and rgb.shape[0] >= _FIRST_REDUCED * inner[1]:
         rgb = cv2.resize(np.ascontiguousarray(rgb), (2 * inner[0], 2 * inner[1]),
                          interpolation=cv2.INTER_AREA)
     image = rgb.astype(np.float32, order='C')  # OpenCV does not take reversed or transposed views

@@ -22,8 +22,7 @@ from plane_detector.types import CameraIntrinsics, Prediction
 
 # Channels of the outputs by their roles in `Outputs`; 0: one number.
 _CHANNELS = {'depth': 1, 'points': 3, 'mask': 1, 'scale': 0, 'normals': 3, 'confidence': 1}
-MIN_MASK = 0.5
-"""Pixels are valid from this value of a validity mask, 0 to 1 (the threshold of MoGe)."""
+_MIN_MASK = 0.5  # pixels are valid from this value of a mask (the threshold of MoGe)
 _ROUNDS = 20
 _SETTLED = 1e-6  # of the depth: below the precision of float32
 _SAMPLED_SIDE = 64  # derived: 4096 pixels determine one unknown with more than enough precision
@@ -37,41 +36,23 @@ class OutputError(ValueError):
 
 @dataclass(frozen=True)
 class Outputs:
-    """
-    Names of a network's outputs by what they are, empty for what it does not give.
+    """Names of a network's outputs by what they are, empty for what it does not give."""
 
-    Attributes
-    ----------
-    kind : str
-        ``metric_depth``, ``disparity`` or ``relative_disparity``.
-    depth : str
-        One image in the unit of the kind. If no output is named, the only one, or the only one
-        with depth or disp in its name, is the depth.
-    canonical_focal_px : float
-        The depth is that of a camera with this focal length; metres are the depth times the
-        focal length at the size of the input over this one (Yin 2023). 0: the depth is in metres.
-    points : str
-        Points x, y, z with an unknown shift along z, in the unit of ``scale``; valid where
-        ``mask`` is at least MIN_MASK. With known intrinsics the shift is the one that brings them
-        onto the rays of their pixels (Wang 2025).
-    mask, scale : str
-        Validity of the points, 0 to 1, and one number, metres per unit of the points.
-    normals, confidence : str
-        Normals in the optical frame, all to the camera or all away from it, and their confidence.
-    is_indoor : bool
-        The network was trained on indoor images only.
-
-    """
-
-    kind: str
+    kind: str  # ``metric_depth``, ``disparity`` or ``relative_disparity``
+    # One image in the unit of the kind. If no output is named, the only one, or the only one with
+    # depth or disp in its name, is the depth.
     depth: str = ''
+    # The depth is that of a camera with this focal length; metres are the depth times the focal
+    # length at the size of the input over this one (Yin 2023). 0: the depth is in metres.
     canonical_focal_px: float = 0.0
+    # x, y, z with an unknown shift along z, in the unit of ``scale``; valid where ``mask`` is at
+    # least _MIN_MASK. The shift brings them onto the rays of their pixels (Wang 2025).
     points: str = ''
-    mask: str = ''
-    scale: str = ''
-    normals: str = ''
-    confidence: str = ''
-    is_indoor: bool = False
+    mask: str = ''  # validity of the points, 0 to 1
+    scale: str = ''  # one number, metres per unit of the points
+    normals: str = ''  # in the optical frame, all to the camera or all away from it
+    confidence: str = ''  # of the normals
+    is_indoor: bool = False  # trained on indoor images only
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,33 +77,16 @@ class Outputs:
             return maps['depth']
         # The distance of each point, which varies even on a wall seen frontally.
         length = np.linalg.norm(maps['points'], axis=-1)
-        return np.where(maps['mask'] >= MIN_MASK, length, np.nan)
+        return np.where(maps['mask'] >= _MIN_MASK, length, np.nan)
 
     def read(self, arrays: Sequence[np.ndarray], framing: Framing,
              intrinsics: CameraIntrinsics | None) -> Prediction:
-        """
-        Return the prediction of the arrays of a network.
-
-        Parameters
-        ----------
-        arrays : sequence of array
-            In the order of `names`.
-        framing : Framing
-            Where the image lies in the input.
-        intrinsics : CameraIntrinsics or None
-            Of the image; required if `needs_lens`.
-
-        Raises
-        ------
-        OutputError
-            The arrays have other shapes.
-
-        """
+        """Return the prediction of the arrays, in the order of `names`; may raise OutputError."""
         maps = self.maps(arrays)
         scale = maps.pop('scale', None)
         maps = {role: framing.crop(values) for role, values in maps.items()}
         normals = confidence = None
-        is_valid = maps['mask'] >= MIN_MASK if self.mask else None
+        is_valid = maps['mask'] >= _MIN_MASK if self.mask else None
         if self.points:
             points = maps['points'].astype(np.float32)
             depth = depth_from_point_map(points, is_valid, rays(intrinsics, points.shape[:2]))
@@ -181,21 +145,8 @@ def depth_from_point_map(points: np.ndarray, is_valid: np.ndarray,
 
     The point (x, y, z) of a pixel with ray (r, 1) must satisfy (x, y) = (z + t) r, which is linear
     in t. Each pixel is weighted by 1 / (z + t)**2, which turns its error into one in the image:
-    t = sum w (r . (x, y) - |r|**2 z) / sum w |r|**2, until it converges.
-
-    Parameters
-    ----------
-    points : (h, w, 3) float32
-        In any unit.
-    is_valid : (h, w) bool
-    rays : (h, w, 2) float32
-        x / z and y / z of each pixel.
-
-    Returns
-    -------
-    (h, w) float32
-        In the unit of the points; NaN where invalid.
-
+    t = sum w (r . (x, y) - |r|**2 z) / sum w |r|**2, until it converges. Points are (h, w, 3),
+    rays x / z and y / z of each pixel, (h, w, 2); the result is NaN where invalid.
     """
     is_valid = is_valid & np.isfinite(points).all(axis=-1)
     thin = tuple(slice(None, None, max(1, side // _SAMPLED_SIDE)) for side in points.shape[:2])

@@ -56,18 +56,12 @@ def filter_disparity(previous: FilteredDisparity | None, disparity: np.ndarray, 
     disparity : (H, W) floating
         Not finite where invalid.
     rgb : (H, W, 3) uint8
-        The image.
     keep : float
         Weight of the old average at each image, 0 to below 1. The first images have equal
         weights.
     same_scale : bool
         False for relative disparity, whose scale and shift may change with each image: the
         average is converted to those of the new image.
-
-    Returns
-    -------
-    FilteredDisparity
-        With the scale and shift of the new image.
 
     """
     grey = cv2.GaussianBlur(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0),

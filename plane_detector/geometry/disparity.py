@@ -17,11 +17,11 @@ from plane_detector.geometry.robust import quantiles
 # derived: nearer than any camera measures; the inverse of smaller depths exceeds the precision of
 # float32 for the rest of the image.
 MIN_DEPTH_M = 1e-3
-# Quantiles between which the range is measured, so that outliers do not widen it.
-RANGE_QUANTILES = (0.02, 0.98)
+# Quantiles between which the range is measured, so that outliers do not widen it; the median.
+_RANGE_QUANTILES = (0.02, 0.5, 0.98)
 # derived: below the values of rooms and streets, 0.5 to 2.7 times their median disparity, so that
 # it only applies if one surface fills the image.
-MIN_RANGE_OF_LEVEL = 0.25
+_MIN_RANGE_OF_LEVEL = 0.25
 _SMALLEST, _LARGEST = (float(value) for value in (np.finfo(np.float32).tiny,
                                                    np.finfo(np.float32).max))
 
@@ -49,37 +49,17 @@ def limited_depth(depth_m: np.ndarray, max_depth_m: float = np.inf) -> np.ndarra
     array([[ 2., nan, nan]], dtype=float32)
 
     """
-    return _limited(_float32(depth_m), MIN_DEPTH_M, min(max_depth_m, _LARGEST))
+    return _valid(_float32(depth_m), MIN_DEPTH_M, min(max_depth_m, _LARGEST), False)
 
 
 def limited_disparity(disparity: np.ndarray, max_depth_m: float) -> np.ndarray:
     """Return 1/z (H, W) float32, NaN where it is not finite or the depth is larger."""
-    return _limited(_float32(disparity), 1 / max_depth_m, _LARGEST)
-
-
-@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float32)")
-def _limited(values, least, most):
-    """Return the values, NaN unless from the least to the most."""
-    limited = np.empty(values.shape, np.float32)
-    for v in range(values.shape[0]):
-        for u in range(values.shape[1]):
-            is_valid = (values[v, u] >= least) & (values[v, u] <= most)
-            limited[v, u] = values[v, u] if is_valid else np.float32(np.nan)
-    return limited
+    return _valid(_float32(disparity), 1 / max_depth_m, _LARGEST, False)
 
 
 def to_disparity(depth_m: np.ndarray) -> np.ndarray:
     """
-    Return 1/z.
-
-    Parameters
-    ----------
-    depth_m : (H, W) floating
-
-    Returns
-    -------
-    (H, W) float32
-        1/metres, NaN where the depth is invalid.
+    Return 1/z (H, W) float32 of depth (H, W), in 1/metres, NaN where the depth is invalid.
 
     Examples
     --------
@@ -87,24 +67,14 @@ def to_disparity(depth_m: np.ndarray) -> np.ndarray:
     array([[0.5, nan]], dtype=float32)
 
     """
-    return _inverse(_float32(depth_m), MIN_DEPTH_M, _LARGEST)
+    return _valid(_float32(depth_m), MIN_DEPTH_M, _LARGEST, True)
 
 
 def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
     """
-    Return z.
+    Return z (H, W) float32 of 1/z (H, W), NaN where it is invalid or larger than ``max_depth_m``.
 
-    Parameters
-    ----------
-    disparity : (H, W) floating
-        1/z.
-    max_depth_m : float
-        Larger depths are invalid.
-
-    Returns
-    -------
-    (H, W) float32
-        In metres, or in the inverse of the unit of the disparity; NaN where invalid.
+    The unit is the metre, or the inverse of the unit of the disparity.
 
     Examples
     --------
@@ -112,7 +82,7 @@ def to_depth(disparity: np.ndarray, max_depth_m: float = np.inf) -> np.ndarray:
     array([[ 2., nan, nan]], dtype=float32)
 
     """
-    return _inverse(_float32(disparity), max(1 / max_depth_m, _SMALLEST), 1 / MIN_DEPTH_M)
+    return _valid(_float32(disparity), max(1 / max_depth_m, _SMALLEST), 1 / MIN_DEPTH_M, True)
 
 
 def _float32(values: np.ndarray) -> np.ndarray:
@@ -123,32 +93,21 @@ def _float32(values: np.ndarray) -> np.ndarray:
         return np.ascontiguousarray(values, np.float32)
 
 
-@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float32)")
-def _inverse(values, least, most):
-    """Return 1 / values, NaN unless from the least to the most."""
-    inverse = np.empty(values.shape, np.float32)
+@kernel("float32[:, ::1](Array(float32, 2, 'C', readonly=True), float32, float32, boolean)")
+def _valid(values, least, most, is_inverted):
+    """Return the values, or 1 / values, NaN unless from the least to the most."""
+    result = np.empty(values.shape, np.float32)
     for v in range(values.shape[0]):
         for u in range(values.shape[1]):
-            is_valid = (values[v, u] >= least) & (values[v, u] <= most)
-            inverse[v, u] = np.float32(1) / values[v, u] if is_valid else np.float32(np.nan)
-    return inverse
+            value = values[v, u]
+            is_valid = (value >= least) & (value <= most)
+            result[v, u] = np.float32(np.nan) if not is_valid else (
+                np.float32(1) / value if is_inverted else value)
+    return result
 
 
 def zero_filled(disparity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return the disparity with 0 where invalid, and where it is valid.
-
-    Parameters
-    ----------
-    disparity : (H, W) floating
-        Not finite where invalid.
-
-    Returns
-    -------
-    disparity : (H, W) float32
-    valid : (H, W) bool
-
-    """
+    """Return disparity (H, W) float32 with 0 where it is not finite, and where it is finite."""
     return _fill_with_zero(np.ascontiguousarray(disparity, np.float32))
 
 
@@ -190,29 +149,17 @@ def noise_reference(disparity: np.ndarray) -> float:
     0.125
 
     """
-    sample = disparity[::4, ::4]
-    sample = sample[np.isfinite(sample)]
-    if not sample.size:
-        return _SMALLEST
-    low, level, high = quantiles(sample, (RANGE_QUANTILES[0], 0.5, RANGE_QUANTILES[1]))
-    return max(high - low, MIN_RANGE_OF_LEVEL * abs(level), _SMALLEST)
+    extent, level = _range_and_median(disparity)
+    return max(extent, _MIN_RANGE_OF_LEVEL * abs(level), _SMALLEST)
 
 
 def disparity_range(disparity: np.ndarray) -> float:
-    """
-    Return the range of the finite values without the outermost 2 % on either side.
+    """Return the range, above 0, of finite values without the outermost 2 % on either side."""
+    return max(_range_and_median(disparity)[0], _SMALLEST)
 
-    Parameters
-    ----------
-    disparity : (H, W) floating
 
-    Returns
-    -------
-    float
-        Above 0.
-
-    """
+def _range_and_median(disparity: np.ndarray) -> tuple[float, float]:
     sample = disparity[::4, ::4]
     sample = sample[np.isfinite(sample)]
-    low, high = quantiles(sample, RANGE_QUANTILES) if sample.size else (0.0, 0.0)
-    return max(high - low, _SMALLEST)
+    low, level, high = quantiles(sample, _RANGE_QUANTILES) if sample.size else (0.0, 0.0, 0.0)
+    return high - low, level

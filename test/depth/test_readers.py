@@ -14,7 +14,7 @@ from onnx_geometry_models import (
 
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.preprocessing import Framing, rays
+from plane_detector.depth.preprocessing import InputRecipe, rays
 from plane_detector.depth.readers import depth_from_point_map
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics
@@ -123,7 +123,8 @@ def test_canonical_depth_becomes_metres_by_the_focal_length_at_the_input(
 
 
 def test_a_map_smaller_than_the_input_is_cropped_where_the_image_lies():
-    framing = Framing.letterboxed((640, 160), (64, 32))
+    recipe = InputRecipe(1.0, (0.0,) * 3, (1.0,) * 3, border_rgb=(0.0,) * 3)
+    framing = recipe.framing((640, 160), (64, 32))
     assert (framing.left, framing.top, framing.width, framing.height) == (0, 8, 64, 16)
     rows = np.repeat(np.arange(16)[:, None], 32, axis=1)
     np.testing.assert_array_equal(framing.crop(rows)[:, 0], np.arange(4, 12))
