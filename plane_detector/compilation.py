@@ -114,11 +114,19 @@ class Kernel:
             return
         import numba
         code, names = self._function.__code__, dict(self._function.__globals__)
+        if self.is_cached:  # machine code contains its callees: half of all kernels
+            with suppress(numba.core.errors.TypingError):  # it is of another processor
+                self._compiled = self._jit(names)
+                return
         for name in code.co_names:
             if isinstance(callee := names.get(name), Kernel):
                 callee._compile()
                 names[name] = callee._compiled  # numba calls what it compiled itself
-        function = FunctionType(code, names, self.__name__)
+        self._compiled = self._jit(names)
+
+    def _jit(self, names: dict[str, Any]) -> Callable:
+        import numba
+        function = FunctionType(self._function.__code__, names, self.__name__)
         function.__module__ = self.__module__
         before, numba.config.CACHE_DIR = (numba.config.CACHE_DIR,
                                           str(cache_folder() / self.digest))
@@ -126,7 +134,7 @@ class Kernel:
         gc.disable()  # a sixth of the time to compile would go into looking for garbage
         try:
             # Sums may be reordered; NaN and infinity are still handled exactly.
-            self._compiled = numba.njit(
+            return numba.njit(
                 self._signature, cache=True, nogil=not self._is_short, error_model='numpy',
                 no_cfunc_wrapper=True, fastmath={'contract', 'reassoc', 'nsz'})(function)
         finally:
@@ -142,7 +150,14 @@ def kernel(signature: str, is_short: bool = False) -> Callable[[Callable], Kerne
 
 def are_ready(subject: str) -> bool:
     """Return whether the machine code of all imported kernels of a folder is loaded."""
-    return all(one.is_ready for one in _KERNELS if one.subject == subject)
+    return all(one.is_ready for one in _own_kernels({subject}))
+
+
+def _own_kernels(subjects: set[str]) -> list[Kernel]:
+    """Return the kernels that no other kernel calls; their machine code contains the others."""
+    called = {value for one in _KERNELS for name in one._function.__code__.co_names
+              if isinstance(value := one._function.__globals__.get(name), Kernel)}
+    return [one for one in _KERNELS if one.subject in subjects and one not in called]
 
 
 def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambda text: None,
@@ -160,8 +175,7 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
         What is compiled, for this text.
 
     """
-    subjects = set(subjects)
-    wanted = [one for one in _KERNELS if one.subject in subjects and not one.is_ready]
+    wanted = [one for one in _own_kernels(set(subjects)) if not one.is_ready]
     if not wanted:
         return
     with _one_process(cache_folder() / wanted[0].digest):
@@ -179,10 +193,8 @@ def free_intermediate_code() -> None:
 
     Numba has no public name for it. Measured: 35 MB of the 119 MB that the node's kernels take.
     """
-    called = {value for one in _KERNELS for name in one._function.__code__.co_names
-              if isinstance(value := one._function.__globals__.get(name), Kernel)}
-    for one in _KERNELS:
-        if one.is_ready and one not in called:
+    for one in _own_kernels({one.subject for one in _KERNELS}):
+        if one.is_ready:
             for overload in one._compiled.overloads.values():
                 overload.library._shared_module = None
 

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from plane_detector.types import Plane
 
@@ -37,8 +36,24 @@ class RigidTransform:
     @classmethod
     def from_quaternion(cls, quaternion: Sequence[float],
                         translation_m: Sequence[float]) -> RigidTransform:
-        """Return the transform of a quaternion x y z w of any length but 0, and a translation."""
-        return cls(Rotation.from_quat(quaternion).as_matrix(), np.asarray(translation_m, float))
+        """
+        Return the transform of a quaternion x y z w of any length, and a translation.
+
+        Raises
+        ------
+        ValueError
+            The length is 0.
+
+        """
+        length = np.linalg.norm(quaternion)
+        if not length:
+            raise ValueError('the quaternion of a rotation is zero')
+        x, y, z, w = np.asarray(quaternion, float) / length
+        rotation = np.array([
+            [x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w]])
+        return cls(rotation, np.asarray(translation_m, float))
 
     @classmethod
     def identity(cls) -> RigidTransform:
@@ -48,7 +63,7 @@ class RigidTransform:
     @property
     def quaternion(self) -> np.ndarray:
         """The rotation as x y z w, (4,)."""
-        return Rotation.from_matrix(self.rotation).as_quat()
+        return quaternions(self.rotation[None])[0]
 
     def inverse(self) -> RigidTransform:
         """Return the inverse transform."""
@@ -77,6 +92,29 @@ class RigidTransform:
 
 def interpolate(before: RigidTransform, after: RigidTransform, share: float) -> RigidTransform:
     """Return the interpolated transform, linear and slerp; share 0: ``before``, 1: ``after``."""
-    rotations = Rotation.from_matrix(np.stack([before.rotation, after.rotation]))
-    return RigidTransform(Slerp([0.0, 1.0], rotations)(share).as_matrix(),
-                          (1 - share) * before.translation_m + share * after.translation_m)
+    first, last = quaternions(np.stack([before.rotation, after.rotation]))
+    last *= np.copysign(1.0, first @ last)  # the shorter way
+    angle = np.arccos(min(first @ last, 1.0))
+    turned = (np.sin((1 - share) * angle) * first + np.sin(share * angle) * last if angle
+              else first)
+    return RigidTransform.from_quaternion(
+        turned, (1 - share) * before.translation_m + share * after.translation_m)
+
+
+def quaternions(rotations: np.ndarray) -> np.ndarray:
+    """
+    Return rotation matrices (N, 3, 3) as unit quaternions (N, 4), x y z w.
+
+    For q = x y z w, four times the product of q with itself is linear in the matrix. Of its rows,
+    the one with the largest diagonal element loses the fewest digits.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(rotations, 0, -1)
+    trace = xx + yy + zz
+    products = np.moveaxis(np.array([
+        [1 - trace + 2 * xx, yx + xy, zx + xz, zy - yz],
+        [yx + xy, 1 - trace + 2 * yy, zy + yz, xz - zx],
+        [zx + xz, zy + yz, 1 - trace + 2 * zz, yx - xy],
+        [zy - yz, xz - zx, yx - xy, 1 + trace]]), -1, 0)
+    best = np.argmax(products.diagonal(axis1=1, axis2=2), axis=1)
+    rows = products[np.arange(len(rotations)), best]
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)

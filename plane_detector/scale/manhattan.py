@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from plane_detector.scale.disparity_planes import DisparityPlanes
 
@@ -180,6 +179,9 @@ def _refine(planes: DisparityPlanes, frames: _Frames, best: int, lowest_tau: flo
     start, axes = frames.tau[best], frames.axes[best]
     _, sigma_deg = _normals(members, np.array([start]))
     weights = 1.0 / (sigma_deg[0] ** 2 + SYSTEMATIC_DEG**2)
+
+    # Here, because a node with measured depth does not need it: scipy takes 46 MB.
+    from scipy.optimize import minimize_scalar
 
     def misfit(tau: float) -> float:
         return _align(members, tau, axes, axis, weights)[0]

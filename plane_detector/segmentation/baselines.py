@@ -14,7 +14,6 @@ import random
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from plane_detector.config import Config, PaperConfig
 from plane_detector.geometry.disparity import to_depth, to_disparity, zero_filled
@@ -216,6 +215,7 @@ def point_clusters(points_m: np.ndarray, eps_m: float, min_samples: int) -> np.n
     labels, count = np.full(len(points_m), -1), 0
     if not len(points_m):
         return labels
+    from scipy.spatial import cKDTree  # only this method needs scipy, which takes 46 MB
     tree = cKDTree(points_m)
     is_core = tree.query_ball_point(points_m, eps_m, return_length=True) >= min_samples
     for first in np.flatnonzero(is_core):

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
@@ -125,6 +123,9 @@ def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) 
 
 def smooth_components(surfels: Surfels, free: np.ndarray) -> np.ndarray:
     """Return the component (R * C,) of smoothly connected free cells (R * C,), -1 for others."""
+    # Here, because a node that looks for planes only does not need it: scipy takes 46 MB.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
     cells = np.arange(len(free)).reshape(surfels.shape)
     one = np.concatenate([cells[:, :-1].ravel(), cells[:-1].ravel()])
     other = np.concatenate([cells[:, 1:].ravel(), cells[1:].ravel()])

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
+from plane_detector.geometry.assignment import best_pairs
 from plane_detector.tracking.matching import free_labels, measure_overlap
 from plane_detector.types import Shape
 
@@ -79,7 +79,7 @@ def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],
     score = np.array([[max(overlap[t, k], _nearness(track.shape, shape))
                        if _are_alike(track.shape, shape) else 0.0
                        for k, shape in enumerate(shapes)] for t, track in enumerate(tracks)])
-    rows, columns = linear_sum_assignment(score, maximize=True)
+    rows, columns = best_pairs(score)
     return {int(k): int(t) for t, k in zip(rows, columns, strict=True) if score[t, k] > _MIN_SCORE}
 
 

@@ -18,9 +18,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from plane_detector.config import TrackingConfig
+from plane_detector.geometry.assignment import best_pairs
 from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
@@ -214,7 +214,7 @@ def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays, ove
     score[score < _MIN_SCORE] = 0
     trust = (1 - _YOUTH / np.array([track.streak for track in tracks])) * _MISSED ** (missed > 0)
     score *= trust[:, None]
-    rows, columns = linear_sum_assignment(score, maximize=True)
+    rows, columns = best_pairs(score)
     return {column: row for row, column, value in zip(
         rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
 

@@ -4,8 +4,9 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation, Slerp
 
-from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
+from plane_detector.geometry.rigid_transform import RigidTransform, interpolate, quaternions
 from plane_detector.types import Plane
 
 TURN = RigidTransform.from_quaternion((0.2, -0.4, 0.1, 0.9), (1.0, -2.0, 0.5))
@@ -55,3 +56,31 @@ def test_in_between():
     np.testing.assert_allclose(half.translation_m, [1, 0, 0])
     np.testing.assert_allclose(half.points(np.array([1.0, 0, 0])),
                                [1 + np.sqrt(0.5), np.sqrt(0.5), 0])
+
+
+def test_rotations_are_those_of_scipy():
+    turns = Rotation.random(50, rng=np.random.default_rng(0))
+    turns = Rotation.concatenate([turns, Rotation.from_quat(np.eye(4))])  # half turns and none
+    found, expected = quaternions(turns.as_matrix()), turns.as_quat()
+    same_sign = np.sign((found * expected).sum(axis=1, keepdims=True))
+    np.testing.assert_allclose(found, same_sign * expected, atol=1e-12)
+    for matrix, quaternion in zip(turns.as_matrix(), turns.as_quat(), strict=True):
+        one = RigidTransform.from_quaternion(3 * quaternion, (0, 0, 0))
+        np.testing.assert_allclose(one.rotation, matrix, atol=1e-12)
+
+
+@pytest.mark.parametrize('share', [0.0, 0.2, 0.9, 1.0])
+def test_in_between_is_that_of_scipy(share):
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        pair = Rotation.random(2, rng=rng)
+        before, after = (RigidTransform(one.as_matrix(), np.zeros(3)) for one in pair)
+        np.testing.assert_allclose(interpolate(before, after, share).rotation,
+                                   Slerp([0, 1], pair)(share).as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(interpolate(before, before, share).rotation, before.rotation,
+                                   atol=1e-12)
+
+
+def test_a_quaternion_of_zeros_is_refused():
+    with pytest.raises(ValueError, match='quaternion'):
+        RigidTransform.from_quaternion((0, 0, 0, 0), (0, 0, 0))

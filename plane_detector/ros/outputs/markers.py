@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import Point, Vector3
 from rclpy.duration import Duration
-from scipy.spatial.transform import Rotation
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -127,10 +126,11 @@ def _cone_corners(shape: Shape, start_m: float) -> np.ndarray:
 
 
 def _orientation(axis: np.ndarray) -> np.ndarray:
-    """Return a rotation x y z w that turns z into an axis; identity for a sphere."""
-    if not np.any(axis):
-        return Rotation.identity().as_quat()
-    return Rotation.align_vectors(np.asarray(axis)[None], [[0.0, 0.0, 1.0]])[0].as_quat()
+    """Return the shortest rotation x y z w that turns z into an axis; identity for a sphere."""
+    x, y, z = axis
+    half_way = np.array([-y, x, 0.0, 1.0 + z])
+    length = np.linalg.norm(half_way)
+    return half_way / length if length else np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def _marker(blank: Marker, **fields: Any) -> Marker:

@@ -16,10 +16,10 @@ from typing import TypeVar
 import cv2
 import numpy as np
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
+from plane_detector.geometry.rigid_transform import quaternions
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.types import Detection, Plane
 
@@ -84,7 +84,7 @@ def plane_quaternions(planes: Sequence[Plane]) -> np.ndarray:
     x_axes = reference - (reference * z_axes).sum(axis=1, keepdims=True) * z_axes
     x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)
     axes = np.stack([x_axes, np.cross(z_axes, x_axes), z_axes], axis=2)
-    return Rotation.from_matrix(axes).as_quat()
+    return quaternions(axes)
 
 
 def labels_to_msg(header: Header, labels: np.ndarray) -> Image:

@@ -7,9 +7,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 
+from plane_detector.geometry.rigid_transform import quaternions
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import cloud_msg, plane_labels, shape_labels
 
@@ -31,7 +31,6 @@ SHAPE_DTYPE = np.dtype([
     ('confidence', '<f4')], align=True)
 
 
-
 def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
     detection, rectangles = frame.target_detection, frame.rectangles
@@ -46,8 +45,8 @@ def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
             (plane.offset_m, plane.inlier_count, plane.rms_m, plane.area_m2, plane.confidence)
             for plane in planes])
         _set(table, ('rect_x', 'rect_y', 'rect_z'), [one.centre_m for one in rectangles])
-        turns = Rotation.from_matrix(np.stack([one.rotation for one in rectangles]))
-        _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'), turns.as_quat())
+        _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'),
+             quaternions(np.stack([one.rotation for one in rectangles])))
         _set(table, ('rect_width', 'rect_height'), [(one.width_m, one.height_m)
                                                     for one in rectangles])
     return cloud_msg(frame.target_header, PLANE_DTYPE, table, 1, len(table))
