@@ -81,24 +81,11 @@ class Score:
 def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
           planes: np.ndarray, mask: np.ndarray, min_pixels: int = MIN_PIXELS) -> Score:
     """
-    Compare a segmentation with the ground truth.
+    Compare a segmentation and its planes (J, 4) with the ground truth, planes (I, 4).
 
-    Parameters
-    ----------
-    true_labels, labels : (H, W) int
-    true_planes, planes : (I, 4), (J, 4) float
-        Unit normal and offset.
-    mask : (H, W) bool
-        Pixels that count.
-    min_pixels : int
-        Smaller true planes are not counted as missed. A predicted plane may match any.
-
-    Returns
-    -------
-    Score
-        Recall and precision count matches with IoU > 0.5; without true or predicted planes they
-        are NaN. The errors are medians over the matched planes.
-
+    Recall and precision count matches with IoU > 0.5; without true or predicted planes they are
+    NaN. True planes up to ``min_pixels`` are not counted as missed, but a predicted plane may
+    match any. The errors are medians over the matched planes.
     """
     shared = overlap(true_labels, labels, mask)
     large = shared.counts[:-1].sum(1) > min_pixels
@@ -162,44 +149,8 @@ def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.n
     return within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0) / true_pixels
 
 
-LARGE_PLANE_SHARE = 0.02
-"""A plane of the sensor with more than this share of the image is large."""
 PIECE_SHARE = 0.1
 """A predicted plane that covers this share of a true plane is one of its pieces."""
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """Coverage of the sensor's large planes."""
-
-    planes: int  # number of planes of the sensor over LARGE_PLANE_SHARE of the image
-    # share of their pixels covered by a predicted plane with IoU > 0.5; NaN without planes
-    share: float
-    pieces: float  # mean number of predicted planes that each of them is split into
-
-
-def coverage(sensor_labels: np.ndarray, labels: np.ndarray,
-                   seen: np.ndarray) -> Coverage:
-    """
-    Measure how well the large planes of the sensor's depth were found.
-
-    Parameters
-    ----------
-    sensor_labels, labels : (H, W) int
-        Planes of the sensor's depth, and predicted planes; -1 for none.
-    seen : (H, W) bool
-        Pixels with sensor depth; only these count.
-
-    """
-    shared = overlap(sensor_labels, labels, seen)
-    pixels = shared.counts[:-1].sum(1)
-    large = pixels > LARGE_PLANE_SHARE * seen.size
-    if not large.any():
-        return Coverage(0, float('nan'), float('nan'))
-    both = shared.counts[:-1, :-1]
-    covered = (both * (shared.iou > 0.5)).sum(1)[large].sum()
-    pieces = (both > PIECE_SHARE * pixels[:, None]).sum(1)[large]
-    return Coverage(int(large.sum()), float(covered / pixels[large].sum()), float(pieces.mean()))
 
 
 @dataclass(frozen=True)
@@ -207,44 +158,23 @@ class LabelledScore:
     """
     A segmentation against planes labelled by hand; unlabelled pixels do not count.
 
-    Attributes
-    ----------
-    segmentation_covering : float
-    recall : float
-        Share of true planes that a predicted one matches with IoU > 0.5.
-    pieces : float
-        Mean number of predicted planes with more than PIECE_SHARE of a true plane's pixels.
-    merged : float
-        Of the predicted planes with more than half of a true plane, the share with more than half
-        of two or more.
-    unlabelled : float
-        Share of the true planes' pixels without a predicted plane.
-
     True planes up to MIN_PIXELS do not count in recall and pieces.
-
     """
 
     segmentation_covering: float
-    recall: float
-    pieces: float
-    merged: float
-    unlabelled: float
+    recall: float  # share of true planes that a predicted one matches with IoU > 0.5
+    pieces: float  # mean number of predicted planes with over PIECE_SHARE of a true plane's pixels
+    merged: float  # of the predicted planes with over half of a true plane, those with several
+    unlabelled: float  # share of the true planes' pixels without a predicted plane
 
 
 def labelled_score(true_labels: np.ndarray, labels: np.ndarray,
                    mask: np.ndarray) -> LabelledScore:
     """
-    Compare a segmentation with planes labelled by hand.
+    Compare a segmentation with planes labelled by hand, where the mask says that they are known.
 
     A predicted plane with most of its pixels where there is no true plane, on an object for
     example, counts as no plane.
-
-    Parameters
-    ----------
-    true_labels, labels : (H, W) int
-    mask : (H, W) bool
-        Pixels where the truth is known.
-
     """
     counts = overlap(true_labels, labels, mask).counts
     elsewhere = np.append(2 * counts[-1, :-1] > counts[:, :-1].sum(axis=0), False)
@@ -262,9 +192,8 @@ def labelled_score(true_labels: np.ndarray, labels: np.ndarray,
 
 @dataclass(frozen=True)
 class HooverScore:
-    """Numbers of regions by kind, after Hoover et al. 1996."""
+    """Numbers of true regions by kind, and of predicted ones that are none: noise."""
 
-    # of the true regions, and last of the predicted ones that are none of them
     true: int
     correct: int
     over_segmented: int
@@ -278,18 +207,10 @@ def hoover_score(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray,
     """
     Classify the regions of a segmentation.
 
-    A pair is correct if its common pixels are at least ``tolerance`` of both regions. A true
-    region is over-segmented if two or more predicted ones lie in it, each with that share of
-    itself, and together have that share of it; under-segmented is the reverse. A region that fits
-    several kinds is counted as the first of these.
-
-    Parameters
-    ----------
-    true_labels, labels : (H, W) int
-    mask : (H, W) bool
-        Pixels that count, also those outside of all true regions.
-    tolerance : float
-        Above 0.5.
+    A pair is correct if its common pixels are at least ``tolerance``, above 0.5, of both regions.
+    A true region is over-segmented if two or more predicted ones lie in it, each with that share
+    of itself, and together have that share of it; under-segmented is the reverse. A region that
+    fits several kinds is counted as the first of these.
 
     References
     ----------

@@ -14,9 +14,8 @@ Images, ECCV 2012; calibration and border are from the toolbox of the data set.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,9 +29,6 @@ ROWS, COLUMNS = slice(44, 471), slice(40, 601)
 # The toolbox limits larger depths to this.
 MAX_DEPTH_M = 10.0
 DEPTHS = {'raw': 'rawDepths', 'filled': 'depths'}
-_SPLITS = {'test': 'testNdxs', 'train': 'trainNdxs'}
-_MISSING = ('reading MATLAB 7.3 files needs h5py: pip install h5py, or the extra '
-            'plane_detector[benchmark]')
 
 
 @dataclass(frozen=True)
@@ -48,26 +44,14 @@ class NyuFrame:
 
 
 class NyuDepth:
-    """
-    The opened file.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    ImportError
-        h5py is not installed.
-    FileNotFoundError
-        The file does not exist.
-    ValueError
-        It is not HDF5, or data sets are missing.
-
-    """
+    """The opened file; an error says what is missing."""
 
     def __init__(self, path: Path) -> None:
-        h5py = _h5py()
+        try:
+            import h5py
+        except ImportError as error:
+            raise ImportError('reading MATLAB 7.3 files needs h5py: pip install h5py, or the '
+                              'extra plane_detector[benchmark]') from error
         if not path.is_file():
             raise FileNotFoundError(f'there is no file {path}; nyu_depth_v2_labeled.mat is on the '
                                     'page of NYU Depth V2')
@@ -84,22 +68,7 @@ class NyuDepth:
         return self._file['images'].shape[0]
 
     def frame(self, number: int, depth: str = 'raw') -> NyuFrame:
-        """
-        Read a frame.
-
-        Parameters
-        ----------
-        number : int
-            From 1.
-        depth : str
-            ``raw``, as measured by the sensor, or ``filled``.
-
-        Raises
-        ------
-        ValueError
-            The frame or the kind of depth does not exist.
-
-        """
+        """Read a frame, counted from 1, with ``raw`` depth of the sensor or ``filled`` depth."""
         if not 1 <= number <= len(self):
             raise ValueError(f'there is no frame {number}; there are 1 to {len(self)}')
         if depth not in DEPTHS:
@@ -114,45 +83,23 @@ class NyuDepth:
             segments[known] = 1 + np.unique((category * 1000 + instance)[known],
                                             return_inverse=True)[1]
         return NyuFrame(number, self._read('images', number), depth_m, segments,
-                        without_border(INTRINSICS))
+                        replace(INTRINSICS, cx=INTRINSICS.cx - COLUMNS.start,
+                                cy=INTRINSICS.cy - ROWS.start, width=COLUMNS.stop - COLUMNS.start,
+                                height=ROWS.stop - ROWS.start))
 
     def _read(self, name: str, number: int) -> np.ndarray:
         """Return an image without its border: (H, W) or (H, W, 3)."""
         return np.ascontiguousarray(self._file[name][number - 1].T[ROWS, COLUMNS])
 
 
-def without_border(intrinsics: CameraIntrinsics) -> CameraIntrinsics:
-    """Return the intrinsics of the image without its white border."""
-    return CameraIntrinsics(intrinsics.fx, intrinsics.fy, intrinsics.cx - COLUMNS.start,
-                            intrinsics.cy - ROWS.start, COLUMNS.stop - COLUMNS.start,
-                            ROWS.stop - ROWS.start)
-
-
-def read_split(path: Path, part: str = 'test') -> tuple[int, ...]:
-    """
-    Return the numbers of the frames of a split.
-
-    Parameters
-    ----------
-    path : Path
-        The split file of the data set (testNdxs, trainNdxs), or a text file of numbers from 1.
-    part : str
-        ``test`` or ``train``; a text file has only one part.
-
-    Raises
-    ------
-    FileNotFoundError
-        The file does not exist.
-    ValueError
-        It contains no numbers.
-
-    """
+def read_split(path: Path) -> tuple[int, ...]:
+    """Return the numbers, from 1, of the test frames of splits.mat, or those in a text file."""
     from scipy.io import loadmat
     if not path.is_file():
         raise FileNotFoundError(f'there is no file {path}')
     try:
         if path.suffix == '.mat':
-            numbers = np.ravel(loadmat(path)[_SPLITS[part]]).astype(int)
+            numbers = np.ravel(loadmat(path)['testNdxs']).astype(int)
         else:
             numbers = np.array(path.read_text().replace(',', ' ').split(), int)
     except (KeyError, ValueError, NotImplementedError) as error:
@@ -160,11 +107,3 @@ def read_split(path: Path, part: str = 'test') -> tuple[int, ...]:
     if not numbers.size:
         raise ValueError(f'{path} is empty')
     return tuple(numbers.tolist())
-
-
-def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError as error:
-        raise ImportError(_MISSING) from error
-    return h5py

@@ -8,14 +8,13 @@ The others are optional: `Method.absent` states why one is not available.
 
 from __future__ import annotations
 
-import importlib.util
 from typing import Any
 
 import cv2
 import numpy as np
 
 from plane_detector.config import Config, PaperConfig, SegmentationConfig
-from plane_detector.evaluation.plane_geometry import fit_planes
+from plane_detector.evaluation.reference_planes import fit_planes
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
 from plane_detector.segmentation.baselines import paper_labels
@@ -29,23 +28,11 @@ Segments = tuple[np.ndarray, np.ndarray]
 
 
 class Method:
-    """
-    A plane segmentation method, in three steps of which the second is timed.
+    """A plane segmentation method, in three steps of which the second is timed."""
 
-    Attributes
-    ----------
-    name : str
-        Name in the tables.
-    absent : str
-        Why it is not available; empty if it is.
-    slow : bool
-        Whether it takes seconds per image.
-
-    """
-
-    name = ''
-    absent = ''
-    slow = False
+    name = ''  # in the tables
+    absent = ''  # why it is not available
+    slow = False  # it takes seconds per image
 
     def prepare(self, depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> Any:
         """Return the input of :meth:`run`."""
@@ -90,7 +77,10 @@ class Paper(Ours):
         super().__init__(Config(segmentation=SegmentationConfig(method='paper'),
                                 paper=PaperConfig(max_points=max_points)))
         self.name = f'paper, {max_points} points'
-        self.absent = _missing('pyransac3d')
+        try:
+            import pyransac3d  # noqa: F401
+        except ImportError as error:
+            self.absent = f'pyransac3d does not load: {error}'
 
 
 class PlainRansac(Paper):
@@ -141,7 +131,9 @@ class OpenCv(Method):
         labels = mask.astype(np.int32)
         labels[mask == 255] = -1
         planes = np.zeros((0, 4)) if planes is None else planes.reshape(-1, 4).astype(float)
-        return labels, _towards_camera(planes)
+        length = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
+        planes /= np.maximum(length, 1e-12) * np.where(planes[:, 3:] < 0, -1.0, 1.0)
+        return labels, planes
 
     def _estimator(self, intrinsics: CameraIntrinsics) -> Any:
         """Return the estimator of normals, cached per camera because it computes tables."""
@@ -170,20 +162,3 @@ def plane_array(segmentation: PlaneSegmentation) -> np.ndarray:
     """Return normals and offsets of the planes, (K, 4)."""
     return np.array([np.append(plane.normal, plane.offset_m)
                      for plane in segmentation.planes]).reshape(-1, 4)
-
-
-def _missing(module: str) -> str:
-    """Return why a module cannot be used; empty if it can."""
-    if importlib.util.find_spec(module) is None:
-        return f'{module} is not installed'
-    try:
-        importlib.import_module(module)
-    except ImportError as error:
-        return f'{module} does not load: {error}'
-    return ''
-
-
-def _towards_camera(planes: np.ndarray) -> np.ndarray:
-    """Return the planes with unit normals and offsets of 0 or more."""
-    length = np.linalg.norm(planes[:, :3], axis=1, keepdims=True)
-    return planes / np.maximum(length, 1e-12) * np.where(planes[:, 3:] < 0, -1.0, 1.0)

@@ -13,7 +13,7 @@ from plane_detector.evaluation.datasets import (
     labelled_frames,
     library_frames,
 )
-from plane_detector.evaluation.plane_geometry import fit_planes, plane_depth
+from plane_detector.evaluation.reference_planes import fit_planes, plane_depth
 
 
 def test_frames_are_read_in_metres_and_rgb(tmp_path):

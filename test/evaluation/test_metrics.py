@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from plane_detector.evaluation.metrics import (
-    coverage,
     depth_recall,
     hoover_score,
     labelled_score,
@@ -102,18 +101,6 @@ def test_normal_recall_by_hand():
     planes, pixels = normal_recall(TRUTH, PLANES, FOUND, found[::-1], ALL)
     np.testing.assert_allclose(planes, [0, 0, 0])
     np.testing.assert_allclose(pixels, [0, 0, 0])
-
-
-def test_coverage_by_hand():
-    """Two large planes of the sensor: one found in two pieces of 3 to 1, one not at all."""
-    sensor, found = np.full((2, 10, 20), -1)
-    sensor[:4], sensor[4:8], sensor[9, :2] = 0, 1, 2
-    found[:3], found[3:4] = 0, 1
-    seen = np.ones(sensor.shape, bool)
-    found_planes = coverage(sensor, found, seen)
-    assert found_planes.planes == 2, 'the third has no more than 2 % of the image'
-    assert found_planes.share == pytest.approx(60 / 160)
-    assert found_planes.pieces == pytest.approx((2 + 0) / 2)
 
 
 def test_labelled_planes_in_pieces_merged_and_not_found():

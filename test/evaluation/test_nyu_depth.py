@@ -77,4 +77,3 @@ def test_splits_of_matlab_and_of_text(tmp_path):
     savemat(matlab, {'testNdxs': np.array([[1], [2], [9]], np.uint16), 'trainNdxs': [[3], [4]]})
     text.write_text('1, 2\n9\n')
     assert read_split(matlab) == read_split(text) == (1, 2, 9)
-    assert read_split(matlab, 'train') == (3, 4)

@@ -22,7 +22,7 @@ from messages import bombs, random_messages
 from networks import downloads, networks
 from soak import soak
 
-from plane_detector.evaluation.benchmark.provenance import commit, machine
+from plane_detector.evaluation.benchmark.report import commit, machine
 
 GROUPS = {'bombs': bombs, 'messages': random_messages, 'networks': networks,
           'downloads': downloads, 'replays': replays}

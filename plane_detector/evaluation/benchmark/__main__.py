@@ -19,52 +19,38 @@ import sys
 from collections.abc import Sequence
 from types import ModuleType
 
-from plane_detector.evaluation.benchmark.provenance import PROGRAM, provenance
-from plane_detector.evaluation.benchmark.tables import emit
+from plane_detector.evaluation.benchmark.report import PROGRAM, emit, provenance
 
 # Subcommand: its module, which has add_arguments(parser) and run(options), and a summary. A module
 # is imported only if its subcommand runs, because some need ROS and others optional packages.
 COMMANDS = {
-    'accuracy': ('benchmark.accuracy', 'accuracy and time on all kinds of scenes, in one run'),
-    'labelled': ('benchmark.labelled', 'real frames with planes labelled by hand'),
-    'sensors': ('benchmark.sensors', 'errors of planes of real and of simulated sensors'),
-    'time': ('benchmark.runtime', 'run time on one thread'),
-    'ground': ('benchmark.ground', 'ground, obstacles and drops on rendered terrain'),
-    'shapes': ('benchmark.shapes', 'spheres, cylinders and cones among planes'),
-    'scale': ('benchmark.scale', 'angles and distances after each way to find the scale'),
-    'orientation': ('benchmark.orientation', 'directions from lines, and planes with them'),
-    'depth': ('benchmark.depth_network', 'time of the depth network'),
-    'node': ('benchmark.node', 'the node as a process, over DDS'),
-    'nyu': ('benchmark.nyu', 'NYU Depth V2, ours and the methods of the paper'),
-    'ablation': ('benchmark.ablation', 'each stage of the segmentation switched off'),
-    'confidence': ('calibrate_confidence', 'fit the confidence of planes and check it'),
+    'accuracy': ('accuracy', 'accuracy and time on all kinds of scenes, in one run'),
+    'labelled': ('labelled', 'real frames with planes labelled by hand'),
+    'sensors': ('sensors', 'errors of planes of real and of simulated sensors'),
+    'time': ('runtime', 'run time on one thread'),
+    'ground': ('ground', 'ground, obstacles and drops on rendered terrain'),
+    'shapes': ('shapes', 'spheres, cylinders and cones among planes'),
+    'scale': ('scale', 'angles and distances after each way to find the scale'),
+    'orientation': ('orientation', 'directions from lines, and planes with them'),
+    'depth': ('depth_network', 'time of the depth network'),
+    'node': ('node', 'the node as a process, over DDS'),
+    'nyu': ('nyu', 'NYU Depth V2, ours and the methods of the paper'),
+    'ablation': ('ablation', 'each stage of the segmentation switched off'),
+    'confidence': ('confidence', 'fit the confidence of planes and check it'),
 }
 
 
 def subcommand(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
     """Return the module of a subcommand and the parser of its options."""
     module_name, summary = COMMANDS[name]
-    module = importlib.import_module(f'plane_detector.evaluation.{module_name}')
+    module = importlib.import_module(f'plane_detector.evaluation.benchmark.{module_name}')
     parser = argparse.ArgumentParser(prog=f'{PROGRAM} {name}', description=summary)
     module.add_arguments(parser)
     return module, parser
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """
-    Run a subcommand.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Default: the command line.
-
-    Raises
-    ------
-    SystemExit
-        The arguments or the input are wrong; the message says what to change.
-
-    """
+    """Run a subcommand; wrong arguments and wrong input end with a message and a code above 0."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     width = max(map(len, COMMANDS))
     parser = argparse.ArgumentParser(

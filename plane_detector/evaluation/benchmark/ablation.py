@@ -10,7 +10,6 @@ stages for the depth of networks are not among these.
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pkgutil import resolve_name
@@ -19,7 +18,6 @@ from unittest import mock
 
 import numpy as np
 
-from plane_detector.evaluation.benchmark import options as shared
 from plane_detector.evaluation.benchmark.accuracy import (
     CURVED,
     EXACT_TRUTH,
@@ -28,9 +26,15 @@ from plane_detector.evaluation.benchmark.accuracy import (
     means,
     noise_text,
 )
-from plane_detector.evaluation.benchmark.real_images import collect_frames
-from plane_detector.evaluation.benchmark.samples import Sample, plan, run_jobs
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.benchmark.options import add_shared
+from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.samples import (
+    COUNTS,
+    Sample,
+    collect_frames,
+    plan,
+    run_jobs,
+)
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.metrics import known_mean
 from plane_detector.evaluation.peers import Ours
@@ -97,21 +101,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--only', default='', help='stages whose name contains this')
     parser.add_argument('--labelled', action='store_true',
                         help='only the frames whose planes were labelled by hand')
-    shared.add_scenes(parser, rooms=40, living=32, first_seed=TUNING_SEED)
-    parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
-    shared.add_data(parser)
+    add_shared(parser, *COUNTS, '--first-seed', '--processes', '--data',
+               rooms=40, living=32, first_seed=TUNING_SEED)
 
 
 def run(options: argparse.Namespace) -> None:
-    """
-    Print the tables.
-
-    Raises
-    ------
-    ValueError
-        No stage has the wanted name.
-
-    """
+    """Print the tables."""
     wanted = [name for name in STAGES if options.only in name]
     if not wanted:
         raise ValueError(f'no stage is called {options.only}: there are {", ".join(STAGES)}')
@@ -120,9 +115,9 @@ def run(options: argparse.Namespace) -> None:
         methods.append(Without(ALL, wanted))
     by_hand = list(labelled_frames(options.data))
     if options.labelled:
-        jobs = plan(methods, dict.fromkeys(shared.scene_counts(options), 0), 0, 0, by_hand)
+        jobs = plan(methods, {'rooms': 0, 'living': 0, 'curved': 0}, 0, 0, by_hand)
     else:
-        jobs = plan(methods, shared.scene_counts(options), options.first_seed, 0,
+        jobs = plan(methods, vars(options), options.first_seed, 0,
                     [*by_hand, *collect_frames(options.data)], sensors=tuple(SENSORS))
     report(run_jobs(jobs, options.processes))
 

@@ -10,18 +10,22 @@ others, on seeds that were not used for tuning. --plots also draws the same numb
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from plane_detector.evaluation.benchmark import options as shared
-from plane_detector.evaluation.benchmark.real_images import collect_frames
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT
-from plane_detector.evaluation.benchmark.samples import Noise, Sample, plan, run_jobs
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.benchmark.options import add_shared
+from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.samples import (
+    COUNTS,
+    Noise,
+    Sample,
+    collect_frames,
+    plan,
+    run_jobs,
+)
 from plane_detector.evaluation.metrics import MIN_PIXELS, known_mean
 from plane_detector.evaluation.peers import Ours, all_methods
 from plane_detector.evaluation.scenes.sensors import SENSORS
@@ -31,22 +35,20 @@ EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    shared.add_scenes(parser, rooms=20, living=16, first_seed=HELD_OUT)
+    add_shared(parser, *COUNTS, '--first-seed', '--only-ours', '--processes', '--data',
+               rooms=20, living=16)
     parser.add_argument('--slow', type=int, default=5,
                         help='rooms of each kind for methods that take seconds')
-    parser.add_argument('--only-ours', action='store_true', help='no other methods')
     only = parser.add_mutually_exclusive_group()
     only.add_argument('--sensors', action='store_true', help='only simulated sensors')
     only.add_argument('--rendered', action='store_true', help='no simulated sensors')
-    parser.add_argument('--processes', type=shared.at_least_one, default=os.cpu_count() or 1)
     parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write accuracy.svg there')
-    shared.add_data(parser)
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables, and write the figure if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
-    jobs = plan(methods, shared.scene_counts(options), options.first_seed, options.slow,
+    jobs = plan(methods, vars(options), options.first_seed, options.slow,
                 () if options.sensors else collect_frames(options.data), not options.sensors,
                 () if options.rendered else tuple(SENSORS))
     samples = run_jobs(jobs, options.processes)

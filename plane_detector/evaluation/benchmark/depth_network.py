@@ -14,9 +14,7 @@ from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.onnx_session import RUNTIME, available_providers
 from plane_detector.depth.preprocessing import InputRecipe, finish_output, prepare_input
-
-_HEADER = ('| provider | input | depth stage, median (ms) | fastest (ms) '
-           '| of it resampling (ms) | images per second |\n|---|---|---|---|---|---|')
+from plane_detector.evaluation.benchmark.report import emit, table
 
 
 def seconds(call: Callable[[], object], at_least_s: float) -> np.ndarray:
@@ -29,8 +27,8 @@ def seconds(call: Callable[[], object], at_least_s: float) -> np.ndarray:
     return np.array(taken)
 
 
-def row(config: DepthConfig, rgb: np.ndarray, at_least_s: float) -> str:
-    """Return the row of the table for one provider and input size."""
+def row(config: DepthConfig, rgb: np.ndarray, at_least_s: float) -> list[str]:
+    """Return the cells for one provider and input size."""
     estimate = DepthEstimator(config)
     height, width = rgb.shape[:2]
     size = estimate.input_size(width, height)
@@ -42,8 +40,8 @@ def row(config: DepthConfig, rgb: np.ndarray, at_least_s: float) -> str:
         prepare_input(rgb, size, recipe),
         finish_output(raw, (width, height), estimate.output)), 0.2))
     median_ms = np.median(stage_ms)
-    return (f'| {estimate.provider} | {size[0]} x {size[1]} | {median_ms:.1f} '
-            f'| {stage_ms.min():.1f} | {resampling_ms:.1f} | {1e3 / median_ms:.1f} |')
+    return [estimate.provider, f'{size[0]} x {size[1]}', f'{median_ms:.1f}',
+            f'{stage_ms.min():.1f}', f'{resampling_ms:.1f}', f'{1e3 / median_ms:.1f}']
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,14 +57,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the table, each row as soon as it is measured."""
+    """Print the table."""
     width, height = options.size
     rgb = np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
-    print(f'{RUNTIME}; image {width} x {height}; threads '
-          f'{options.threads or "by ONNX Runtime"}\n\n{_HEADER}', flush=True)
-    for provider in available_providers():
-        for short_side in options.short_side:
-            config = DepthConfig(model=options.model, output=options.output,
-                                 short_side=short_side, providers=(provider,),
-                                 threads=options.threads)
-            print(row(config, rgb, options.seconds), flush=True)
+    rows = [row(DepthConfig(model=options.model, output=options.output, short_side=short_side,
+                            providers=(provider,), threads=options.threads), rgb, options.seconds)
+            for provider in available_providers() for short_side in options.short_side]
+    emit(f'{RUNTIME}; image {width} x {height}; threads {options.threads or "by ONNX Runtime"}',
+         table(('provider', 'input', 'depth stage, median (ms)', 'fastest (ms)',
+                'of it resampling (ms)', 'images per second'), rows))

@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -13,9 +14,8 @@ from tqdm import tqdm
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, ScaleConfig
-from plane_detector.evaluation.benchmark.options import at_least_one
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.benchmark.options import add_shared, at_least_one
+from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.evaluation.scenes.rendering import camera_rotation
 from plane_detector.evaluation.scenes.terrain import (
     COURSES,
@@ -42,31 +42,30 @@ GRAVITY_ERROR_DEG = 0.5
 BOX_HEIGHTS_M = (0.03, 0.04, 0.05, 0.06, 0.07, 0.08, 0.1, 0.12, 0.15, 0.2)
 
 
+# What is judged, and which share of ground is the worst one.
+JUDGED = {Kind.FLOOR: min, Kind.RAMP: min, Kind.LANDING: min, Kind.UPPER: max, Kind.OBSTACLE: max}
+
+
 @dataclass
 class Tally:
-    """Shares of ground of single views, and the drops of all."""
+    """Shares of ground of single views by what the pixels show, and counts of drops of all."""
 
-    own: list[float] = field(default_factory=list)
-    ramp: list[float] = field(default_factory=list)
-    landing: list[float] = field(default_factory=list)
-    upper: list[float] = field(default_factory=list)
-    obstacle: list[float] = field(default_factory=list)
-    edges: int = 0
-    edges_found: int = 0
-    frames_with_edge: int = 0
-    frames_found: int = 0
-    frames: int = 0
-    frames_false: int = 0
+    shares: dict[Kind, list[float]] = field(default_factory=lambda: defaultdict(list))
+    counts: Counter[str] = field(default_factory=Counter)
+
+    def __add__(self, other: Tally) -> Tally:
+        both = Tally(defaultdict(list), self.counts + other.counts)
+        for own in (self.shares, other.shares):
+            for name, values in own.items():
+                both.shares[name] += values
+        return both
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this subcommand."""
+    """Declare the options."""
     parser.add_argument('--views', type=at_least_one, default=10, help='of each kind of terrain')
-    parser.add_argument('--first-seed', type=int, default=HELD_OUT,
-                        help='views from %(default)s on were not tuned on')
     parser.add_argument('--only', choices=COURSES, help='one kind of terrain')
-    parser.add_argument('--no-smallest', action='store_true',
-                        help='without the smallest box and the farthest drop')
+    add_shared(parser, '--first-seed')
 
 
 def run(options: argparse.Namespace) -> None:
@@ -78,9 +77,7 @@ def run(options: argparse.Namespace) -> None:
             tallies = {name: _tally(name, seeds, noise) for name in names}
             emit(f'### Noise {noise}, {len(seeds)} views of each kind, seeds {seeds[0]} to '
                  f'{seeds[-1]}', _shares(tallies))
-        if not options.no_smallest:
-            emit('### Smallest box that is found, and farthest drop of 10 cm', _limits(seeds))
-        emit('### Time', _times(seeds))
+        emit('### Smallest box that is found, and farthest drop of 10 cm', _limits(seeds))
 
 
 def detect(view: Terrain, noise: float | str, seed: int, height_m: float = 0.0) -> Detection:
@@ -104,25 +101,24 @@ def _tally(name: str, seeds: Iterable[int], noise: float | str) -> Tally:
 
 def judge(view: Terrain, found: Detection, tally: Tally) -> None:
     """Add a view to a tally."""
-    high = (view.kinds == Kind.OBSTACLE) & (view.above_m > 0.05)
-    for shares, pixels in ((tally.own, view.kinds == Kind.FLOOR),
-                           (tally.ramp, view.kinds == Kind.RAMP),
-                           (tally.landing, view.kinds == Kind.LANDING),
-                           (tally.upper, view.kinds == Kind.UPPER), (tally.obstacle, high)):
+    for kind in JUDGED:
+        pixels = view.kinds == kind
+        if kind == Kind.OBSTACLE:
+            pixels &= view.above_m > 0.05
         if pixels.sum() >= MIN_PIXELS:
-            shares.append(float(found.ground[pixels].mean()))
+            tally.shares[kind].append(float(found.ground[pixels].mean()))
     found_m = found.drops_m @ view.to_world.T + view.position_m
-    tally.frames += 1
-    tally.frames_false += bool((_distances(found_m, view.edges_m) > _near(found_m)).any())
+    tally.counts['frames'] += 1
+    tally.counts['false'] += bool((_distances(found_m, view.edges_m) > _near(found_m)).any())
     must = (view.is_visible & (np.linalg.norm(view.edges_m[:, :2], axis=1) <= WITHIN_M)
             & (view.drops_m >= MIN_DROP_M))
     if must.sum() >= 10:  # 20 cm
         edge_m = view.edges_m[must]
         is_found = _distances(edge_m, found_m) <= _near(edge_m)
-        tally.edges += len(is_found)
-        tally.edges_found += int(is_found.sum())
-        tally.frames_with_edge += 1
-        tally.frames_found += bool(is_found.mean() > 0.5)
+        tally.counts['edge points'] += len(is_found)
+        tally.counts['edge points found'] += int(is_found.sum())
+        tally.counts['frames with edge'] += 1
+        tally.counts['frames found'] += bool(is_found.mean() > 0.5)
 
 
 def _distances(points_m: np.ndarray, others_m: np.ndarray) -> np.ndarray:
@@ -137,27 +133,22 @@ def _near(points_m: np.ndarray) -> np.ndarray:
 
 
 def _shares(tallies: dict[str, Tally]) -> str:
-    rows = [_row(name, [tally]) for name, tally in tallies.items()]
+    tallies = {**tallies, 'all': sum(tallies.values(), Tally())}
     return table(('terrain', 'own floor: mean, worst', 'ramp', 'behind the ramp',
                   'upper level', 'obstacle over 5 cm: mean, worst', 'drops found (views)',
                   '... of their length', 'views with a false drop'),
-                 [*rows, _row('all', list(tallies.values()))])
+                 [[name, *_cells(tally)] for name, tally in tallies.items()])
 
 
-def _row(name: str, tallies: Sequence[Tally]) -> list[str]:
-    def shares(field_name: str, worst: float) -> str:
-        values = [value for tally in tallies for value in getattr(tally, field_name)]
-        if not values:
-            return '-'
-        return f'{np.mean(values):.3f}, {min(values) if worst < 0.5 else max(values):.3f}'
-
-    def total(field_name: str) -> int:
-        return sum(getattr(tally, field_name) for tally in tallies)
-    edges = total('edges')
-    return [name, shares('own', 0), shares('ramp', 0), shares('landing', 0), shares('upper', 1),
-            shares('obstacle', 1), f'{total("frames_found")} of {total("frames_with_edge")}',
-            f'{total("edges_found") / edges:.3f}' if edges else '-',
-            f'{total("frames_false")} of {total("frames")}']
+def _cells(tally: Tally) -> list[str]:
+    cells, counts = [], tally.counts
+    for kind, worst in JUDGED.items():
+        values = tally.shares[kind]
+        cells.append(f'{np.mean(values):.3f}, {worst(values):.3f}' if values else '-')
+    points = counts['edge points']
+    return [*cells, f'{counts["frames found"]} of {counts["frames with edge"]}',
+            f'{counts["edge points found"] / points:.3f}' if points else '-',
+            f'{counts["false"]} of {counts["frames"]}']
 
 
 def _limits(seeds: Sequence[int]) -> str:
@@ -193,18 +184,3 @@ def _finds_kerb(distance_m: float, noise: float | str, seed: int) -> bool:
     found_m = detect(view, noise, seed).drops_m @ view.to_world.T + view.position_m
     edge_m = view.edges_m[view.is_visible]
     return bool((_distances(edge_m, found_m) <= _near(edge_m)).sum() > 0.5 * len(edge_m) > 0)
-
-
-def _times(seeds: Sequence[int]) -> str:
-    names, ground_s, segmentation_s = list(COURSES), [], []
-    for seed in seeds[:3]:
-        for name in names:
-            view = terrain(name, np.random.default_rng([seed, *name.encode()]))
-            runs = [detect(view, 0.001, seed).stage_seconds for _ in range(3)]
-            ground_s.append(min(run['ground'] for run in runs))
-            segmentation_s.append(min(run['segmentation'] for run in runs))
-    share = np.array(ground_s) / segmentation_s
-    return table(('ground, median / worst', 'segmentation, median', 'ratio, median / worst'),
-                 [[f'{1e3 * np.median(ground_s):.1f} / {1e3 * max(ground_s):.1f} ms',
-                   f'{1e3 * np.median(segmentation_s):.1f} ms',
-                   f'{np.median(share):.2f} / {max(share):.2f}']])

@@ -5,20 +5,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
 
+import cv2
 import numpy as np
 from skimage.measure import label
 
 from plane_detector.config import Config
-from plane_detector.drawing import overlay
-from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.drawing import figure, overlay
+from plane_detector.evaluation.benchmark.options import add_shared
 from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.evaluation.benchmark.samples import labelled_numbers
-from plane_detector.evaluation.benchmark.tables import emit, table, write_sheet
 from plane_detector.evaluation.datasets import (
     ABW,
     TABLETOPS,
@@ -35,10 +36,8 @@ UNSEEN_SETS = ('kitchen',)
 """Real frames without labels of which --pictures also writes pictures."""
 ABW_MIN_SHARE = 0.001
 """Smallest plane on ABW: its regions are small, and each published method was set for them."""
-HOOVER = {'true': 'true', 'correct': 'correct', 'over-segmented': 'over_segmented',
-          'under-segmented': 'under_segmented', 'missed': 'missed', 'noise': 'noise'}
 APART = ('correct', 'missed', 'noise')
-"""Of these, those also counted with the connected pieces of planes, as ABW's labels are."""
+"""Of the Hoover scores, those also counted with the connected pieces, as ABW's labels are."""
 _PANEL_WIDTH_PX = 640
 
 Numbers = dict[str, float]
@@ -47,13 +46,11 @@ Numbers = dict[str, float]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument('--frames', action='store_true', help='also a table of all frames')
-    parser.add_argument('--only-ours', action='store_true', help='no other methods')
     parser.add_argument('--slow', action='store_true', help='also the method of the paper')
-    parser.add_argument('--processes', type=shared.at_least_one, default=1)
     parser.add_argument('--pictures', type=Path, metavar='FOLDER',
                         help='write image, true labels and ours there, also of the sets '
                              f'{", ".join(UNSEEN_SETS)}, which have no labels')
-    shared.add_data(parser)
+    add_shared(parser, '--only-ours', '--processes', '--data', processes=1)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -61,7 +58,9 @@ def run(options: argparse.Namespace) -> None:
     found = list(labelled_frames(options.data))
     by_hand, scanned = ([one for one in found if (one.set_name == ABW) is scan]
                         for scan in (False, True))
-    report('Planes labelled by hand', by_hand, _methods(options, False), labelled_numbers, options)
+    paper = [Paper()] if options.slow else []
+    report('Planes labelled by hand', by_hand, [Ours(), OpenCv(0.03), OpenCv(0.05), *paper],
+           labelled_numbers, options)
     emit('Only labelled pixels count. Recall: true planes that a predicted one matches with '
          'IoU > 0.5. Pieces: predicted planes with over a tenth of a true plane\'s pixels, per '
          f'true plane. Both are of true planes over {MIN_PIXELS} pixels. Merged: of the '
@@ -69,32 +68,16 @@ def run(options: argparse.Namespace) -> None:
          'Unlabelled: share of the true planes\' pixels without a plane. '
          f'On {TABLETOPS} the truth is one table; planes on its objects count as none.')
     if scanned:
+        fine, peer = Ours(_with_min_share(ABW_MIN_SHARE)), OpenCv(0.003, ABW_MIN_SHARE)
+        fine.name = f'plane_detector, min_plane_share {ABW_MIN_SHARE:g}'
+        peer.name += f', min_size {ABW_MIN_SHARE:g} of the image'
         report('ABW structured light scanner, regions per image at 80 % mutual overlap', scanned,
-               _methods(options, True), hoover_numbers, options)
+               [Ours(), fine, peer, *paper], hoover_numbers, options)
         emit('The true labels of ABW have a region for each connected piece: a floor between '
              'shadows is several. Apart: each connected piece of a plane counts as a region.')
     if options.pictures:
         for path in write_pictures(options.data, found, options.pictures):
             emit(f'Picture: `{path}`')
-
-
-def _methods(options: argparse.Namespace, scanned: bool) -> list[Method]:
-    """Return the methods for photographs or for ABW, absent ones excluded."""
-    if scanned:
-        fine = Ours(_with_min_share(ABW_MIN_SHARE))
-        fine.name = f'plane_detector, min_plane_share {ABW_MIN_SHARE:g}'
-        peer = OpenCv(0.003, ABW_MIN_SHARE)
-        peer.name += f', min_size {ABW_MIN_SHARE:g} of the image'
-        methods: list[Method] = [Ours(), fine, peer]
-    else:
-        methods = [Ours(), OpenCv(0.03), OpenCv(0.05)]
-    if options.slow:
-        methods.append(Paper())
-    for method in methods:
-        if method.absent:
-            emit(f'{method.name}: absent, {method.absent}.')
-    return [method for method in methods
-            if not method.absent and (isinstance(method, Ours) or not options.only_ours)]
 
 
 def _with_min_share(share: float) -> Config:
@@ -103,12 +86,12 @@ def _with_min_share(share: float) -> Config:
 
 
 def hoover_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
-    """Return the numbers of HOOVER for predicted labels (H, W), and of APART for pieces."""
+    """Return the Hoover scores of predicted labels (H, W), and those APART for its pieces."""
     whole, apart = (
-        asdict(hoover_score(np.maximum(frame.labels, -1), one, np.isfinite(frame.depth_m)))
+        {name.replace('_', '-'): float(count) for name, count in asdict(hoover_score(
+            np.maximum(frame.labels, -1), one, np.isfinite(frame.depth_m))).items()}
         for one in (labels, _connected_pieces(labels)))
-    return {**{name: float(whole[field]) for name, field in HOOVER.items()},
-            **{f'{name}, apart': float(apart[HOOVER[name]]) for name in APART}}
+    return whole | {f'{name}, apart': apart[name] for name in APART}
 
 
 def _connected_pieces(labels: np.ndarray) -> np.ndarray:
@@ -122,40 +105,44 @@ def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method]
            options: argparse.Namespace) -> None:
     """Print the means over each set and, if requested, the numbers of each frame."""
     rows, lines = [], []
+    digits = 1 if numbers_of is hoover_numbers else 3
     for method in methods:
+        if method.absent:
+            emit(f'{method.name}: absent, {method.absent}.')
+        if method.absent or (options.only_ours and not isinstance(method, Ours)):
+            continue
         with mapping(options.processes) as apply:
             labels = list(apply(_labels, [method] * len(found), found))
-        numbers = [numbers_of(frame, one) for frame, one in zip(found, labels, strict=True)]
-        pairs = list(zip(found, numbers, strict=True))
-        lines += [[f'{frame.set_name}/{frame.name}', method.name, *_cells(one)]
-                  for frame, one in pairs]
+        pairs = [(frame, numbers_of(frame, one))
+                 for frame, one in zip(found, labels, strict=True)]
+        lines += [[f'{frame.set_name}/{frame.name}', method.name, *_cells(numbers, digits)]
+                  for frame, numbers in pairs]
         for name, group in groupby(pairs, lambda pair: pair[0].set_name):
-            members = [one for _, one in group]
+            members = [numbers for _, numbers in group]
             rows.append([name, method.name, len(members), *_cells({
-                key: known_mean(np.array([one[key] for one in members])) for key in members[0]})])
-    names = list(numbers[0])
-    emit(f'### {title}', _sorted_table(('set', 'method', 'n', *names), rows))
+                key: known_mean(np.array([one[key] for one in members])) for key in members[0]},
+                digits)])
+    names = list(pairs[0][1])
+    emit(f'### {title}', table(('set', 'method', 'n', *names), sorted(rows, key=_first)))
     if options.frames:
-        emit(_sorted_table(('frame', 'method', *names), lines))
+        emit(table(('frame', 'method', *names), sorted(lines, key=_first)))
 
 
-def _sorted_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table whose rows are together by their first cell."""
-    return table(header, sorted(rows, key=lambda row: row[0]))
+def _first(row: Sequence[object]) -> object:
+    return row[0]
 
 
 def _labels(method: Method, frame: Frame) -> np.ndarray:
     return method(frame.depth_m, frame.intrinsics)[0]
 
 
-def _cells(numbers: Mapping[str, float]) -> list[str]:
-    return [f'{value:.1f}' if name.partition(',')[0] in HOOVER else f'{value:.3f}'
-            for name, value in numbers.items()]
+def _cells(numbers: Mapping[str, float], digits: int) -> list[str]:
+    return [f'{value:.{digits}f}' for value in numbers.values()]
 
 
-def write_pictures(data: Path, found: Sequence[LabelledFrame], folder: Path) -> list[Path]:
-    """Write image, true labels and ours of each frame into a folder; return the paths."""
-    paths = []
+def write_pictures(data: Path, found: Sequence[LabelledFrame], folder: Path) -> Iterator[Path]:
+    """Write image, true labels and ours of each frame into a folder; yield the paths."""
+    folder.mkdir(parents=True, exist_ok=True)
     for frame in (*found, *frames(data, UNSEEN_SETS)):
         config = _with_min_share(ABW_MIN_SHARE) if frame.set_name == ABW else Config()
         ours = segment_planes(frame.depth_m, frame.intrinsics, config)
@@ -164,6 +151,10 @@ def write_pictures(data: Path, found: Sequence[LabelledFrame], folder: Path) -> 
             panels.append((f'by hand: {frame.labels.max() + 1} planes',
                            overlay(frame.rgb, np.maximum(frame.labels, -1) + 1)))
         panels.append((f'ours: {len(ours.planes)} planes', overlay(frame.rgb, ours.labels + 1)))
-        paths.append(write_sheet(folder / f'{frame.set_name}_{frame.name}.png', panels,
-                                 len(panels), _PANEL_WIDTH_PX))
-    return paths
+        path = folder / f'{frame.set_name}_{frame.name}.png'
+        size_px = _PANEL_WIDTH_PX, _PANEL_WIDTH_PX * frame.rgb.shape[0] // frame.rgb.shape[1]
+        panels = [(title, cv2.resize(rgb, size_px, interpolation=cv2.INTER_AREA))
+                  for title, rgb in panels]
+        if not cv2.imwrite(str(path), figure(panels, len(panels))[..., ::-1]):
+            raise OSError(f'{path} cannot be written')
+        yield path

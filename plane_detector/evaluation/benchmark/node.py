@@ -11,37 +11,87 @@ are real images with sensor depth, or a rendered room. Three processes share the
 from __future__ import annotations
 
 import argparse
+import multiprocessing
 import os
+import signal
+import struct
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import Header
 from tqdm import tqdm
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.model_zoo import fetch
-from plane_detector.evaluation.benchmark.node_load import HELD_S, CameraLoad, Load, Show
-from plane_detector.evaluation.benchmark.node_process import NodeProcess, use_private_domain
-from plane_detector.evaluation.benchmark.node_receiver import Receiver
-from plane_detector.evaluation.benchmark.node_transport import report_transport
-from plane_detector.evaluation.benchmark.options import add_data
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.benchmark.node_transport import report_transport, use_private_domain
+from plane_detector.evaluation.benchmark.options import HELD_OUT, add_shared
+from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.rooms import room
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.process import retain_freed_memory
+from plane_detector.ros.calibration import camera_info_to_msg
+from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.topics import OUTPUTS
 
+NODE = 'plane_detector'
 SUBSCRIPTIONS = {'nothing': (), 'planes': ('planes',), 'points, planes': ('points', 'planes'),
                  'all': tuple(OUTPUTS)}
+HELD_S = 0.5
+"""Each view is shown for this long, as by a slowly moving camera, so that labels are tracked."""
+_SHIFTS = 0, 1, 2, 1
+"""Sideways positions of consecutive images of a view, in units of the motion."""
 _STAGES = ('convert', 'depth', 'directions', 'segmentation', 'measurement', 'ground', 'tracking',
            'messages', 'publish', 'total')
 _ROOM = 'room'
+_RELIABLE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
+_INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
+_SPIN_S, _SETTLING_S, _START_TIMEOUT_S, _STOP_TIMEOUT_S = 0.05, 3.0, 120.0, 10.0
+_TICK_S = 1 / os.sysconf('SC_CLK_TCK')
+_STAMP_AT = 4  # derived: after the header of CDR, the stamp is the first field
+
+
+@dataclass(frozen=True)
+class Show:
+    """What the camera shows."""
+
+    title: str
+    views: Sequence[Frame]  # shown in turn, each for HELD_S
+    rate_hz: float  # of the images
+    motion_px: int = 0  # each image is moved sideways against the one before; 0: a still camera
+
+
+@dataclass(frozen=True)
+class Load:
+    """Measurements of a node under load."""
+
+    rate_hz: float  # of ~/planes, as received
+    latency_ms: np.ndarray  # from stamp to receipt of ~/planes: median, 95 %, worst; NaN: none
+    stage_ms: dict[str, float]  # median over the seconds of its mean, from the diagnostics
+    core_share: float  # time of all threads on a core, as a share of the time that passed
+    busy_ms: float  # on a core per frame, all threads
+    waiting_ms: float  # per frame, for a core that other programs were using
+    resident_mb: float
+    start_s: float  # from the start of the process until it has subscribed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_data(parser)
+    add_shared(parser, '--data')
     parser.add_argument('--views', default='kinect',
                         help=f'set of the data folder that the camera shows, or {_ROOM} for a '
                              'rendered one (default: %(default)s)')
@@ -70,22 +120,25 @@ def _seconds(text: str) -> float:
     return float(text)
 
 
-def views_of(data: Path, name: str) -> tuple[str, list[Frame]]:
-    """
-    Return a description of the views, and the views.
-
-    Raises
-    ------
-    FileNotFoundError
-        The set does not exist.
-
-    """
-    if name == _ROOM:
-        scene = room(HELD_OUT)
-        return f'room {HELD_OUT}', [Frame(_ROOM, str(HELD_OUT), scene.rgb, scene.depth_m,
-                                          scene.intrinsics)]
-    found = list(frames(data, (name,)))
-    return f'{len(found)} frames of {name}, each for {HELD_S:g} s', found
+def run(options: argparse.Namespace) -> None:
+    """Print the tables."""
+    if options.transport:
+        report_transport(options.rate, options.seconds)
+        return
+    retain_freed_memory(one_heap=True)  # as the node does
+    use_private_domain()
+    if options.views == _ROOM:
+        scene, title = room(HELD_OUT), f'room {HELD_OUT}'
+        views = [Frame(_ROOM, title, scene.rgb, scene.depth_m, scene.intrinsics)]
+    else:
+        views = list(frames(options.data, (options.views,)))
+        title = f'{len(views)} frames of {options.views}, each for {HELD_S:g} s'
+    found = list(sources(options.model, options.rate))
+    rclpy.init()
+    try:
+        report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
+    finally:
+        rclpy.try_shutdown()
 
 
 def sources(model: str, rate_hz: float) -> Iterator[tuple[str, DepthConfig]]:
@@ -112,56 +165,248 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
     for name, depth in found:
         for subscribed, outputs in tqdm(SUBSCRIPTIONS.items(), name, leave=False):
             load_before = os.getloadavg()[0]
-            load = _load(depth, outputs, show, seconds)
-            rows.append([name, subscribed, *_cells(load), f'{load_before:.1f}'])
+            load = _measured(depth, outputs, show, seconds)
+            rows.append([name, subscribed, f'{load.rate_hz:.1f}', f'{load.core_share:.0%}',
+                         f'{load.busy_ms:.1f}', f'{load.waiting_ms:.1f}',
+                         *(f'{one:.1f}' for one in load.latency_ms), f'{load.resident_mb:.0f}',
+                         f'{load.start_s:.1f}',
+                         *(f'{load.stage_ms.get(stage, 0.0):.1f}' for stage in _STAGES),
+                         f'{load_before:.1f}'])
     camera = f'moved by {show.motion_px} px from image to image' if show.motion_px else 'still'
     emit(f'### The node over DDS: {show.title}, {lens.width} x {lens.height}, '
          f'images at {show.rate_hz:g} Hz, {camera}',
          table(('depth', 'subscribed', 'rate (Hz)', 'of a core', 'core time (ms)',
                 'without a core (ms)', 'latency: median (ms)', '95 % (ms)', 'worst (ms)',
-                'resident (MB)', 'proportional (MB)', 'ready after (s)', 'with core time (s)',
-                *(f'{one} (ms)' for one in _STAGES), 'load before'), rows),
+                'resident (MB)', 'ready after (s)', *(f'{one} (ms)' for one in _STAGES),
+                'load before'), rows),
          'Rate: of ~/planes as received. Core time: of all threads of the node, per frame '
          'published, without subscribers per image sent. Without a core: how long it would have '
          'worked but other programs had the cores. Latency: from the stamp of an image, just '
-         'before it is sent, to its planes in another process. Memory: VmRSS and Pss. Stages: '
-         'medians of what /diagnostics says. The camera, the node and the receiver, which takes '
-         'bytes, are three processes on the same cores. Load: of the machine in the minute '
-         'before.')
+         'before it is sent, to its planes in another process. Stages: medians of what '
+         '/diagnostics says. Load: of the machine in the minute before.')
 
 
-def _load(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: float) -> Load:
+def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: float) -> Load:
     """Start a node and a receiver, feed them, and end them."""
     parameters = {'depth.source': depth.source, 'depth.model': depth.model,
                   'depth.target_rate': depth.target_rate}
     with (tempfile.TemporaryDirectory() as folder, Receiver(outputs) as receiver,
-          NodeProcess(parameters, Path(folder) / 'node.log') as process):
-        camera = CameraLoad(process.check_running, show, depth.source == 'topic', receiver)
+          node_process(parameters, Path(folder, 'node.log')) as process):
+        camera = Camera(process, show, depth.source == 'topic', receiver)
         try:
-            return camera.measure(process.process_id, seconds)
+            return camera.measure(seconds)
+        except RuntimeError as error:
+            end = Path(folder, 'node.log').read_text(errors='replace')[-1500:]
+            raise RuntimeError(f'{error}\nThe end of its log:\n{end}') from error
         finally:
             camera.close()
 
 
-def _cells(load: Load) -> list[str]:
-    return [f'{load.rate_hz:.1f}', f'{load.core_share:.0%}', f'{load.busy_ms:.1f}',
-            f'{load.waiting_ms:.1f}', *(f'{one:.1f}' for one in load.latency_ms),
-            f'{load.resident_mb:.0f}', f'{load.proportional_mb:.0f}', f'{load.start_s:.1f}',
-            f'{load.start_core_s:.1f}',
-            *(f'{load.stage_ms.get(stage, 0.0):.1f}' for stage in _STAGES)]
-
-
-def run(options: argparse.Namespace) -> None:
-    """Print the tables."""
-    if options.transport:
-        report_transport(options.rate, options.seconds)
-        return
-    retain_freed_memory(one_heap=True)  # as the node does
-    use_private_domain()
-    title, views = views_of(options.data, options.views)
-    found = list(sources(options.model, options.rate))
-    rclpy.init()
+@contextmanager
+def node_process(parameters: dict[str, object], log_path: Path) -> Iterator[subprocess.Popen]:
+    """Run the node with these parameters; it is ended with SIGINT, by force if need be."""
+    options = [word for name, value in parameters.items() for word in ('-p', f'{name}:={value}')]
+    with open(log_path, 'wb') as log:
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'plane_detector.ros.node', '--ros-args', *options],
+            stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+            start_new_session=True)  # Ctrl-C reaches only this program, which ends the node
     try:
-        report_load(found, Show(title, views, options.rate, options.motion), options.seconds)
+        yield process
     finally:
-        rclpy.try_shutdown()
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_STOP_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+class Receiver:
+    """
+    Receives outputs as bytes in another process; a context manager.
+
+    Bytes show the limit of the node itself: converting them to messages in Python would use the
+    node's cores.
+    """
+
+    def __init__(self, outputs: Sequence[str]) -> None:
+        self.outputs = tuple(outputs)
+        self._pipe, other = multiprocessing.Pipe()
+        # A fork would share the threads and sockets of this process's middleware.
+        self._process = multiprocessing.get_context('spawn').Process(
+            target=_receive, args=(self.outputs, other), daemon=True)
+        self._process.start()
+
+    def __enter__(self) -> Receiver:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        self._process.join(_STOP_TIMEOUT_S)
+
+    def taken(self) -> list[float]:
+        """Return the time in ms from stamp to receipt of all ``~/planes`` since the last call."""
+        self._pipe.send('taken')
+        return self._pipe.recv()
+
+
+def _receive(outputs: tuple[str, ...], pipe: Connection) -> None:
+    """Receive until the process is ended."""
+    retain_freed_memory(one_heap=True)  # as the node; otherwise most of its time is page faults
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # SIGTERM ends it
+    node, executor = rclpy.create_node('plane_detector_receiver'), SingleThreadedExecutor()
+    executor.add_node(node)
+    latencies_ms: list[float] = []
+
+    def receive_planes(data: bytes) -> None:
+        seconds, nanoseconds = struct.unpack_from('<iI', data, _STAMP_AT)
+        latencies_ms.append((time.time_ns() - nanoseconds) / 1e6 - 1e3 * seconds)
+    for name in outputs:
+        callback = receive_planes if name == 'planes' else lambda _: None
+        node.create_subscription(OUTPUTS[name].msg_type, f'{NODE}/{name}', callback, _RELIABLE,
+                                 raw=True)
+    while True:
+        executor.spin_once(timeout_sec=_SPIN_S)
+        if pipe.poll():
+            pipe.recv()
+            pipe.send(latencies_ms.copy())
+            latencies_ms.clear()
+
+
+class Camera:
+    """Feeds the node with views at a constant rate, and receives its diagnostics."""
+
+    def __init__(self, process: subprocess.Popen, show: Show, with_depth: bool,
+                 receiver: Receiver) -> None:
+        self._process, self._receiver = process, receiver
+        self._views = [[input_messages(_moved(view, shift * show.motion_px)) for shift in _SHIFTS]
+                       for view in show.views]
+        self._node = rclpy.create_node('plane_detector_load')
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._publishers = {
+            name: self._node.create_publisher(msg_type, name, _RELIABLE)
+            for name, msg_type in _INPUTS.items() if with_depth or name != 'depth'}
+        self._statuses: list[dict[str, str]] = []
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+        self._rate_hz, self._sent = show.rate_hz, 0
+
+    def close(self) -> None:
+        """Destroy the ROS node."""
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def measure(self, seconds: float) -> Load:
+        """
+        Wait for the node, feed it until its rate is steady, then measure.
+
+        Raises
+        ------
+        RuntimeError
+            The node has ended, or published nothing.
+
+        """
+        process_id = self._process.pid
+        self._spin_until(lambda: all(one.get_subscription_count()
+                                     for one in self._publishers.values()))
+        start_s = time.clock_gettime(time.CLOCK_BOOTTIME) - _ticks(process_id)[19] * _TICK_S
+        self._spin_until(lambda: not self._receiver.outputs
+                         or self._node.count_subscribers(f'{NODE}/planes'))
+        self._node.create_timer(1 / self._rate_hz, self._publish)
+        self._spin(_SETTLING_S)
+        self._receiver.taken()
+        self._statuses.clear()
+        sent = self._sent
+        core_s, waited_s = core_seconds(process_id), waiting_seconds(process_id)
+        elapsed_s = self._spin(seconds)
+        core_s = core_seconds(process_id) - core_s
+        waited_s = waiting_seconds(process_id) - waited_s
+        latency_ms, stage_ms = self._receiver.taken(), median_stages(self._statuses)
+        if self._receiver.outputs and not (latency_ms and stage_ms):
+            last = self._statuses[-1:] or [{}]
+            raise RuntimeError(f'the node gave no planes: {last[0].get("last_error", "")}')
+        images = len(latency_ms) or self._sent - sent
+        return Load(len(latency_ms) / elapsed_s,
+                    np.quantile(latency_ms or [np.nan], (0.5, 0.95, 1.0)), stage_ms,
+                    core_s / elapsed_s, 1e3 * core_s / images, 1e3 * waited_s / images,
+                    resident_mb(process_id), start_s)
+
+    def _spin_until(self, condition: Callable[[], object]) -> None:
+        deadline_s = time.monotonic() + _START_TIMEOUT_S
+        while not condition():
+            if time.monotonic() > deadline_s:
+                raise RuntimeError(f'the node was not active within {_START_TIMEOUT_S:g} s')
+            self._spin(_SPIN_S)
+
+    def _spin(self, seconds: float) -> float:
+        """Spin for some time; return the actual duration in seconds."""
+        start_s = time.monotonic()
+        while (elapsed_s := time.monotonic() - start_s) < seconds:
+            if self._process.poll() is not None:
+                raise RuntimeError(f'the node ended with exit code {self._process.returncode}')
+            self._executor.spin_once(timeout_sec=_SPIN_S)
+        return elapsed_s
+
+    def _publish(self) -> None:
+        stamp = self._node.get_clock().now().to_msg()
+        view = self._views[int(self._sent / self._rate_hz / HELD_S) % len(self._views)]
+        image = view[self._sent % len(view)]
+        self._sent += 1
+        for name, publisher in self._publishers.items():
+            image[name].header.stamp = stamp
+            publisher.publish(image[name])
+
+    def _on_diagnostics(self, msg: DiagnosticArray) -> None:
+        self._statuses += [{pair.key: pair.value for pair in status.values}
+                           for status in msg.status if status.name == NODE]
+
+
+def input_messages(view: Frame) -> dict[str, Any]:
+    """Return the messages that a camera publishes for a view, by topic."""
+    header = Header(frame_id='camera_optical_frame')
+    return {'camera_info': camera_info_to_msg(header, view.intrinsics),
+            'depth': messages.depth_to_msg(header, view.depth_m),
+            'image': messages.rgb_to_msg(header, view.rgb)}
+
+
+def _moved(view: Frame, shift_px: int) -> Frame:
+    """Return a view moved sideways; what leaves the image comes in at the other side."""
+    return replace(view, rgb=np.roll(view.rgb, shift_px, axis=1),
+                   depth_m=np.roll(view.depth_m, shift_px, axis=1))
+
+
+def median_stages(statuses: Sequence[dict[str, str]]) -> dict[str, float]:
+    """Return the median of each stage's time in milliseconds over the seconds with frames."""
+    told = [{key.removeprefix('latency.').removesuffix('_ms'): float(value)
+             for key, value in status.items() if key.startswith('latency.')}
+            for status in statuses]
+    told = [stages for stages in told if len(stages) > 1]  # without frames there is but a total
+    return {stage: float(np.median([stages[stage] for stages in told]))
+            for stage in (told[-1] if told else {})}
+
+
+def core_seconds(process_id: int) -> float:
+    """Return the time that all threads of a process, also ended ones, ran; Linux only."""
+    return sum(_ticks(process_id)[11:13]) * _TICK_S
+
+
+def _ticks(process_id: int) -> list[int]:
+    """Return the fields of /proc/PID/stat from the third on, the state as 0; see proc(5)."""
+    fields = Path(f'/proc/{process_id}/stat').read_text().rpartition(')')[2].split()
+    return [0, *map(int, fields[1:])]
+
+
+def waiting_seconds(process_id: int) -> float:
+    """Return how long the threads of a process have waited for a core; Linux only."""
+    waited_ns = 0
+    for file in Path(f'/proc/{process_id}/task').glob('*/schedstat'):
+        with suppress(OSError):  # a thread that has ended in the meantime
+            waited_ns += int(file.read_text().split()[1])
+    return 1e-9 * waited_ns
+
+
+def resident_mb(process_id: int) -> float:
+    """Return VmRSS of a process in MB; Linux only."""
+    rows = Path(f'/proc/{process_id}/status').read_text().splitlines()
+    return next(int(row.split()[1]) * 1024 / 1e6 for row in rows if row.startswith('VmRSS:'))

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
+from pathlib import Path
 
 import numpy as np
 import rclpy
@@ -19,15 +20,27 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from std_msgs.msg import Header
 
-from plane_detector.evaluation.benchmark.node_process import use_private_domain
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.ros.outputs.messages import rgb_to_msg
 
 PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
+_SHIPPED = Path(__file__).resolve().parents[3] / 'config' / 'fastdds_large_messages.xml'
 # rgb8 of these sizes: 0.3, 0.9, 2.8 and 6.2 MB.
 SIZES = (320, 320), (640, 480), (1280, 720), (1920, 1080)
 QOS = {'reliable': ReliabilityPolicy.RELIABLE, 'best effort': ReliabilityPolicy.BEST_EFFORT}
 _CONNECTED_S, _IN_FLIGHT_S = 20.0, 1.0
+
+
+def use_private_domain() -> None:
+    """
+    Set the environment of this process and its children for large messages on this machine.
+
+    Must be called before rclpy.init(). Other ROS nodes, on this machine or in the network, are not
+    affected and do not interfere. Fast DDS settings of the user are kept.
+    """
+    os.environ['ROS_DOMAIN_ID'] = str(1 + os.getpid() % 100)  # above 101 ports may clash
+    os.environ['ROS_AUTOMATIC_DISCOVERY_RANGE'] = 'LOCALHOST'
+    os.environ.setdefault(PROFILE, str(_SHIPPED))
 
 
 def report_transport(rate_hz: float, seconds: float) -> None:

@@ -1,12 +1,16 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Options shared by several subcommands of the benchmark."""
+"""Options of several subcommands, each declared once."""
 
 from __future__ import annotations
 
 import argparse
 import os
 from pathlib import Path
+from typing import Any
+
+HELD_OUT = 9000
+"""Scenes from this seed on are for reporting only; they must not be used for tuning."""
 
 
 def at_least_one(text: str) -> int:
@@ -17,27 +21,25 @@ def at_least_one(text: str) -> int:
     return number
 
 
-def add_data(parser: argparse.ArgumentParser) -> None:
-    """Add the folder of real images."""
-    parser.add_argument('--data', type=Path,
-                        default=Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')),
-                        help='folder of real images, see evaluation/datasets.py; default: '
-                             'PLANE_DETECTOR_DATA or %(default)s')
+SHARED: dict[str, dict[str, Any]] = {
+    '--data': {'type': Path,
+               'default': Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')),
+               'help': 'folder of real images, see evaluation/datasets.py; default: '
+                       'PLANE_DETECTOR_DATA or %(default)s'},
+    '--model': {'default': 'fastdepth', 'help': 'network, as depth.model'},
+    '--processes': {'type': at_least_one, 'default': os.cpu_count() or 1},
+    '--only-ours': {'action': 'store_true', 'help': 'no other methods'},
+    '--scenes': {'type': at_least_one, 'help': 'rendered scenes of each kind'},
+    '--rooms': {'type': at_least_one, 'help': 'rooms of boxes'},
+    '--living': {'type': at_least_one, 'help': 'lived-in rooms'},
+    '--curved': {'type': at_least_one, 'default': 36, 'help': 'curved scenes'},
+    '--first-seed': {'type': int, 'default': HELD_OUT,
+                     'help': f'of the rendered scenes; those from {HELD_OUT} on were not used for '
+                             'tuning'}}
 
 
-def add_scenes(parser: argparse.ArgumentParser, rooms: int, living: int, first_seed: int) -> None:
-    """Add the numbers of rendered scenes, see :func:`scene_counts`, and their seed."""
-    parser.add_argument('--rooms', type=at_least_one, default=rooms, help='rooms of boxes')
-    parser.add_argument('--living', type=at_least_one, default=living, help='lived-in rooms')
-    parser.add_argument('--curved', type=at_least_one, default=36, help='curved scenes')
-    parser.add_argument('--first-seed', type=int, default=first_seed)
-
-
-def scene_counts(options: argparse.Namespace) -> dict[str, int]:
-    """Return the number of scenes of each kind, as :func:`samples.plan` takes it."""
-    return {'rooms': options.rooms, 'lived-in rooms': options.living, 'curved': options.curved}
-
-
-def add_model(parser: argparse.ArgumentParser) -> None:
-    """Add the depth network."""
-    parser.add_argument('--model', default='fastdepth', help='network, as depth.model')
+def add_shared(parser: argparse.ArgumentParser, *names: str, **defaults: int) -> None:
+    """Declare some of SHARED, with other defaults for some."""
+    for name in names:
+        parser.add_argument(name, **SHARED[name])
+    parser.set_defaults(**defaults)

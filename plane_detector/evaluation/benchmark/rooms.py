@@ -17,8 +17,6 @@ from plane_detector.evaluation.scenes.rooms import Scene, random_room
 from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.evaluation.scenes.surfaces import bar, cone, ellipsoid
 
-HELD_OUT = 9000
-"""Scenes from this seed on are for reporting only; they must not be used for tuning."""
 RADII_M = (0.25, 0.4, 0.7, 1.2)
 ANGLES_DEG = ((0, 0, 0), (0, -15, 4), (10, 10, 0))
 """Yaw, pitch and roll of the camera."""

@@ -17,56 +17,67 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark import options as shared
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT, room
-from plane_detector.evaluation.benchmark.tables import emit, table
-from plane_detector.evaluation.datasets import Frame, frames
+from plane_detector.evaluation.benchmark.options import HELD_OUT, add_shared, at_least_one
+from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.rooms import room
+from plane_detector.evaluation.datasets import frames
 from plane_detector.evaluation.peers import Method, OpenCv, Ours, all_methods
-from plane_detector.evaluation.scenes.rooms import Scene, random_room
+from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.process import one_thread
 from plane_detector.types import CameraIntrinsics
 
-REPEATS = 15
 SIZES = ((320, 240), (640, 480), (1280, 720))
 SLOW_REPEATS = 3
 
 Case = tuple[np.ndarray, CameraIntrinsics]
+"""Depth in metres and camera."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--repeats', type=shared.at_least_one, default=REPEATS,
-                        help='runs of everything timed')
-    shared.add_data(parser)
+    parser.add_argument('--repeats', type=at_least_one, default=15, help='runs of all that is '
+                        'timed')
+    add_shared(parser, '--data')
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables of times; with real frames one more."""
-    present = [method for method in all_methods() if not method.absent]
-    found = list(frames(options.data)) if options.data.is_dir() else []
+    scene = room(HELD_OUT)
+    clean = {f'room {HELD_OUT}': [(scene.depth_m, scene.intrinsics)]}
+    real: dict[str, list[Case]] = {}
+    for frame in frames(options.data) if options.data.is_dir() else ():
+        real.setdefault(frame.set_name, []).append((frame.depth_m, frame.intrinsics))
+    sizes = {f'{width} x {height}': [_sized_room(seed, width, height)
+                                     for seed in range(HELD_OUT, HELD_OUT + 3)]
+             for width, height in SIZES}
+    quick: list[Method] = [Ours(), OpenCv(0.03)]
     with one_thread():
-        _report_peers(present, options.repeats)
-        _report_real(present, options.repeats, found)
-        _report_sizes(present, options.repeats)
+        for title, methods, groups in (
+                (f'Time at 640 x 480, clean room {HELD_OUT}', all_methods(), clean),
+                ('Time on real frames, depth of the sensor', quick, real),
+                ('Time by resolution, clean rooms', quick, sizes)):
+            rows = [row for name, cases in groups.items() for row in _rows(
+                name, cases, [one for one in methods if not one.absent], options.repeats)]
+            if rows:
+                emit(f'### {title}', table(('images', 'n', 'method', 'median (ms)', 'worst',
+                                            'ns a pixel', 'times ours'), rows))
+
+
+def _rows(name: str, cases: Sequence[Case], methods: Sequence[Method],
+          repeats: int) -> list[list[str]]:
+    """Return a row of cells for each method, the first of which is ours."""
+    ms = median_ms(methods, cases, repeats)
+    return [[name, str(len(cases)), method.name, f'{np.median(own):.1f}', f'{own.max():.1f}',
+             f'{1e6 * np.median(own) / cases[0][0].size:.0f}',
+             f'{np.median(own) / np.median(ms[0]):.2f}']
+            for method, own in zip(methods, ms, strict=True)]
 
 
 def median_ms(methods: Sequence[Method], cases: Sequence[Case], repeats: int) -> np.ndarray:
     """
-    Time methods in turns.
+    Return the median times (methods, cases) of methods that take turns, in milliseconds.
 
-    Parameters
-    ----------
-    methods : sequence of Method
-        Slow ones run at most SLOW_REPEATS times.
-    cases : sequence of (depth_m, intrinsics)
-    repeats : int
-        Runs of every method on every case, after one that is not counted.
-
-    Returns
-    -------
-    (methods, cases) float64
-        Median milliseconds.
-
+    Each runs once more than is counted; slow ones run at most SLOW_REPEATS times.
     """
     taken = [[[] for _ in cases] for _ in methods]
     for turn in tqdm(range(repeats + 1), 'times', leave=False):
@@ -83,65 +94,9 @@ def median_ms(methods: Sequence[Method], cases: Sequence[Case], repeats: int) ->
     return 1e3 * np.array([[np.median(case) for case in method] for method in taken])
 
 
-def _report_peers(methods: Sequence[Method], repeats: int) -> None:
-    scene = room(HELD_OUT)
-    ms = median_ms(methods, [(scene.depth_m, scene.intrinsics)], repeats)[:, 0]
-    emit(f'### Time at 640 x 480, one thread, clean room {HELD_OUT}',
-         table(('method', 'median (ms)', 'times ours'),
-               [[method.name, f'{taken:.1f}', f'{taken / ms[0]:.2f}']
-                for method, taken in zip(methods, ms, strict=True)]),
-         'Points are made ready for the peers before the clock starts; ours starts from depth.')
-
-
-def _quick(methods: Sequence[Method]) -> list[Method]:
-    """Return ours and findPlanes with its first threshold."""
-    peers = [method for method in methods if isinstance(method, OpenCv)]
-    return [Ours(), *peers[:1]]
-
-
-def _report_real(methods: Sequence[Method], repeats: int, frames: Sequence[Frame]) -> None:
-    rows = []
-    for name in dict.fromkeys(frame.set_name for frame in frames):
-        cases = [(frame.depth_m, frame.intrinsics) for frame in frames if frame.set_name == name]
-        ms = median_ms(_quick(methods), cases, repeats)
-        rows.append([name, str(len(cases)), f'{np.median(ms[0]):.1f}', f'{ms[0].max():.1f}',
-                     *(f'{np.median(one):.1f}' for one in ms[1:]),
-                     *(f'{np.median(one) / np.median(ms[0]):.2f}' for one in ms[1:])])
-    if rows:
-        first, ours, *others = _header('frames', methods)
-        emit('### Time on real frames, depth of the sensor',
-             table([first, 'number', f'{ours}, median', 'worst', *others], rows))
-
-
-def _report_sizes(methods: Sequence[Method], repeats: int) -> None:
-    rows = []
-    for width, height in SIZES:
-        scenes = [_sized_room(seed, width, height) for seed in range(HELD_OUT, HELD_OUT + 3)]
-        ms = median_ms(_quick(methods), [(one.depth_m, one.intrinsics) for one in scenes],
-                       repeats)
-        per_pixel_ns = 1e6 * ms.mean(1) / (width * height)
-        rows.append([f'{width} x {height}', *_cells(ms),
-                     *(f'{one:.0f}' for one in per_pixel_ns)])
-    header = [*_header('image', methods),
-              *(f'{method.name} (ns a pixel)' for method in _quick(methods))]
-    emit('### Time by resolution, clean rooms', table(header, rows))
-
-
-def _header(first: str, methods: Sequence[Method]) -> list[str]:
-    quick = _quick(methods)
-    return [first, *(f'{method.name} (ms)' for method in quick),
-            *(f'{method.name}, times ours' for method in quick[1:])]
-
-
-def _cells(ms: np.ndarray) -> list[str]:
-    """Return mean times over the cases, and the times of the others divided by ours."""
-    mean = ms.mean(axis=1)
-    return [*(f'{one:.1f}' for one in mean), *(f'{one / mean[0]:.2f}' for one in mean[1:])]
-
-
-def _sized_room(seed: int, width: int, height: int) -> Scene:
+def _sized_room(seed: int, width: int, height: int) -> Case:
     """Return a room seen by a camera of 525 px focal length at a width of 640."""
     focal_px = 525.0 * width / 640
     intrinsics = CameraIntrinsics(focal_px, focal_px, (width - 1) / 2, (height - 1) / 2, width,
                                   height)
-    return random_room(np.random.default_rng(seed), intrinsics)
+    return random_room(np.random.default_rng(seed), intrinsics).depth_m, intrinsics

@@ -6,12 +6,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from plane_detector.evaluation.benchmark.parallel import mapping
+from plane_detector.evaluation.benchmark.report import emit
 from plane_detector.evaluation.benchmark.rooms import (
     CURVED,
     curved_scene,
@@ -20,11 +22,17 @@ from plane_detector.evaluation.benchmark.rooms import (
     noisy_depth,
     room,
 )
-from plane_detector.evaluation.datasets import UNKNOWN, Frame, LabelledFrame
+from plane_detector.evaluation.datasets import (
+    UNKNOWN,
+    Frame,
+    LabelledFrame,
+    frames,
+    library_frames,
+)
 from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
+from plane_detector.evaluation.reference_planes import judge_planes
 from plane_detector.evaluation.scenes.rooms import Scene
-from plane_detector.evaluation.sensor_comparison import judge_planes
 from plane_detector.types import CameraIntrinsics
 
 SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)
@@ -32,6 +40,8 @@ SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)
 CURVED_SIGMAS = (0.0, 0.004, 0.01)
 Noise = float | str
 """Standard deviation of the disparity noise, 1/m, or a name of SENSORS."""
+COUNTS = ('--rooms', '--living', '--curved')
+"""Options of the numbers of scenes."""
 _SCENES: dict[str, Callable[[int], Scene]] = {
     'rooms': room, 'lived-in rooms': furnished, 'curved': curved_scene}
 
@@ -46,8 +56,9 @@ class Sample:
     noise: Noise
     cpu_ms: float  # time on one core; for a quick method the faster of two runs
     numbers: dict[str, float]  # by metric; NaN if undefined
-    plane_shares: np.ndarray  # (n,) float64: share of the image of each true plane over MIN_PIXELS
-    found: np.ndarray  # (n,) bool: whether it was found
+    # (n,) of each true plane over MIN_PIXELS: share of the image, and whether it was found
+    plane_shares: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    found: np.ndarray = field(default_factory=lambda: np.zeros(0, bool))
 
 
 @dataclass(frozen=True)
@@ -60,37 +71,35 @@ class Job:
     methods: Sequence[Method]
 
 
+def collect_frames(data: Path) -> list[Frame]:
+    """Return the frames of the data folder and of the libraries; prints which are missing."""
+    found: list[Frame] = []
+    for source in (lambda: frames(data), library_frames):
+        try:
+            found += source()
+        except (FileNotFoundError, ImportError) as error:
+            emit(f'Not looked at: {error}.')
+    return found
+
+
 def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slow: int,
          frames: Iterable[Frame], rendered: bool = True,
          sensors: Sequence[str] = ()) -> list[Job]:
     """
-    Return the jobs of a run.
+    Return the jobs of a run of the methods that are not absent.
 
-    Parameters
-    ----------
-    methods : sequence of Method
-        Absent ones are skipped.
-    counts : dict of str to int
-        Number of scenes for ``rooms``, ``lived-in rooms`` and ``curved``.
-    first_seed : int
-    slow : int
-        Number of rooms and lived-in rooms for slow methods.
-    frames : iterable of Frame
-        Real images, for quick methods only.
-    rendered : bool
-        Whether with SIGMAS and CURVED_SIGMAS.
-    sensors : sequence of str
-        Names of SENSORS, for all scenes.
-
+    The counts are those of COUNTS. Slow methods only get that many rooms and lived-in
+    rooms, and no real frames. The noises are those of SIGMAS and CURVED_SIGMAS if ``rendered``,
+    and the named sensors.
     """
     present = [method for method in methods if not method.absent]
     quick = [method for method in present if not method.slow]
     noises, curved = ((*(sigmas if rendered else ()), *sensors)
                       for sigmas in (SIGMAS, CURVED_SIGMAS))
     jobs = []
-    for kind in ('rooms', 'lived-in rooms'):
+    for kind, count in (('rooms', counts['rooms']), ('lived-in rooms', counts['living'])):
         jobs += [Job(kind, first_seed + k, noises, present if k < slow else quick)
-                 for k in range(counts[kind])]
+                 for k in range(count)]
     count = min(counts['curved'], len(CURVED))
     jobs += [Job('curved', int(k), curved, quick)
              for k in np.linspace(0, len(CURVED) - 1, count).round()]
@@ -149,7 +158,7 @@ def _on_scene(method: Method, kind: str, scene: Scene, seed: int, noise: Noise) 
 def _on_labels(method: Method, frame: LabelledFrame) -> Sample:
     (labels, _), cpu_ms = timed(method, frame.depth_m, frame.intrinsics)
     return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms,
-                  labelled_numbers(frame, labels), np.zeros(0), np.zeros(0, bool))
+                  labelled_numbers(frame, labels))
 
 
 def labelled_numbers(frame: LabelledFrame, labels: np.ndarray) -> dict[str, float]:
@@ -169,5 +178,4 @@ def _on_frame(method: Method, frame: Frame) -> Sample:
               if judged else np.nan)
     numbers = {'planes': len(planes), 'labelled': float((labels[seen] >= 0).mean()),
                'purity': float(purity)}
-    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms, numbers,
-                  np.zeros(0), np.zeros(0, bool))
+    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms, numbers)

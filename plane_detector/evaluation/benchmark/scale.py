@@ -13,26 +13,35 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from plane_detector.config import ScaleConfig
-from plane_detector.evaluation.benchmark import options as shared
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT
-from plane_detector.evaluation.benchmark.scale_views import (
-    DRAWS_PER_IMAGE,
-    View,
-    real_views,
-    rendered_views,
-)
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.config import Config, ScaleConfig
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
+from plane_detector.evaluation.benchmark.options import add_shared
+from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.labelled_regions import labelled_regions
+from plane_detector.evaluation.reference_planes import true_floor
 from plane_detector.evaluation.scenes import rooms as scenes
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rendering import Scene
+from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.planes.ray_planes import ray_planes
 from plane_detector.scale.estimate import ScaleEstimate
+from plane_detector.scale.methods import ScaleEvidence, estimate_scale
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.segment import segment, unitless_noise_floor
+from plane_detector.types import CameraIntrinsics
 
+SCALE_RANGE, SHIFT_RANGE_PER_M = (0.2, 5.0), (-0.05, 0.4)
+NOISE_PER_M = 0.004
+# Real images are few, so each is used with this many simulated networks.
+DRAWS_PER_IMAGE = 10
 MIN_PLANE_SHARE = 0.02
 CLASS_TOLERANCE_DEG = 8.0
 # Errors of the values given by a user.
@@ -41,17 +50,74 @@ COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG = 10.0, 20.0
 SPARSE_POINTS, WRONG_POINT_SHARE = 200, 0.1
 BENT_DEG = 6.0
 UP_TO_A_FACTOR = ' (up to one factor)'
+UNCORRECTED = 'none (uncorrected)'
+
+
+@dataclass(frozen=True)
+class View:
+    """Output of the simulated network for an image, its planes, and the truth."""
+
+    disparity: np.ndarray
+    regions: PixelRegions
+    true_depth_m: np.ndarray
+    intrinsics: CameraIntrinsics
+    gravity_camera: np.ndarray
+    height_m: float
+    true_scale: ScaleConfig
+    rng: np.random.Generator
+    rgb: np.ndarray
+
+    @cached_property
+    def around(self) -> Surroundings:
+        """Gravity and horizontal axes from the lines of the image, if any."""
+        return DirectionFinder().look(CameraImage(self.rgb, self.intrinsics), None, Config(),
+                                      Need.PLANES)
+
+    def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
+        """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""
+        return estimate_scale(ScaleEvidence(
+            self.disparity, lambda: ray_planes(self.regions, self.intrinsics), **known), config)
+
+
+def look(scene: Scene | Frame, gravity_camera: np.ndarray, height_m: float,
+         rng: np.random.Generator) -> View:
+    """Return the output of a network with random scale and shift for an image, and its planes."""
+    depth_m = scene.depth_m
+    scale = np.exp(rng.uniform(*np.log(SCALE_RANGE)))
+    shift = rng.uniform(*SHIFT_RANGE_PER_M)
+    noisy_m = with_disparity_noise(depth_m, NOISE_PER_M, rng)
+    disparity = (scale * (1.0 / noisy_m + shift)).astype(np.float32)
+    truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
+    regions = segment(disparity, unitless_noise_floor(disparity), Config())
+    return View(disparity, regions, depth_m, scene.intrinsics, gravity_camera, height_m, truth,
+                rng, scene.rgb)
+
+
+def rendered_views(make: Callable, seeds: Iterable[int]) -> Iterator[View]:
+    """Render scenes."""
+    for seed in seeds:
+        scene = textured(make, seed)
+        yield look(scene, scene.gravity_camera, scene.height_m, np.random.default_rng([seed, 2]))
+
+
+def real_views(folder: Path, rng: np.random.Generator) -> Iterator[View]:
+    """Read a set of real images; gravity and height are from the floor in the sensor's depth."""
+    for frame in frames(folder.parent, (folder.name,)):
+        floor = true_floor(frame)
+        if floor is None:
+            print(f'{frame.name}: no floor in the sensor\'s depth, left out', file=sys.stderr)
+            continue
+        for _ in range(DRAWS_PER_IMAGE):
+            yield look(frame, -floor.normal, floor.offset_m, rng)
 
 
 @dataclass(frozen=True)
 class Errors:
     """Errors of one estimate."""
 
-    angle_deg: np.ndarray  # (n,) float64: of the angle between each wall and the floor
-    # (m,) float64: of each plane's distance along the ray through its centre
-    distance_share: np.ndarray
-    # largest change of an angle between two planes due to scale and shift, without noise
-    bend_deg: float
+    angle_deg: np.ndarray  # (n,): of the angle between each wall and the floor
+    distance_share: np.ndarray  # (m,): of each plane's distance along the ray through its centre
+    bend_deg: float  # largest change of an angle between two planes by scale and shift alone
 
 
 def measure(view: View, estimate: ScaleEstimate) -> Errors:
@@ -104,14 +170,6 @@ def _tilted(direction: np.ndarray, angle_deg: float, rng: np.random.Generator) -
             + np.sin(np.radians(angle_deg)) * aside / np.linalg.norm(aside))
 
 
-def _none(view: View) -> ScaleEstimate:
-    return view.estimate(ScaleConfig(method='none'))
-
-
-def _truth(view: View) -> ScaleEstimate:
-    return view.estimate(view.true_scale)
-
-
 def _sparse_depth(view: View) -> ScaleEstimate:
     """Use some points of measured depth, a share of them wrong."""
     index = view.rng.choice(np.flatnonzero(np.isfinite(view.true_depth_m)), SPARSE_POINTS)
@@ -122,20 +180,12 @@ def _sparse_depth(view: View) -> ScaleEstimate:
     return view.estimate(ScaleConfig(method='depth_topic'), sensor_depth_m=points_m)
 
 
-def _manhattan(view: View) -> ScaleEstimate:
-    return view.estimate(ScaleConfig(method='manhattan'))
-
-
 def _of_the_image(view: View, config: ScaleConfig) -> ScaleEstimate:
     """Use gravity and horizontal axes from the lines of the image."""
     gravity = view.around.gravity
     return view.estimate(config, gravity_camera=gravity.gravity_camera,
                          down_tolerance_deg=gravity.tolerance_deg,
                          level_axes=view.around.level_axes)
-
-
-def _directions(view: View) -> ScaleEstimate:
-    return _of_the_image(view, ScaleConfig(method='manhattan'))
 
 
 def _height(view: View, method: str, gravity_error_deg: float, tolerance_deg: float,
@@ -147,16 +197,17 @@ def _height(view: View, method: str, gravity_error_deg: float, tolerance_deg: fl
 
 
 WAYS: dict[str, Callable[[View], ScaleEstimate]] = {
-    'none (uncorrected)': _none,
-    'fixed, the truth: what noise alone leaves': _truth,
+    UNCORRECTED: lambda view: view.estimate(ScaleConfig(method='none')),
+    'fixed, the truth: what noise alone leaves': lambda view: view.estimate(view.true_scale),
     f'depth_topic, {SPARSE_POINTS} points, {WRONG_POINT_SHARE:.0%} wrong': _sparse_depth,
     'camera_height, exact': lambda view: _height(view, 'camera_height', 0.0, 0.5, 0.0),
     f'camera_height, {GRAVITY_ERROR_DEG:.0f} deg and {HEIGHT_ERROR_SHARE:.0%} off':
         lambda view: _height(view, 'camera_height', GRAVITY_ERROR_DEG, 2.0, HEIGHT_ERROR_SHARE),
     'camera_height, gravity of the image': lambda view: _of_the_image(
         view, ScaleConfig(method='camera_height', camera_height=view.height_m)),
-    'manhattan': _manhattan,
-    'manhattan, directions of the image': _directions,
+    'manhattan': lambda view: view.estimate(ScaleConfig(method='manhattan')),
+    'manhattan, directions of the image':
+        lambda view: _of_the_image(view, ScaleConfig(method='manhattan')),
     f'manhattan + height, gravity {COARSE_ERROR_DEG:.0f} deg off':
         lambda view: _height(view, 'manhattan', COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG, 0.0),
 }
@@ -168,7 +219,7 @@ def accuracy_table(views: list[View]) -> str:
     for name, way in WAYS.items():
         estimates = [(view, way(view)) for view in views]
         answered = [(view, estimate) for view, estimate in estimates
-                    if estimate.has_true_angles or way is _none]
+                    if estimate.has_true_angles or name == UNCORRECTED]
         rows.append([name, f'{len(answered)}/{len(views)}', *_accuracy(answered)])
     return table(('scale by', 'answered', 'wall to floor, deg: median', 'worst',
                   'distance, %: median', 'worst'), rows)
@@ -204,10 +255,7 @@ def refusal_row(name: str, views: Iterable[View],
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--rooms', type=shared.at_least_one, default=50,
-                        help='rendered scenes of each kind')
-    parser.add_argument('--first-seed', type=int, default=HELD_OUT)
-    shared.add_data(parser)
+    add_shared(parser, '--rooms', '--first-seed', '--data', rooms=50)
 
 
 def run(options: argparse.Namespace) -> None:
@@ -222,8 +270,9 @@ def run(options: argparse.Namespace) -> None:
                  f'each seen by {DRAWS_PER_IMAGE} networks', accuracy_table(views))
         else:
             print(f'{options.data / name} is not there: no table of it', file=sys.stderr)
-    for title, way in (('right angles', _manhattan), ('the directions of the image', _directions)):
+    for title, way in (('right angles', 'manhattan'),
+                       ('the directions of the image', 'manhattan, directions of the image')):
         emit(f'### Refusals: the shift by {title}', table(
             ('room', 'images', 'refused', 'right', f'bent by more than {BENT_DEG:.0f} deg'),
-            [refusal_row(make.__name__, rendered_views(make, seeds), way)
+            [refusal_row(make.__name__, rendered_views(make, seeds), WAYS[way])
              for make in (scenes.random_room, scenes.attic, scenes.hexagon_room)]))

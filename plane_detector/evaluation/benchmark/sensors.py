@@ -16,9 +16,9 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from plane_detector.evaluation.benchmark import options as shared
+from plane_detector.evaluation.benchmark.options import add_shared
+from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
-from plane_detector.evaluation.benchmark.tables import emit, table
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.scenes.sensors import SENSORS
 
@@ -31,8 +31,7 @@ _OUTLIER_DEVIATIONS, _LEAST_LIMIT = 3.5, 1e-4
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument('--rooms', type=shared.at_least_one, default=8)
-    shared.add_data(parser)
+    add_shared(parser, '--rooms', '--data', rooms=8)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -15,9 +15,8 @@ from tqdm import tqdm
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, ShapesConfig
-from plane_detector.evaluation.benchmark.options import at_least_one
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT
-from plane_detector.evaluation.benchmark.tables import emit, table
+from plane_detector.evaluation.benchmark.options import add_shared
+from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -53,10 +52,8 @@ class Judged:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the options of this subcommand."""
-    parser.add_argument('--scenes', type=at_least_one, default=40)
-    parser.add_argument('--first-seed', type=int, default=HELD_OUT,
-                        help='scenes from %(default)s on were not tuned on')
+    """Declare the options."""
+    add_shared(parser, '--scenes', '--first-seed', scenes=40)
 
 
 def run(options: argparse.Namespace) -> None:

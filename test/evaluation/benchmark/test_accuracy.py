@@ -18,7 +18,7 @@ from plane_detector.types import CameraIntrinsics
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 WALL = single_wall(SMALL, yaw_deg=20, distance_m=2.0)
-COUNTS = {'rooms': 2, 'lived-in rooms': 1, 'curved': 2}
+COUNTS = {'rooms': 2, 'living': 1, 'curved': 2}
 
 
 class Fixed(peers.Method):

@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from plane_detector.evaluation.benchmark.confidence import reliability
 from plane_detector.evaluation.benchmark.rooms import (
     CURVED,
     curved_scene,
@@ -12,7 +13,6 @@ from plane_detector.evaluation.benchmark.rooms import (
     judge_curved,
     room,
 )
-from plane_detector.evaluation.calibrate_confidence import reliability
 from plane_detector.evaluation.metrics import score
 
 

@@ -7,7 +7,6 @@ import pytest
 
 from plane_detector.config import ScaleConfig
 from plane_detector.evaluation.benchmark import scale as benchmark_scale
-from plane_detector.evaluation.benchmark import scale_views
 from plane_detector.evaluation.benchmark.__main__ import main
 
 
@@ -22,9 +21,9 @@ def test_benchmark_prints_every_way_and_every_room(capsys, tmp_path):
 
 @pytest.mark.parametrize('name', ['kinect', 'nyu'])
 def test_camera_height_brings_real_images_to_metres(name, data_folder, monkeypatch):
-    monkeypatch.setattr(scale_views, 'DRAWS_PER_IMAGE', 1)
+    monkeypatch.setattr(benchmark_scale, 'DRAWS_PER_IMAGE', 1)
     answered = 0
-    for view in scale_views.real_views(data_folder / name, np.random.default_rng(5)):
+    for view in benchmark_scale.real_views(data_folder / name, np.random.default_rng(5)):
         scale = view.estimate(ScaleConfig(camera_height=view.height_m), down_tolerance_deg=0.5,
                               gravity_camera=view.gravity_camera)
         if scale.method != 'camera_height':  # where no floor was segmented it refuses

@@ -11,8 +11,8 @@ import numpy as np
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.rooms import HELD_OUT
-from plane_detector.evaluation.benchmark.tables import table
+from plane_detector.evaluation.benchmark.options import HELD_OUT
+from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.evaluation.metrics import known_mean, overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -67,9 +67,9 @@ def run(options: argparse.Namespace) -> None:
     features, matched = (np.concatenate(part) for part in zip(
         *(samples(make_scene, FIT_SEEDS) for make_scene in SCENES), strict=True))
     fit = LogisticRegression(C=10.0, fit_intercept=False).fit(features, matched)
-    print('fitted weights', np.round(fit.coef_[0], 2), 'in use', CONFIDENCE_WEIGHTS)
+    emit(f'Fitted weights {np.round(fit.coef_[0], 2)}, in use {CONFIDENCE_WEIGHTS}.')
     for make_scene in SCENES:
         features, matched = samples(make_scene, CHECK_SEEDS)
         confidence = 1 / (1 + np.exp(-features @ np.array(CONFIDENCE_WEIGHTS)))
-        print(f'\n{make_scene.__name__}, seeds {CHECK_SEEDS[0]} to {CHECK_SEEDS[-1]}\n')
-        print(reliability(confidence, matched))
+        emit(f'### {make_scene.__name__}, seeds {CHECK_SEEDS[0]} to {CHECK_SEEDS[-1]}',
+             reliability(confidence, matched))

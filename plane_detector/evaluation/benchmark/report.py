@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Provenance of a result: command, machine, versions of the packages, commit."""
+"""What the subcommands print: Markdown tables, below their command, machine and commit."""
 
 from __future__ import annotations
 
@@ -16,6 +16,18 @@ import cv2
 
 PROGRAM = 'python3 -m plane_detector.evaluation.benchmark'
 _PACKAGES = ('numpy', 'scikit-learn', 'onnxruntime', 'pyransac3d')
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return a Markdown table; numbers are given as text."""
+    lines = [header, ['---'] * len(header), *rows]
+    return '\n'.join('| ' + ' | '.join(str(cell) for cell in line) + ' |' for line in lines)
+
+
+def emit(*blocks: str) -> None:
+    """Print blocks of Markdown, each followed by an empty line, without delay."""
+    for block in blocks:
+        print(f'{block}\n', flush=True)
 
 
 def provenance(arguments: Sequence[str]) -> str:

@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Planes against a sensor's depth: hand-solved cases for purity, angle, offset, tolerance."""
+"""Planes against a sensor's depth, from planes to depth and from labelled depth to planes."""
 
 import numpy as np
 import pytest
 
-from plane_detector.evaluation.sensor_comparison import judge_planes
+from plane_detector.evaluation.reference_planes import fit_planes, judge_planes, plane_depth
+from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
@@ -34,3 +35,17 @@ def test_the_tolerance_is_3_cm_or_a_share_of_the_depth(distance_m, stray_m, puri
     (judged,) = judge_planes(np.zeros(sensor_m.shape, int), np.array([[0, 0, -1, distance_m]]),
                              sensor_m, CAMERA, np.random.default_rng(0))
     assert judged.purity == pytest.approx(purity)
+
+
+def test_the_depth_of_a_plane_is_where_the_rays_meet_it():
+    scene = random_room(np.random.default_rng(2), CAMERA)
+    np.testing.assert_allclose(plane_depth(scene.labels, scene.planes, CAMERA), scene.depth_m,
+                               rtol=1e-4)
+    nothing = np.full((120, 160), -1)
+    assert np.isnan(plane_depth(nothing, scene.planes[:0], CAMERA)).all()
+
+
+def test_planes_are_fitted_to_their_pixels():
+    scene = random_room(np.random.default_rng(2), CAMERA)
+    np.testing.assert_allclose(fit_planes(scene.labels, scene.depth_m, CAMERA), scene.planes,
+                               atol=2e-3)
