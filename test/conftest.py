@@ -100,7 +100,7 @@ def replay(tmp_path, capsys):
     """Return a function: run the program; return exit code, new bag, what it printed."""
     from replay_helpers import DEPTH
 
-    from plane_detector.tools.replay.command_line import main
+    from plane_detector.tools.replay.__main__ import main
 
     def run(source, *options, depth=DEPTH):
         target = tmp_path / 'planes'

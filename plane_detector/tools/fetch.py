@@ -7,13 +7,13 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
-    from plane_detector.depth.model_zoo import cached_path, choose, fetch
+    from plane_detector.config import DepthConfig
+    from plane_detector.depth.model_zoo import cached_path, resolve
     from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
 
 _HEADER = ('network', 'size', 'licence', 'here', 'gives')
@@ -34,15 +34,6 @@ def _size(network: Network) -> str:
     return f'{network.size_bytes / 1e6:.0f} MB' if network.size_bytes else 'not known'
 
 
-def obtain(name: str, cache_dir: str) -> tuple[Network, Path]:
-    """Return a network, the best of ``auto``, and its verified file."""
-    if name == 'auto':
-        network, path, reason = choose(cache_dir)
-        print(reason)
-        return network, path
-    return NETWORKS[name], fetch(name, cache_dir)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Download the named networks; exit code 1 if one is not available."""
     parser = argparse.ArgumentParser(prog='ros2 run plane_detector fetch', description=__doc__)
@@ -58,9 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     for name in options.names:
         try:
-            network, path = obtain(name, options.cache_dir)
+            network, path, reason = resolve(DepthConfig(model=name, cache_dir=options.cache_dir))
         except FileNotFoundError as error:
             sys.exit(str(error))
+        if name == 'auto':
+            print(reason)
         print(f'{network.name}: {path}\nlicence: {network.licence}')
 
 

@@ -13,7 +13,6 @@ import os
 import shutil
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
@@ -21,9 +20,9 @@ from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     import rclpy
-    from rclpy.executors import Executor, ExternalShutdownException
     from rclpy.node import Node
     from rclpy.qos import qos_profile_sensor_data
+    from rclpy.wait_for_message import wait_for_message
     from sensor_msgs.msg import CameraInfo
 
     from plane_detector.ros.inputs.topic_names import input_topics
@@ -39,7 +38,7 @@ def with_frame(config: str, frame: str, node_name: str) -> str:
             .replace(f'Value: {_NODE}', f'Value: {node_name}/'))
 
 
-def wait_for_frame(node: Node, timeout_s: float, executor: Executor | None = None) -> str:
+def wait_for_frame(node: Node, timeout_s: float) -> str:
     """
     Return the frame of the camera from its CameraInfo.
 
@@ -47,18 +46,19 @@ def wait_for_frame(node: Node, timeout_s: float, executor: Executor | None = Non
     ------
     TimeoutError
         There is no CameraInfo within this time.
+    KeyboardInterrupt
+        A signal ended ROS.
 
     """
-    topic, frames = input_topics(node, 'raw')['camera_info'], []
-    node.create_subscription(CameraInfo, topic, lambda msg: frames.append(msg.header.frame_id),
-                             qos_profile_sensor_data)
-    end_s = time.monotonic() + timeout_s
-    while not frames:
-        if time.monotonic() > end_s:
-            raise TimeoutError(f'nothing on {topic} within {timeout_s:g} s: remap image, or give '
-                               'the frame by --frame')
-        rclpy.spin_once(node, executor=executor, timeout_sec=0.1)
-    return frames[0]
+    topic = input_topics(node, 'raw')['camera_info']
+    is_there, msg = wait_for_message(
+        CameraInfo, node, topic, qos_profile=qos_profile_sensor_data, time_to_wait=timeout_s)
+    if is_there:
+        return msg.header.frame_id
+    if not node.context.ok():
+        raise KeyboardInterrupt
+    raise TimeoutError(f'nothing on {topic} within {timeout_s:g} s: remap image, or give the '
+                       'frame by --frame')
 
 
 def find_config() -> Path:
@@ -88,7 +88,7 @@ def main(args: list[str] | None = None) -> int:
     except TimeoutError as error:
         print(error, file=sys.stderr)
         return 1
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except KeyboardInterrupt:
         return _INTERRUPTED
     folder = Path(tempfile.mkdtemp(prefix='plane_detector_'))
     file = folder / _FILE

@@ -29,19 +29,16 @@ def test_the_configuration_shows_outputs_relative_to_its_namespace():
 def test_the_frame_is_that_of_the_camera(robot):
     from rclpy.node import Node
     node = Node('viewer', context=robot.context)
-    robot.add(node)
     publisher = robot.node.create_publisher(type(camera_info_msg(CAMERA)), 'camera_info', 1)
     robot.node.create_timer(0.05, lambda: publisher.publish(camera_info_msg(CAMERA)))
-    robot.executor.remove_node(node)
     import threading
     thread = threading.Thread(target=robot.spin, kwargs={'timeout_s': 3.0})
     thread.start()
     try:
-        from rclpy.executors import SingleThreadedExecutor
-        executor = SingleThreadedExecutor(context=robot.context)
-        found = rviz.wait_for_frame(node, 10.0, executor)
+        found = rviz.wait_for_frame(node, 10.0)
     finally:
         thread.join()
+        node.destroy_node()
     assert found == 'camera_optical_frame'
 
 

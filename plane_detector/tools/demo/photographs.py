@@ -4,46 +4,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from plane_detector.geometry.reduction import Reduction
 from plane_detector.types import CameraIntrinsics
 
-STATED_FIELD_OF_VIEW_DEG = 60.0
-"""Horizontal field of view for images without calibration, typical of phones and webcams."""
-LONGEST_SIDE_PX = 800
-"""Larger images are reduced: a labelled cloud of 4000 x 3000 points is 240 MB per frame."""
+# Horizontal field of view for images without calibration, typical of phones and webcams.
+_FIELD_OF_VIEW_DEG = 60.0
+# Larger images are reduced: a labelled cloud of 4000 x 3000 points is 240 MB per frame.
+_LONGEST_SIDE_PX = 800
 _SUFFIXES = ('.bmp', '.jpeg', '.jpg', '.png', '.tif', '.tiff', '.webp')
 
 
 @dataclass(frozen=True)
 class Lens:
-    """
-    Calibration of a camera, for images of full size.
+    """Calibration of a camera, for images of full size; contradictions raise ValueError."""
 
-    Parameters
-    ----------
-    fx, fy, cx, cy : float, optional
-        Pixels. Without fx the camera is not calibrated; by default fy is fx, and the principal
-        point is the centre of the image.
-    field_of_view_deg : float, optional
-        Horizontal, for a camera that is not calibrated.
-
-    Raises
-    ------
-    ValueError
-        Both a calibration and a field of view, or parts of a calibration without fx.
-
-    """
-
-    fx: float | None = None
-    fy: float | None = None
-    cx: float | None = None
+    fx: float | None = None  # pixels; without it the camera is not calibrated
+    fy: float | None = None  # default: fx
+    cx: float | None = None  # default: the centre of the image
     cy: float | None = None
-    field_of_view_deg: float | None = None
+    field_of_view_deg: float | None = None  # horizontal, of a camera that is not calibrated
 
     def __post_init__(self) -> None:
         others = (self.fy, self.cx, self.cy)
@@ -58,7 +43,7 @@ class Lens:
         """Return the pinhole model for an image of this size."""
         if self.fx is None:
             return CameraIntrinsics.from_field_of_view(
-                width, height, self.field_of_view_deg or STATED_FIELD_OF_VIEW_DEG)
+                width, height, self.field_of_view_deg or _FIELD_OF_VIEW_DEG)
         return CameraIntrinsics(
             self.fx, self.fx if self.fy is None else self.fy,
             (width - 1) / 2 if self.cx is None else self.cx,
@@ -69,7 +54,7 @@ class Lens:
             return 'calibration as given'
         if self.field_of_view_deg is not None:
             return f'not calibrated, field of view {self.field_of_view_deg:g} degrees as given'
-        return f'not calibrated, field of view assumed to be {STATED_FIELD_OF_VIEW_DEG:g} degrees'
+        return f'not calibrated, field of view assumed to be {_FIELD_OF_VIEW_DEG:g} degrees'
 
 
 @dataclass(frozen=True)
@@ -99,7 +84,7 @@ def library_images() -> list[Photograph]:
 
 def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
     """
-    Return the images of a folder, reduced to `LONGEST_SIDE_PX` if they are larger.
+    Return the images of a folder, reduced to 800 pixels if they are larger.
 
     Raises
     ------
@@ -119,31 +104,19 @@ def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
             for path in paths]
 
 
-def shrunk(photograph: Photograph, longest_px: int = LONGEST_SIDE_PX) -> Photograph:
-    """Return the photograph and its intrinsics, reduced to this longest side."""
-    height, width = photograph.rgb.shape[:2]
-    scale = longest_px / max(height, width)
-    if scale >= 1:
-        return photograph
-    size = (max(1, round(width * scale)), max(1, round(height * scale)))
-    scale_x, scale_y = size[0] / width, size[1] / height
-    old = photograph.intrinsics
-    # The corner of the image, half a pixel from the centre of the first pixel, does not move.
-    intrinsics = CameraIntrinsics(
-        old.fx * scale_x, old.fy * scale_y, (old.cx + 0.5) * scale_x - 0.5,
-        (old.cy + 0.5) * scale_y - 0.5, *size)
-    return replace(photograph, rgb=cv2.resize(photograph.rgb, size, interpolation=cv2.INTER_AREA),
-                   intrinsics=intrinsics,
-                   calibration=f'{photograph.calibration}, shrunk from {width} x {height}')
-
-
 def _photograph(path: Path, name: str, lens: Lens) -> Photograph:
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if bgr is None:
         raise ValueError(f'{path} cannot be read as an image')
     height, width = bgr.shape[:2]
-    rgb = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)
-    return shrunk(Photograph(name, rgb, lens.intrinsics(width, height), str(lens)))
+    reduction = Reduction.to_side((width, height), _LONGEST_SIDE_PX)
+    full = lens.intrinsics(width, height)
+    matrix = reduction.matrix(np.array([[full.fx, 0, full.cx], [0, full.fy, full.cy], [0, 0, 1]]))
+    return Photograph(
+        name, reduction.image(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB)),
+        CameraIntrinsics(matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2],
+                         *reduction.new_size),
+        f'{lens}{"" if reduction.is_none else f", shrunk from {width} x {height}"}')
 
 
 def _temple() -> Photograph:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from plane_detector.directions.drawing import draw_directions
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.planes.classification import PlaneClass
+from plane_detector.segmentation.baselines import ransac_alone
 from plane_detector.tools.demo.photographs import Photograph
 from plane_detector.tools.demo.session import Received
 from plane_detector.tools.ply import write_ply
@@ -38,7 +40,12 @@ class Outcome:
     name: str
     depth_title: str
     received: Received
-    ransac_labels: np.ndarray  # (H, W), of RANSAC without clustering, 0 for none
+
+    @cached_property
+    def directions(self) -> SceneDirections:
+        """The vertical and the axes by the lines of the image alone."""
+        image = CameraImage(self.photograph.rgb, self.photograph.intrinsics)
+        return find_in_image(image).directions
 
 
 def write_files(outcome: Outcome, folder: Path) -> list[Path]:
@@ -61,10 +68,11 @@ def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
           f'{photograph.calibration}')
     print('\n'.join(f'  {line}' for line in plane_lines(received.planes)))
     if not legend(received.planes):
-        print('  (the direction of gravity is not known: no floor, no walls)')
+        reason = outcome.directions.refusal
+        print('  (the direction of gravity is not known: no floor, no walls'
+              f'{f"; {reason}" if reason else ""})')
     if received.unit != 'm':
         print('  (lengths in an unknown unit)')
-    _print_directions(photograph)
     print(f'  {received.frame_ms:.0f} ms from the image to the planes, all through the topics of '
           'one process')
     if photograph.remark:
@@ -74,25 +82,22 @@ def print_outcome(outcome: Outcome, paths: list[Path]) -> None:
 
 def _figure(outcome: Outcome) -> np.ndarray:
     """Return image, depth, planes of RANSAC alone, and planes by class."""
-    received = outcome.received
+    received, rgb = outcome.received, outcome.photograph.rgb
     classes = legend(received.planes)
     near, far = drawing.depth_range(received.depth_m)
-    alone = len(np.unique(outcome.ransac_labels[outcome.ransac_labels > 0]))
+    alone = ransac_alone(received.depth_m) + 1
     return drawing.figure([
-        _directions_panel(outcome.photograph),
+        _directions_panel(outcome.photograph, outcome.directions),
         (f'{outcome.depth_title}, red {near:.1f} {received.unit} to blue {far:.1f} '
          f'{received.unit}', drawing.colour_depth(received.depth_m)),
-        (f'RANSAC alone: {alone} planes',
-         drawing.overlay(outcome.photograph.rgb, outcome.ransac_labels)),
+        (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes', drawing.overlay(rgb, alone)),
         (f'{len(received.planes)} planes{f": {classes}" if classes else ""}',
-         drawing.overlay(outcome.photograph.rgb, received.points['label'],
-                         class_colours(received.planes))),
+         drawing.overlay(rgb, received.points['label'], class_colours(received.planes))),
     ])
 
 
-def _directions_panel(photograph: Photograph) -> tuple[str, np.ndarray]:
+def _directions_panel(photograph: Photograph, found: SceneDirections) -> tuple[str, np.ndarray]:
     """Return the image with its lines, and the vertical estimated from them as in the node."""
-    found = _directions(photograph)
     axes = found.pairs[:1].reshape(-1, 3)
     drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
     if found.gravity_camera is None:
@@ -110,19 +115,6 @@ def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
     return bool(side.min() < 0 < side.max())
 
 
-def _directions(photograph: Photograph) -> SceneDirections:
-    return find_in_image(CameraImage(photograph.rgb, photograph.intrinsics)).directions
-
-
-def _print_directions(photograph: Photograph) -> None:
-    found = _directions(photograph)
-    if found.refusal:
-        print(f'  the lines of the image do not give the vertical: {found.refusal}')
-    elif found.pair_refusal:
-        print(f'  the lines of the image give the vertical, but no horizontal axes: '
-              f'{found.pair_refusal}')
-
-
 def _write_csv(path: Path, planes: np.ndarray) -> None:
     with open(path, 'w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file)
@@ -133,20 +125,7 @@ def _write_csv(path: Path, planes: np.ndarray) -> None:
 
 
 def class_colours(planes: np.ndarray) -> np.ndarray:
-    """
-    Return a colour for each label: that of its class, or its own if the class is unknown.
-
-    Parameters
-    ----------
-    planes : (N,) structured
-        Fields label and class of ``~/planes``.
-
-    Returns
-    -------
-    (L, 3) uint8
-        RGB of the labels from 0 to the largest.
-
-    """
+    """Return the RGB (L, 3) of labels from 0 on: of its class, or its own without a class."""
     colours = drawing.label_colours(np.arange(planes['label'].max(initial=0) + 1))
     for plane in planes:
         if plane['class'] in COLOURS:

@@ -51,12 +51,7 @@ class Received:
 
 class Session:
     """
-    A node that is fed with photographs; a context manager.
-
-    Parameters
-    ----------
-    parameters : mapping
-        Of the node.
+    A node with these parameters, which is fed with photographs; a context manager.
 
     Raises
     ------
@@ -126,7 +121,7 @@ class Session:
         """
         self._spin_until(self._reset.call_async(Trigger.Request()).done, _FRAME_S,
                          'the node does not answer')
-        self._publish('camera_info', photograph)  # before the first image of another camera
+        self._publish(photograph, ('camera_info',))  # before the first image of another camera
         self._spin(_INTRODUCTION_S)
         self._send(photograph)  # outputs whose subscribers are new are not made yet
         seconds = []
@@ -144,26 +139,24 @@ class Session:
 
     def _send(self, photograph: Photograph) -> None:
         """Publish once and wait for all outputs of this image."""
-        stamp = self._camera.get_clock().now().to_msg()
-        for name in _INPUTS:
-            self._publish(name, photograph, stamp)
+        stamp = self._publish(photograph, tuple(_INPUTS)).stamp
         self._spin_until(
             lambda: all(name in self._messages and self._messages[name].header.stamp == stamp
                         for name in _OUTPUTS),
             _FRAME_S, f'the results for {photograph.name} did not come')
 
-    def _publish(self, name: str, photograph: Photograph, stamp: Any = None) -> None:
-        header = Header(frame_id='camera_optical_frame')
-        header.stamp = stamp or self._camera.get_clock().now().to_msg()
-        if name == 'camera_info':
-            msg = camera_info_to_msg(header, photograph.intrinsics)
-        elif name == 'image':
-            msg = rgb_to_msg(header, photograph.rgb)
-        elif photograph.true_depth_m is None:
-            return
-        else:
-            msg = depth_to_msg(header, photograph.true_depth_m)
-        self._publishers[name].publish(msg)
+    def _publish(self, photograph: Photograph, names: tuple[str, ...]) -> Header:
+        """Publish a photograph's messages of these names; return their header."""
+        header = Header(frame_id='camera_optical_frame',
+                        stamp=self._camera.get_clock().now().to_msg())
+        messages = {'camera_info': camera_info_to_msg(header, photograph.intrinsics),
+                    'image': rgb_to_msg(header, photograph.rgb)}
+        if photograph.true_depth_m is not None:
+            messages['depth'] = depth_to_msg(header, photograph.true_depth_m)
+        for name in names:
+            if name in messages:
+                self._publishers[name].publish(messages[name])
+        return header
 
     def _note(self, msg: DiagnosticArray) -> None:
         for status in msg.status:

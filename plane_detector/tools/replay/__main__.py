@@ -1,14 +1,248 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The program `replay`, also `python3 -m plane_detector.tools.replay`."""
+"""The program `replay`: its arguments, what it prints, and its exit codes."""
 
+from __future__ import annotations
+
+import argparse
+import signal
 import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeVar
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.stopping import Background, Stopped, leave, quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba'):
-    from plane_detector.tools.replay.command_line import main
+    from plane_detector.config import NodeConfig
+    from plane_detector.depth.networks import NETWORKS
+    from plane_detector.ros.outputs.topics import OUTPUTS
+    from plane_detector.tools.replay import many_bags
+    from plane_detector.tools.replay.bag_reader import bag_name
+    from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
+    from plane_detector.tools.replay.replay_bag import Tally, replay
+
+Result = TypeVar('Result')
+TOPICS = {'image': 'sensor_msgs/Image or CompressedImage', 'camera_info': 'its CameraInfo',
+          'depth': 'measured depth of the image, used instead of a network',
+          'imu': 'sensor_msgs/Imu'}
+DESCRIPTION = """
+Find the planes in every image of a bag, as fast as possible, and write them into a new bag.
+
+Every frame is processed by the code of the node, without topics in between: none is dropped, and
+the same frames give the same planes. If the bag has measured depth for the image (same frame_id
+and size), it is used; a network is used only if there is none, or with --network.
+"""
+USAGE = """
+  replay [options] INPUT [OUTPUT]                       one bag (default: INPUT_planes, here)
+  replay [options] INPUT INPUT... FOLDER                many bags into a folder
+  replay [options] --output-folder FOLDER INPUT...      the same"""
+EXIT_CODES = """
+exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
+frames or damaged messages were skipped; 130 ended by a signal.
+"""
+_FAILED, _INCOMPLETE, _INTERRUPTED = 1, 3, 130
+_LOOK_S = 0.1
+# derived: replay ends within 3 s of a signal; closing the bag takes under a second.
+_PATIENCE_S = 1.5
+_ABANDON_S = 1.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Replay one bag or many; return the exit code, see `--help`."""
+    options = parse(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return leave(_run(options))
+    except (KeyboardInterrupt, Stopped):
+        return leave(_INTERRUPTED)
+    except (OSError, ValueError, ModuleNotFoundError) as error:
+        print(f'replay: {error}', file=sys.stderr)
+        return leave(_FAILED)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    paths, folder = list(arguments.paths), arguments.output_folder
+    if folder is None and (len(paths) > 2 or many_bags.is_collection(paths[0])):
+        folder = Path(paths.pop() if len(paths) > 1 else f'{Path(paths[0]).name}_planes')
+    if folder is not None:
+        return _run_many(arguments, paths, folder)
+    source = Path(paths[0])
+    target = Path(paths[1] if len(paths) > 1 else f'{bag_name(source)}_planes')
+    options = _options(arguments, source, target)
+    return _report(until_signal(lambda: replay(options)))
+
+
+def _report(tally: Tally) -> int:
+    print(tally.describe())
+    if tally.interrupted:
+        print(f'Interrupted: the planes of the frames so far are in {tally.target}')
+        return _INTERRUPTED
+    print(f'The planes are in {tally.target}')
+    if tally.is_clean:
+        return 0
+    print(f'replay: not everything could be used: {"; ".join(tally.losses())}', file=sys.stderr)
+    return _INCOMPLETE
+
+
+def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
+    bags = many_bags.find_bags(inputs, folder.resolve())
+    options = _options(arguments, Path(), folder)
+    summaries = until_signal(lambda: many_bags.replay_many(
+        bags, options, arguments.backend, arguments.jobs), many_bags.kill_workers)
+    print(many_bags.describe(summaries))
+    print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
+    if any(one.state == many_bags.FAILED for one in summaries):
+        return _FAILED
+    return _INCOMPLETE if any(one.skipped or one.damaged for one in summaries) else 0
+
+
+def until_signal(function: Callable[[], Result],
+                 abandon: Callable[[], None] = lambda: None) -> Result:
+    """
+    Return the result of a function; SIGINT or SIGTERM stops it, a second one ends the process.
+
+    An ignored signal, as SIGINT under nohup, stays ignored. ``abandon`` is called if the function
+    does not end.
+
+    Raises
+    ------
+    Stopped
+        It was stopped, or did not end within 1.5 s and may still run in its thread: see
+        :func:`plane_detector.stopping.leave`.
+
+    """
+    call = Background(function, 'replay')
+    before = {number: handler for number in (signal.SIGINT, signal.SIGTERM)
+              if (handler := signal.getsignal(number)) is not signal.SIG_IGN}
+
+    def restore() -> None:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+    def stop(_number: int, _stack: object) -> None:
+        restore()
+        call.stop.set()
+
+    for number in before:
+        signal.signal(number, stop)
+    try:
+        while not call.wait(_LOOK_S):
+            if call.stop.is_set and not call.wait(_PATIENCE_S):
+                Background(abandon, 'abandon').wait(_ABANDON_S)
+                raise Stopped
+        try:
+            return call.result()
+        except OSError as error:
+            if call.stop.is_set:  # Ctrl-C ended its workers too
+                raise Stopped from error
+            raise
+    finally:
+        restore()
+
+
+def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:
+    # Parameters that are set by other options come first.
+    by_depth = ['depth.source:=topic'] if arguments.depth else []
+    if arguments.network is not None:
+        by_depth = ['depth.source:=model']
+        by_depth += [f'depth.model:={arguments.network}'] if arguments.network else []
+    config, settings = load_settings(arguments.params_file, [*by_depth, *arguments.parameter],
+                                     NodeConfig(points_color='overlay'))  # as a viewer shows it
+    named = {text.partition(':=')[0] for text in [*by_depth, *arguments.parameter]}
+    depth_by_bag = (named.isdisjoint({'depth.source', 'depth.model'})
+                    and config.depth.source == 'model' and config.scale.method != 'depth_topic')
+    return ReplayOptions(
+        source=source, target=target, config=config, settings=settings,
+        topics={role: name for role in TOPICS if (name := getattr(arguments, role))},
+        depth_by_bag=depth_by_bag, start_s=arguments.start, duration_s=arguments.duration,
+        every=arguments.every, outputs=tuple(arguments.outputs),
+        copied=None if arguments.copy is None else tuple(arguments.copy),
+        storage=arguments.storage, compressed=arguments.compress, figures=arguments.figures,
+        ply=arguments.ply, table=arguments.csv)
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """Parse the command line; `--network` takes the next word only if it names a network."""
+    words = list(words)
+    for k, word in enumerate(words):
+        if word == '--network':
+            after = words[k + 1] if k + 1 < len(words) else ''
+            if after not in ('auto', *NETWORKS) and not after.endswith('.onnx'):
+                words[k] = '--network='
+    return _make_parser().parse_intermixed_args(words)
+
+
+def _make_parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog='replay', description=DESCRIPTION, epilog=EXIT_CODES, usage=USAGE,
+        formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument('paths', nargs='+', metavar='INPUT', help=(
+        'rosbag2 folder (sqlite3, mcap, compressed), .mcap, .db3 or ROS 1 .bag; for many bags '
+        'any number of these, of folders of bags and of quoted patterns'))
+    parser.add_argument('--output-folder', type=Path, metavar='FOLDER', help=(
+        'process many bags: folder of the new bags and of summary.csv; all paths are inputs then'))
+
+    add = parser.add_argument_group('inputs').add_argument
+    for role, meaning in TOPICS.items():
+        add('--' + role.replace('_', '-'), metavar='TOPIC',
+            help=f'{meaning} (default: found by type and name)')
+    add('--start', type=_seconds, default=0.0, metavar='SECONDS',
+        help='skip the beginning of the bag')
+    add('--duration', type=_seconds, default=float('inf'), metavar='SECONDS',
+        help='process only this much recorded time')
+    add('--every', type=_positive, default=1, metavar='N', help='process only every n-th frame')
+
+    add = parser.add_argument_group('processing').add_argument
+    add('--network', metavar='[NAME]',
+        help='use a network even if the bag has measured depth: that of depth.model, or the one '
+             'named here, or an .onnx file')
+    add('--params-file', type=Path, metavar='YAML', help='parameters of the node, as for ros2 run')
+    add('-p', '--parameter', action='append', default=[], metavar='NAME:=VALUE',
+        help='one parameter, as for ros2 run: -p scale.camera_height:=1.2')
+
+    add = parser.add_argument_group('outputs').add_argument
+    add('--outputs', nargs='+', choices=list(OUTPUTS), default=list(DEFAULT_OUTPUTS),
+        help='topics of the new bag (default: all but points_without_floor)')
+    add('--copy', nargs='*', metavar='TOPIC',
+        help='copy these topics into the new bag; without a name: the inputs. With --every, only '
+             'the inputs of the processed frames')
+    add('--storage', choices=['mcap', 'sqlite3'], default='mcap',
+        help='format of the new bag (default: %(default)s)')
+    add('--compress', action='store_true', help='compress the new bag with zstd')
+    add('--figures', type=Path, metavar='FOLDER',
+        help='image, depth and planes of each frame as .jpg; with many bags --figures, --ply and '
+             '--csv name folders with one entry per bag')
+    add('--ply', type=Path, metavar='FOLDER', help='labelled cloud of each frame')
+    add('--csv', type=Path, metavar='FILE',
+        help='table of all planes; with shapes.types also one of all shapes')
+
+    add = parser.add_argument_group('many bags').add_argument
+    add('--jobs', type=_jobs, default=-1, metavar='N',
+        help='bags processed at a time, one thread each (default: all cores)')
+    add('--backend', choices=('loky', 'dask', 'ray'), default='loky',
+        help='of joblib: processes on this machine, or a cluster that shares the folders '
+             '(default: %(default)s)')
+    return parser
+
+
+def _seconds(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < float('inf'):
+        raise argparse.ArgumentTypeError(f'must be a number of seconds, not {text}')
+    return value
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f'must be at least 1, not {text}')
+    return value
+
+
+def _jobs(text: str) -> int:
+    return -1 if text == '-1' else _positive(text)
+
 
 if __name__ == '__main__':
     sys.exit(main())

@@ -32,7 +32,7 @@ def counted(self, frame, wanted):
         {at}
     return process(self, frame, wanted)
 FrameProcessor.process = counted
-from plane_detector.tools.replay.command_line import main
+from plane_detector.tools.replay.__main__ import main
 sys.exit(main(sys.argv[1:]))
 """
 

@@ -14,8 +14,8 @@ import pytest
 from bags import read_bag, write_bag
 from replay_helpers import DEPTH, assert_true, camera_messages
 
+from plane_detector.tools.replay.__main__ import main
 from plane_detector.tools.replay.bag_reader import BagError
-from plane_detector.tools.replay.command_line import main
 from plane_detector.tools.replay.many_bags import find_bags, is_collection
 
 ROOT = Path(__file__).resolve().parents[3]

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from plane_detector.config import Config, NodeConfig
+from plane_detector.evaluation import defaults as parameters
 from plane_detector.settings import parameters_of
-from plane_detector.tools import defaults as parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 YAML = ROOT / 'config' / 'plane_detector.yaml'

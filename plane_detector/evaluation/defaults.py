@@ -3,7 +3,7 @@
 """
 The parameters as a yaml file and as a table in the documentation, generated from config.py.
 
-    python -m plane_detector.tools.defaults --write
+    python -m plane_detector.evaluation.defaults --write
 """
 
 from __future__ import annotations
