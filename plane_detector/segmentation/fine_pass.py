@@ -11,6 +11,8 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
+from plane_detector.segmentation.cells.labels import at_borders
+from plane_detector.segmentation.cells.plane_fit import N, X, Y
 from plane_detector.segmentation.pixels.labelling import label_pixels, pixel_tolerance
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
@@ -23,7 +25,7 @@ MIN_CELL_SIZE_PX = 3
 MIN_CELL_SHARE = 0.5
 
 
-def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
+def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
                      min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """
     Find more planes among the pixels without a label.
@@ -32,8 +34,8 @@ def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
     ----------
     frame : Frame
     labels : (H, W) int32
-    planes : (K, 3) float64
-        Those that the labels are indices of.
+    known : RegionGraph
+        Of the K planes that the labels are indices of.
     min_turn_deg : float
         Regions that turn by less are not curved.
 
@@ -45,51 +47,65 @@ def add_small_planes(frame: Frame, labels: np.ndarray, planes: np.ndarray,
 
     """
     size, valid = frame.grid.size_px // 2, frame.image.valid
-    room = frame.config.segmentation.max_planes - len(planes)
+    room = frame.config.segmentation.max_planes - len(known.planes)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(frame):
-        return labels, planes
+        return labels, known.planes
     wanted = _large_pieces(_count_unlabelled(valid, labels, size), size,
                            frame.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
-        return labels, planes
+        return labels, known.planes
     box = _box_around(wanted)
     part = tuple(slice(side.start * size, side.stop * size) for side in box)
     left = _unlabelled_part(frame, labels, part, wanted[box])
     graph = _flat_regions(left, room, min_turn_deg)
-    if not len(graph.planes):
-        return labels, planes
-    labels, known = labels.copy(), len(planes)
-    planes = np.concatenate([planes, graph.planes])
-    found = label_pixels(left, graph, (labels[part], known))
-    _take_back(found, known, frame.image.values[part], left.grid.planes_in_pixels(planes),
-               pixel_tolerance(left), frame.grid.size_px)
-    labels[part] = found
+    planes = np.concatenate([known.planes, graph.planes])
+    if len(graph.planes):
+        found = label_pixels(left, graph, (labels[part], len(known.planes)))
+        model = (frame.image.values[part], left.grid.planes_in_pixels(planes),
+                 _sides_of_intersections(graph, known))
+        borders = np.flatnonzero(at_borders(graph.labels))
+        _take_back(found, borders, size, model, pixel_tolerance(left), frame.grid.size_px)
+        labels = labels.copy()
+        labels[part] = found
     return labels, planes
 
 
-@kernel('void(int32[:, ::1], int64, float32[:, :], float64[:, ::1], UniTuple(float64, 2), int64)')
-def _take_back(labels, known, disparity, planes, tolerance, reach):
+def _sides_of_intersections(new: RegionGraph, known: RegionGraph) -> np.ndarray:
+    """
+    Return the sign of 1/z of each new plane minus each known one, on the new one's side, (L, K).
+
+    It is 0 if their intersection does not lie between the centroids of the two regions.
+    """
+    apart = new.planes[:, None] - known.planes
+    here = np.einsum('lkt,lt->lk', apart, new.pixels[:, [X, Y, N]])
+    there = np.einsum('lkt,kt->lk', apart, known.pixels[:, [X, Y, N]])
+    return np.where(here * there < 0, np.sign(here), 0).astype(np.int8)
+
+
+@kernel('void(int32[:, ::1], int64[::1], int64, Tuple((float32[:, :], float64[:, ::1], '
+        'int8[:, ::1])), UniTuple(float64, 2), int64)')
+def _take_back(labels, cells, size, model, tolerance, reach):
     """
     Give the new planes the pixels at their borders that the known planes took alone.
 
     Beside the line where two planes intersect, each pixel belongs to the plane of its side,
-    whatever its noise; elsewhere to the nearer plane. The planes grow by at most ``reach`` pixels.
+    whatever its noise; elsewhere to the nearer plane. The planes grow from the given cells, by at
+    most ``reach`` pixels.
     """
-    (height, width), sides = labels.shape, _sides_of_intersections(labels, known, planes)
+    (height, width), (disparity, planes, sides) = labels.shape, model
+    known, columns = sides.shape[1], -(-width // size)
     queue, first, last = np.empty((labels.size, 3), np.int64), 0, 0
-    for v in range(1, height - 1):
-        above, here, below = labels[v - 1], labels[v], labels[v + 1]
-        for u in range(1, width - 1):
-            k = here[u]
-            if k >= known and not (above[u] == below[u] == here[u - 1] == here[u + 1] == k):
-                queue[last] = v, u, 0
-                last += 1
-    while first < last:
+    for cell in cells:
+        top, left = cell // columns * size, cell % columns * size
+        for v in range(top, min(top + size, height)):
+            for u in range(left, min(left + size, width)):
+                if labels[v, u] >= known:
+                    queue[last] = v, u, 0
+                    last += 1
+    while first < last and queue[first, 2] < reach:
         v, u, steps = queue[first]
         first += 1
         k = labels[v, u]
-        if steps == reach:
-            break
         for row, column in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
             if row < 0 or column < 0 or row == height or column == width:
                 continue
@@ -98,40 +114,13 @@ def _take_back(labels, known, disparity, planes, tolerance, reach):
                 continue
             own = planes[k, 0] * column + planes[k, 1] * row + planes[k, 2]
             other = planes[j, 0] * column + planes[j, 1] * row + planes[j, 2]
-            square = tolerance[0] + tolerance[1] * d**4
-            is_close = sides[k, j] != 0 and (own - other) ** 2 < square
-            is_own = sides[k, j] * (own - other) > 0 if is_close else abs(own - d) < abs(other - d)
+            square, side = tolerance[0] + tolerance[1] * d**4, sides[k - known, j]
+            is_close = side != 0 and (own - other) ** 2 < square
+            is_own = side * (own - other) > 0 if is_close else abs(own - d) < abs(other - d)
             if is_own and (own - d) ** 2 <= square:
                 labels[row, column] = k
                 queue[last] = row, column, steps + 1
                 last += 1
-
-
-@kernel('int8[:, ::1](int32[:, ::1], int64, float64[:, ::1])')
-def _sides_of_intersections(labels, known, planes):
-    """
-    Return the sign of 1/z of plane k minus known plane j where k is, (K, known).
-
-    It is 0 if the middle of the pixels of j is on the same side of the intersection.
-    """
-    count, sums = len(planes), np.zeros((len(planes), 3))
-    for v in range(0, labels.shape[0], 2):  # half of the rows show it
-        for u in range(labels.shape[1]):
-            if labels[v, u] >= 0:
-                sums[labels[v, u], 0] += u
-                sums[labels[v, u], 1] += v
-                sums[labels[v, u], 2] += 1
-    sides = np.zeros((count, known), np.int8)
-    for k in range(known, count):
-        for j in range(known):
-            here, there = 0.0, 0.0
-            for term in range(3):
-                difference = planes[k, term] - planes[j, term]
-                here += difference * sums[k, term]
-                there += difference * sums[j, term]
-            if here * there < 0:
-                sides[k, j] = 1 if here > 0 else -1
-    return sides
 
 
 def _unlabelled_part(frame: Frame, labels: np.ndarray, part: tuple[slice, slice],

@@ -172,7 +172,7 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
     if frame.kind is DepthKind.EXACT and frame.noise.is_metric:
         labels = close_gaps(labels, graph.planes, frame.image, frame.grid,
                             frame.config.segmentation.flatness_distance)
-    labels, planes = add_small_planes(frame, labels, graph.planes, min_turn_deg)
+    labels, planes = add_small_planes(frame, labels, graph, min_turn_deg)
     curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending)
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:

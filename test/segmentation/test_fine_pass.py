@@ -36,8 +36,8 @@ def before_narrow(depth_m, config=CONFIG, noise_floor=EXACT):
     least_pixels = MIN_CELL_SHARE * config.segmentation.min_plane_share * depth_m.size
     frame, regions = search_planes(Frame(image, build_cell_grid(image), noise_floor, least_pixels,
                                          config, np.random.default_rng(0)))
-    labels = label_pixels(frame, RegionGraph.of(frame.cells, regions))
-    return frame, labels, regions.coefficients, MIN_TURN_DEG
+    graph = RegionGraph.of(frame.cells, regions)
+    return frame, label_pixels(frame, graph), graph, MIN_TURN_DEG
 
 
 @pytest.mark.parametrize('width_px', [8, 13, 18])
@@ -88,13 +88,13 @@ def test_two_strips_are_two(second_px):
                  angles_deg=(0, 0, 10))
     given = before_narrow(scene.depth_m)
     labels, planes = add_small_planes(*given)
-    assert len(planes) == len(given[2]) + 2
+    assert len(planes) == len(given[2].planes) + 2
     assert best_iou(scene, labels)[1:].min() > 0.8
 
 
 def unchanged(given):
     labels, planes = add_small_planes(*given)
-    return np.array_equal(planes, given[2]) and np.array_equal(labels, given[1])
+    return np.array_equal(planes, given[2].planes) and np.array_equal(labels, given[1])
 
 
 @pytest.mark.parametrize('most', [2, 3])
