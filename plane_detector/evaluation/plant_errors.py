@@ -72,6 +72,8 @@ ERRORS = (
      'mean = (total[u - 1] + total[u] + total[u + 1]) * np.float32(1 / 9)',
      'mean = (total[u - 1] + total[u] + total[u + 1]) * np.float32(1 / 8)',
      'wrong factor of a mean of nine'),
+    ('segmentation', 'segmentation/fine_pass.py', 'is_own = side * (own - other) > 0 if',
+     'is_own = side * (own - other) < 0 if', 'the wrong side of an intersection'),
     ('planes', 'planes/measurement.py',
      'x_z = width * sums[k, XZ] + ((width - 1) / 2 - cx) * sums[k, Z]',
      'x_z = width * sums[k, XZ]', 'centroid without the principal point'),
