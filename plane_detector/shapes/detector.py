@@ -70,31 +70,10 @@ class ShapeDetector:
     def detect(self, depth_m: np.ndarray, planes: PlaneSegmentation, regions: PixelRegions,
                intrinsics: CameraIntrinsics, config: Config, in_metres: bool) -> Found:
         """
-        Return planes, shapes and the labels of the shapes.
+        Return planes and shapes as :func:`find_shapes`, and the labels of the shapes, above 0.
 
-        Parameters
-        ----------
-        depth_m : (H, W) floating
-            NaN where invalid.
-        planes : PlaneSegmentation
-            Planes of this depth.
-        regions : PixelRegions
-            The regions that they were measured on, in 1/m.
-        intrinsics : CameraIntrinsics
-        config : Config
-            Its ``shapes``, ``tracking`` and the seed of ``ransac``.
-        in_metres : bool
-            Whether depth is in metres; otherwise no shapes are searched for.
-
-        Returns
-        -------
-        PlaneSegmentation
-            As returned by :func:`find_shapes`; unchanged if no shapes are requested.
-        tuple of Shape
-            Largest first.
-        tuple of int
-            Label of each shape, above 0; empty if shapes are not tracked.
-
+        Planes are unchanged, and there are no shapes, if none are requested or the depth is not
+        ``in_metres``. The labels are empty if shapes are not tracked.
         """
         if not (config.shapes.wanted and in_metres):
             return planes, (), ()
@@ -184,7 +163,7 @@ def _next_shape(view: DepthView, left: np.ndarray, kinds: Sequence[ShapeType],
     fit = _best_fit(view, candidates, union)
     if fit is None or not fit.is_determined:
         return None
-    agree = agreeing(surfels, fit.shape, among)
+    agree = agreeing(fit.shape, surfels.table, among)
     if len(agree) < _MIN_CELLS:
         return None
     members = connected(surfels, fit.shape, agree, agree[np.argmax(union[agree])])
@@ -222,8 +201,8 @@ def _instead_of_planes(view: DepthView, found: FoundShape) -> FoundShape | None:
     """
     Return the shape together with the planes that it replaces, or None if the planes fit better.
 
-    A plane is replaced completely or not at all. The shape must explain the pixels better than the
-    planes by the Bayesian information criterion; unexplained pixels cost the same for both.
+    A plane is replaced completely or not at all. The Bayesian information criterion decides;
+    unexplained pixels cost the same for both.
     """
     labels, absorbed = view.free_pixels(found.members)[1], found.absorbed.copy()
     for k in np.unique(labels[labels >= 0]):

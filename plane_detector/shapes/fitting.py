@@ -79,24 +79,12 @@ NO_SILHOUETTE = Silhouette(np.zeros((0, 4)), 0.0)
 
 @dataclass(frozen=True)
 class FittedShape:
-    """
-    A shape after least squares.
-
-    Attributes
-    ----------
-    type : ShapeType
-    shape : (8,) float64
-    information : (F, F) float64
-        Of the fitted parameters, in the order of `FREEDOMS`.
-    cost : float
-        Bayesian information criterion on the pixels used for the choice; lower is better.
-
-    """
+    """A shape after least squares."""
 
     type: ShapeType
-    shape: np.ndarray
-    information: np.ndarray
-    cost: float
+    shape: np.ndarray  # (8,) float64
+    information: np.ndarray  # (F, F) float64, of the parameters in the order of `FREEDOMS`
+    cost: float  # Bayesian information criterion on the pixels used for the choice
 
     @cached_property
     def covariance(self) -> np.ndarray:
@@ -123,22 +111,9 @@ class FittedShape:
 def fit_shape(kind: ShapeType, start: np.ndarray, pixels: Pixels,
               silhouette: Silhouette = NO_SILHOUETTE, slack_px: float = 0.0) -> FittedShape | None:
     """
-    Fit a shape to pixels and rays by least squares without outliers.
+    Fit a shape to pixels and rays by least squares without outliers; None if too few agree.
 
-    Parameters
-    ----------
-    kind : ShapeType
-    start : (8,) float64
-    pixels : Pixels
-    silhouette : Silhouette
-    slack_px : float
-        Largest error of the rays at the start.
-
-    Returns
-    -------
-    FittedShape or None
-        None if too few pixels agree.
-
+    ``slack_px`` is the largest error of the rays at the start.
     """
     shape, freedoms = start, FREEDOMS[kind]
     share = math.sqrt(pixels.independent / len(pixels.points_m))

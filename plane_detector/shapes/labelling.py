@@ -82,18 +82,7 @@ def open_share(view: DepthView, found: FoundShape) -> float:
 
 def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
                  config: ShapesConfig) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
-    """
-    Return the remaining planes, with labels (H, W) that include the shapes after the planes.
-
-    Parameters
-    ----------
-    view : DepthView
-    planes : PlaneSegmentation
-    found : sequence of FoundShape
-    config : ShapesConfig
-        Limits size and number of the shapes.
-
-    """
+    """Return the remaining planes, with labels that include the shapes, and the shapes."""
     gone, kept = np.zeros(len(planes.planes), bool), []
     taken = np.zeros(planes.labels.shape, bool)
     joined = sorted(_joined(view, list(found)), key=lambda one: -one.members.sum())

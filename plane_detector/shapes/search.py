@@ -76,20 +76,7 @@ class Candidate:
 
 def best_candidates(surfels: Surfels, among: np.ndarray, kinds: Sequence[ShapeType],
                     config: ShapesConfig, rng: np.random.Generator) -> list[Candidate]:
-    """
-    Return the best hypotheses for some cells, at most one per kind.
-
-    Parameters
-    ----------
-    surfels : Surfels
-    among : (n,) int
-        The cells.
-    kinds : sequence of ShapeType
-    config : ShapesConfig
-    rng : numpy.random.Generator
-        For the samples.
-
-    """
+    """Return the best hypotheses for some cells (n,) int, at most one per kind."""
     samples = draw_samples(surfels.mask(among), among, rng)
     looked_at = np.ascontiguousarray(among[::-(-len(among) // _SCORED_CELLS)])
     points_m, normals = surfels.points_m[samples], surfels.normals[samples]
@@ -112,14 +99,7 @@ def draw_samples(inside: np.ndarray, among: np.ndarray, rng: np.random.Generator
     """
     Return triples (H, 3) of different cells; -1 where no partner was found.
 
-    Parameters
-    ----------
-    inside : (R, C) bool
-        Cells to draw from.
-    among : (n,) int
-        The same, by their indices.
-    rng : numpy.random.Generator
-
+    The cells to draw from are given as a mask (R, C) and by their indices (n,).
     """
     seeds = among[rng.integers(0, len(among), _HYPOTHESES)]
     reach = _WINDOWS_CELLS[rng.integers(0, len(_WINDOWS_CELLS), _HYPOTHESES)]
@@ -185,11 +165,6 @@ def _is_sane(shapes: np.ndarray, seeds_m: np.ndarray, config: ShapesConfig) -> n
     return of_cone | (radius_m >= config.min_radius) & (radius_m <= config.max_radius)
 
 
-def agreeing(surfels: Surfels, shape: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Return those of some cells that agree with a shape (8,) in distance and normal."""
-    return among[agreeing_cells(shape, surfels.table, among)]
-
-
 def connected(surfels: Surfels, shape: np.ndarray, among: np.ndarray, seed: int) -> np.ndarray:
     """Return the cells (R * C,) bool that agree with a shape and are connected with the seed."""
     return members_of(shape, surfels.table, surfels.mask(among), int(seed))
@@ -208,13 +183,13 @@ def agrees(shape, turn, cell):
     return distance * distance < noise * noise + cell[CURVED] * cell[CURVED]
 
 
-@kernel('boolean[::1](float64[::1], float64[:, ::1], int64[::1])')
-def agreeing_cells(shape, table, among):
-    """Return which cells (n,) of a table agree with a shape (8,)."""
-    turn, result = turn_of(shape), np.empty(len(among), np.bool_)
+@kernel('int64[::1](float64[::1], float64[:, ::1], int64[::1])')
+def agreeing(shape, table, among):
+    """Return those of some cells (n,) of a table that agree with a shape (8,)."""
+    turn, is_in = turn_of(shape), np.empty(len(among), np.bool_)
     for i in range(len(among)):
-        result[i] = agrees(shape, turn, table[among[i]])
-    return result
+        is_in[i] = agrees(shape, turn, table[among[i]])
+    return among[is_in]
 
 
 @kernel('boolean[::1](float64[::1], float64[:, ::1], boolean[:, ::1], int64)')

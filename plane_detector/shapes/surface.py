@@ -98,17 +98,8 @@ def distance_deviation(shape, turn, point, noise):
     Return the distance of a point from a shape and its standard deviation.
 
     Noise moves a point along its ray, which changes its distance less the closer the ray is to a
-    tangent. Then the side of the pixel and the curvature dominate.
-
-    Parameters
-    ----------
-    shape : (8,) float64
-    turn : (float, float)
-        Cosine and sine of its half angle.
-    point : (float, float, float)
-    noise : (float, float)
-        Standard deviation of z, and side of the pixel at z.
-
+    tangent. Then the side of the pixel and the curvature dominate. The noise is the standard
+    deviation of z, and the side of the pixel at z.
     """
     x, y, z = point
     along, away, out_x, out_y, out_z = about_axis(shape, x, y, z)
@@ -149,15 +140,8 @@ def moved(shape, steps, frame):
     """
     Return a shape (8,) moved by seven steps.
 
-    Parameters
-    ----------
-    shape : (8,) float64
-    steps : (7,) float64
-        Three of the position along the rows of the frame, two of the axis towards the first two
-        rows, the radius and the half angle.
-    frame : (3, 3) float64
-        As returned by :func:`frame_of`.
-
+    These are three of the position along the rows of the frame, as returned by :func:`frame_of`,
+    two of the axis towards its first two rows, the radius and the half angle.
     """
     result = shape.copy()
     for k in range(3):
@@ -195,19 +179,11 @@ def nearest_on_ray(shape, turn, ray_x, ray_y):
 def depths_on_rays(shape: np.ndarray, rays: np.ndarray,
                    ends: tuple[float, float] = (-np.inf, np.inf)) -> np.ndarray:
     """
-    Return the depths (N,) at which rays meet the near side of a shape, or inf.
+    Return the depths (N,) at which rays, x and y at depth 1 (N, 2), meet a shape's near side.
 
     With w = z r - position and h = w . axis, all three are |w|^2 - k h^2 = radius^2: k is 0 for a
-    sphere, 1 for a cylinder and 1 + tan^2 of the half angle for a cone.
-
-    Parameters
-    ----------
-    shape : (8,) float64
-    rays : (N, 2) float64
-        x and y at depth 1.
-    ends : (float, float)
-        The ends along the axis; a sphere has none.
-
+    sphere, 1 for a cylinder and 1 + tan^2 of the half angle for a cone. Rays that miss it, or
+    meet it beyond its ends along the axis, get inf.
     """
     position, axis, factor = shape[POSITION], shape[AXIS], 1 + np.tan(shape[HALF_ANGLE]) ** 2
     towards, start = rays @ axis[:2] + axis[2], position @ axis

@@ -30,23 +30,13 @@ POINT, NORMAL, RAY, SIGMA, CURVED, MIN_COSINE, COUNT = 0, 3, 6, 9, 10, 11, 12
 
 @dataclass(frozen=True)
 class Surfels:
-    """
-    One oriented point per cell.
+    """One oriented point per cell."""
 
-    Attributes
-    ----------
-    shape : (int, int)
-        Rows and columns of cells, R x C.
-    table : (R * C, 13) float64
-        Columns as listed in this module. Points are in the optical frame, in metres; rays have
-        depth 1; normals point to the camera.
-    usable : (R * C,) bool
-
-    """
-
-    shape: tuple[int, int]
+    shape: tuple[int, int]  # rows and columns of cells, R x C
+    # (R * C, 13) float64, columns as listed above. Points are in the optical frame, in metres;
+    # rays have depth 1; normals point to the camera.
     table: np.ndarray
-    usable: np.ndarray
+    usable: np.ndarray  # (R * C,) bool
 
     @property
     def points_m(self) -> np.ndarray:
@@ -82,18 +72,7 @@ def depth_sigma_m(depth_m: np.ndarray, disparity_sigma: float, floor_m: float) -
 
 
 def surfels_of_grid(grid: CellGrid, intrinsics: CameraIntrinsics, noise: Noise) -> Surfels:
-    """
-    Return the cells of a grid as oriented points.
-
-    Parameters
-    ----------
-    grid : CellGrid
-        Of 1/depth in 1/m.
-    intrinsics : CameraIntrinsics
-    noise : Noise
-        Noise of the cells of this grid.
-
-    """
+    """Return the cells of a grid of 1/depth in 1/m as oriented points, with this noise."""
     camera, unit_px = intrinsics, grid.width_px
     table = np.full((len(grid.usable), 13), np.nan)
     table[:, COUNT] = grid.moments[:, N]
@@ -137,11 +116,8 @@ def smooth_components(surfels: Surfels, free: np.ndarray) -> np.ndarray:
 
 
 def _goes_on(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """
-    Return whether the surface continues without a step between adjacent cells, rows of the table.
-
-    The gap between two cells is the distance of each centre from the plane of the other.
-    """
+    """Return whether the surface continues without a step between adjacent cells, table rows."""
+    # The gap between two cells is the distance of each centre from the plane of the other.
     apart_m = other[:, POINT:NORMAL] - one[:, POINT:NORMAL]
     gap_m = np.maximum(*(np.abs((apart_m * cell[:, NORMAL:RAY]).sum(axis=1))
                          for cell in (one, other)))

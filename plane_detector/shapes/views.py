@@ -64,61 +64,28 @@ def silhouette_rays(depth, is_free, cells, columns, camera):
 
 @dataclass(frozen=True)
 class FoundShape:
-    """
-    A fitted shape.
-
-    Attributes
-    ----------
-    fit : FittedShape
-    members : (R * C,) bool
-        Its cells.
-    open_share : float
-        Share of its border across which the surface continues.
-    absorbed : (K,) bool
-        Planes that it replaces.
-    window, mask : (slice, slice), (h, w) bool
-        Its position in the image.
-
-    """
+    """A fitted shape with its place in the image."""
 
     fit: FittedShape
-    members: np.ndarray
-    open_share: float
-    absorbed: np.ndarray
+    members: np.ndarray  # (R * C,) bool, its cells
+    open_share: float  # of its border, across which the surface continues
+    absorbed: np.ndarray  # (K,) bool, planes that it replaces
     window: Window = (slice(0, 0), slice(0, 0))
-    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))  # in the window
 
 
 @dataclass(frozen=True)
 class DepthView:
-    """
-    Data of the search for shapes.
+    """Data of the search for shapes."""
 
-    Attributes
-    ----------
-    depth_m : (H, W) float32
-    labels : (H, W) int32
-        Plane of each pixel, or -1.
-    planes : tuple of Plane
-    is_open : (K,) bool
-        Planes that a shape may replace.
-    noise : Noise
-    intrinsics : CameraIntrinsics
-    size_px : int
-        Side of a cell.
-    surfels : Surfels
-        Of R x C cells.
-
-    """
-
-    depth_m: np.ndarray
-    labels: np.ndarray
+    depth_m: np.ndarray  # (H, W) float32
+    labels: np.ndarray  # (H, W) int32, plane of each pixel, or -1
     planes: tuple[Plane, ...]
-    is_open: np.ndarray
+    is_open: np.ndarray  # (K,) bool, planes that a shape may replace
     noise: Noise
     intrinsics: CameraIntrinsics
-    size_px: int
-    surfels: Surfels
+    size_px: int  # side of a cell
+    surfels: Surfels  # of R x C cells
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -171,15 +138,10 @@ class DepthView:
     def free_pixels(self, cells: np.ndarray, open_planes: np.ndarray | None = None,
                     ) -> tuple[Pixels, np.ndarray]:
         """
-        Return a sample of the free pixels of some cells, at most _FITTED_PIXELS, and their labels.
+        Return a sample of the free pixels of cells (R * C,), and their labels.
 
-        Parameters
-        ----------
-        cells : (R * C,) bool
-        open_planes : (K,) bool, optional
-            Pixels are free if they have depth and no plane except one of these; default: the open
-            planes of the view.
-
+        Pixels are free if they have depth and no plane except one of ``open_planes``, (K,) bool;
+        default: the open planes of the view.
         """
         cells = np.flatnonzero(cells)
         step = -(-len(cells) * self.size_px**2 // _FITTED_PIXELS) or 1
@@ -234,11 +196,7 @@ class DepthView:
 
     def mask_on(self, shape: np.ndarray, cells: np.ndarray, window: Window,
                 absorbed: np.ndarray) -> np.ndarray:
-        """
-        Return which free pixels of cells (R, C) lie on a shape, (h, w) bool for a window.
-
-        Only the planes (K,) that the shape absorbs are open.
-        """
+        """Return which pixels of cells (R, C), free or absorbed, lie on a shape, (h, w) bool."""
         rows, columns = (np.arange(side.start, side.stop) // self.size_px for side in window)
         mask = (cells[np.ix_(rows, columns)] & np.isfinite(self.depth_m[window])
                 & np.append(absorbed, True)[self.labels[window]])
@@ -248,14 +206,9 @@ class DepthView:
 
     def silhouette(self, cells: np.ndarray, around: np.ndarray) -> Silhouette:
         """
-        Return rays between free pixels and a background far behind them, at most _SILHOUETTE_RAYS.
+        Return a sample of the rays between free pixels and a background far behind them.
 
-        Parameters
-        ----------
-        cells : (R * C,) bool
-        around : (R, C) bool
-            These cells and those that the silhouette may cross.
-
+        The cells are (R * C,); ``around`` (R, C) has also those that the silhouette may cross.
         """
         inside = cv2.erode(cells.reshape(self.shape).astype(np.uint8), np.ones((3, 3), np.uint8))
         camera, noise = self.intrinsics, self.noise

@@ -84,7 +84,7 @@ def library_images() -> list[Photograph]:
 
 def folder_images(folder: Path, lens: Lens) -> list[Photograph]:
     """
-    Return the images of a folder, reduced to 800 pixels if they are larger.
+    Return the images of a folder, reduced to `_LONGEST_SIDE_PX` if they are larger.
 
     Raises
     ------
