@@ -65,7 +65,8 @@ class FrameRequests:
         """Note that a frame goes to the worker; it, or a newer one, answers all calls so far."""
         with self._lock:
             self._count += 1
-            self._accepted = [*self._accepted, (frame, self._count)][-_REMEMBERED:]
+            if self._calls:  # otherwise nobody asks for its number, and frames take memory
+                self._accepted = [*self._accepted, (frame, self._count)][-_REMEMBERED:]
 
     def finish(self, frame: Any, success: bool, message: str) -> None:
         """Answer the calls for which this frame, or an earlier one, was accepted."""
@@ -89,6 +90,8 @@ class FrameRequests:
         with self._lock:
             due = [call for call in self._calls if is_due(call)]
             self._calls = [call for call in self._calls if not is_due(call)]
+            if not self._calls:
+                self._accepted = []
         for call in due:
             call.future.set_result((success, message))
         if due:

@@ -25,7 +25,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from plane_detector.process import retain_freed_memory, use_one_thread
+from plane_detector.process import load_numba_alone, retain_freed_memory, use_one_thread
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.stopping import end_process
 
@@ -121,6 +121,7 @@ def prepare_process() -> None:
     # The stages share the cores. The threads of OpenCV and OpenBLAS spin while they wait for the
     # next operation: measured 1 and 16 ms of core time for each frame.
     use_one_thread()
+    load_numba_alone()
 
 
 def _init(args: list[str] | None) -> None:

@@ -125,7 +125,7 @@ end()
 
 
 def test_the_shared_memory_of_the_middleware_is_released():
-    """A segment may be 64 MB, and stays until the machine is started again."""
+    """A segment may be 32 MB, and stays until the machine is started again."""
     from ros_helpers import random_domain
     program = PROGRAM.format(name='SIGTERM', making='    pass',
                              work=textwrap.indent(SHARED_MEMORY, '    '))

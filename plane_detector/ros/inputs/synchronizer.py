@@ -87,6 +87,7 @@ class FrameSynchronizer:
         self._infos = _MessageBuffer()
         self._depths = _MessageBuffer()
         self._gravity = _GravityFilter(imu_to_camera)
+        self._last_ns = 0
         self._dropped = 0
         self._unpaired_ns: int | None = None
         self.epoch = 0
@@ -156,9 +157,16 @@ class FrameSynchronizer:
                 self._dropped += 1
                 self._unpaired_ns = self._depths.offset_of_nearest(stamp_ns)
                 continue
+            self._forget_depths(stamp_ns)
             gravity = self._gravity.gravity_camera(stamp_ns * 1e-9)
             frames.append(Frame(image, info, depth, gravity, self.epoch))
         return frames
+
+    def _forget_depths(self, stamp_ns: int) -> None:
+        """Forget depth images from before the last frame but one: images may change places."""
+        oldest_ns = min(self._last_ns, stamp_ns) - round(self._stamp_slop_s * 1e9)
+        self._depths.keep(lambda other_ns, _: other_ns >= oldest_ns)
+        self._last_ns = stamp_ns
 
     def _awaits_calibration(self, image: Image | CompressedImage, info: CameraInfo) -> bool:
         """Return whether an image does not fit its calibration and a later one may still come."""

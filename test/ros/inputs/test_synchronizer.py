@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Assembly of frames from messages."""
 
+import sys
+
 import numpy as np
 import pytest
 from ros_helpers import camera_info_msg, header, image_msg
@@ -62,6 +64,30 @@ def test_an_image_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
     (frame,) = synchronizer.add_camera_info(own)
     assert (frame.image, frame.camera_info) == (large, own)
     assert synchronizer.take_dropped() == 0
+
+
+def test_depth_images_of_earlier_frames_are_not_kept():
+    """At most those of the last frame and of the one before, whose image may come again later."""
+    synchronizer = FrameSynchronizer(depth='required')
+    synchronizer.add_camera_info(info(0.0))
+    first = depth(1.0)
+    references = sys.getrefcount(first)
+    synchronizer.add_depth(first)
+    for stamp_s in (1.0, 1.1, 1.2):
+        synchronizer.add_depth(depth(stamp_s + 0.1))
+        assert len(synchronizer.add_image(image(stamp_s))) == 1
+    assert sys.getrefcount(first) == references
+
+
+def test_images_that_change_places_have_their_depth():
+    synchronizer = FrameSynchronizer(depth='required')
+    synchronizer.add_camera_info(info(0.0))
+    depths = {stamp_s: depth(stamp_s) for stamp_s in (1.0, 1.1, 1.2, 1.3)}
+    for message in depths.values():
+        synchronizer.add_depth(message)
+    for stamp_s in (1.0, 1.2, 1.1, 1.3):
+        (frame,) = synchronizer.add_image(image(stamp_s))
+        assert frame.depth is depths[stamp_s]
 
 
 def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
