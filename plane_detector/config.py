@@ -214,12 +214,6 @@ class TrackingConfig(Settings, section='tracking'):
     keep_frames: int = setting(
         30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250,
         inner=True)
-    angle_tolerance: float = setting(
-        10.0, 'standard deviation of the angle between normals of the same plane in two images, '
-        'apart from the motion of the camera', 'deg', 0.01, 45.0, inner=True)
-    offset_tolerance: float = setting(
-        0.03, 'standard deviation of the distance from the plane, as a share of the distance from '
-        'the camera', '', 1e-4, 1.0, inner=True)
     smoothing: float = setting(
         0.0, 'weight of the previous coefficients while the change is within their noise; '
         '0: none', '', 0.0, 0.999, inner=True)

@@ -75,27 +75,16 @@ class Prediction:
     """
     Output of a depth network for one image.
 
-    Attributes
-    ----------
-    output : str
-        Kind of ``values``: ``metric_depth``, ``disparity`` (1/metres) or ``relative_disparity``
-        (unknown scale and shift).
-    values : (H, W) float32
-        NaN where invalid, including pixels that the network masks.
-    normals_camera : (H, W, 3) float32, optional
-        Unit normals of the surfaces in the optical frame, pointing to the camera; NaN invalid.
-    normal_confidence : (H, W) float32, optional
-        Confidence of the network in its normals, in the network's own unit; higher is better.
-    is_indoor : bool
-        By a network of indoor images only, which is wrong outdoors.
-
+    Its kind is ``metric_depth``, ``disparity`` (1/metres) or ``relative_disparity`` (unknown scale
+    and shift).
     """
 
-    output: str
-    values: np.ndarray
+    output: str  # kind of ``values``
+    values: np.ndarray  # (H, W) float32, NaN where invalid or masked by the network
+    # (H, W, 3) float32, of the surfaces in the optical frame, pointing to the camera; NaN invalid
     normals_camera: np.ndarray | None = None
-    normal_confidence: np.ndarray | None = None
-    is_indoor: bool = False
+    normal_confidence: np.ndarray | None = None  # (H, W) float32, in the network's own unit
+    is_indoor: bool = False  # by a network of indoor images only, which is wrong outdoors
 
 
 @runtime_checkable
@@ -145,25 +134,6 @@ class Plane:
     """
     One plane, normal . p + offset = 0 in the optical frame.
 
-    Attributes
-    ----------
-    normal : (3,) float64
-        Unit normal, pointing to the camera.
-    offset_m : float
-        Distance from camera to plane, at least 0.
-    centroid_m : (3,) float64
-        Mean of the pixels' points, projected onto the plane.
-    inlier_count : int
-        Pixels with this plane's label; at least 1.
-    rms_m : float
-        Root mean square distance of those pixels' points from the plane.
-    area_m2 : float
-        Area that those pixels cover on the plane.
-    covariance : (4, 4) float64
-        Covariance of (normal, offset_m) from the fit.
-    confidence : float
-        Probability, 0 to 1, that the plane exists in the scene.
-
     Examples
     --------
     >>> wall = Plane(np.array([0, 0, -1.0]), 2.0, np.array([0, 0, 2.0]), 9, 0.0, 1.0, np.eye(4), 1)
@@ -172,14 +142,14 @@ class Plane:
 
     """
 
-    normal: np.ndarray
-    offset_m: float
-    centroid_m: np.ndarray
-    inlier_count: int
-    rms_m: float
-    area_m2: float
-    covariance: np.ndarray
-    confidence: float
+    normal: np.ndarray  # (3,) float64, of length 1, pointing to the camera
+    offset_m: float  # distance from camera to plane, at least 0
+    centroid_m: np.ndarray  # (3,) float64, mean of the pixels' points, projected onto the plane
+    inlier_count: int  # pixels with this plane's label; at least 1
+    rms_m: float  # root mean square distance of those pixels' points from the plane
+    area_m2: float  # that those pixels cover on the plane
+    covariance: np.ndarray  # (4, 4) float64, of (normal, offset_m) from the fit
+    confidence: float  # probability, 0 to 1, that the plane exists in the scene
 
 
 class ShapeType(IntEnum):
@@ -192,135 +162,66 @@ class ShapeType(IntEnum):
 
 @dataclass(frozen=True)
 class Shape:
-    """
-    A sphere, cylinder or cone in the optical frame, seen from outside.
-
-    Attributes
-    ----------
-    type : ShapeType
-    position_m : (3,) float64
-        Centre of a sphere, middle of the visible part of a cylinder's axis, apex of a cone.
-    axis : (3,) float64
-        Unit vector along the axis, of a cone from the apex into it; zeros for a sphere.
-    radius_m : float
-        0 for a cone.
-    half_angle_rad : float
-        Between axis and surface of a cone, else 0.
-    length_m : float
-        Extent of the visible part along the axis, of a cone from the apex; 0 for a sphere.
-    inlier_count : int
-        Pixels with this shape's label.
-    rms_m : float
-        Root mean square distance of those pixels' points from the surface.
-    covariance : (D, D) float64
-        Of the fitted parameters: centre, radius (sphere, 4); position across the axis (2), axis
-        across itself (2, radians), radius (cylinder, 5); apex, axis, half angle (cone, 6).
-    confidence : float
-        Share, 0 to 1, of the surrounding surface that the shape explains.
-
-    """
+    """A sphere, cylinder or cone in the optical frame, seen from outside."""
 
     type: ShapeType
+    # (3,) float64: centre of a sphere, middle of the visible part of a cylinder's axis, apex of a
+    # cone.
     position_m: np.ndarray
-    axis: np.ndarray
-    radius_m: float
-    half_angle_rad: float
-    length_m: float
-    inlier_count: int
-    rms_m: float
+    axis: np.ndarray  # (3,) float64, unit vector, of a cone from the apex; zeros for a sphere
+    radius_m: float  # 0 for a cone
+    half_angle_rad: float  # between axis and surface of a cone, else 0
+    length_m: float  # of the visible part along the axis, of a cone from the apex; 0 for a sphere
+    inlier_count: int  # pixels with this shape's label
+    rms_m: float  # root mean square distance of those pixels' points from the surface
+    # (D, D) float64, of the fitted parameters: centre, radius (sphere, 4); position across the
+    # axis (2), axis across itself (2, radians), radius (cylinder, 5); apex, axis, half angle
+    # (cone, 6).
     covariance: np.ndarray
-    confidence: float
+    confidence: float  # share, 0 to 1, of the surrounding surface that the shape explains
 
 
 @dataclass(frozen=True)
 class PlaneSegmentation:
-    """
-    The planes of one image, largest first, and the plane of each pixel.
+    """The planes of one image, largest first, and the plane of each pixel."""
 
-    Attributes
-    ----------
-    planes : tuple of Plane
-        Empty when there is none.
-    labels : (H, W) int32
-        Index into ``planes``, -1 for no plane and where depth is invalid.
-    disparity_noise : float
-        Standard deviation of 1/depth used by the segmentation, 1/m.
-    systematic_noise : float
-        The part of it with which the sensor bends whole planes, 1/m.
-
-    """
-
-    planes: tuple[Plane, ...]
-    labels: np.ndarray
-    disparity_noise: float
+    planes: tuple[Plane, ...]  # empty when there is none
+    labels: np.ndarray  # (H, W) int32, index into ``planes``; -1: no plane, or invalid depth
+    disparity_noise: float  # standard deviation of 1/depth used by the segmentation, 1/m
+    # The part of it with which the sensor bends whole planes, 1/m.
     systematic_noise: float = field(default=0.0, kw_only=True)
 
 
 @dataclass(frozen=True)
 class Detection(PlaneSegmentation):
-    """
-    Result of the whole pipeline for one image.
+    """Result of the whole pipeline for one image."""
 
-    Attributes
-    ----------
-    depth_m : (H, W) float32
-        NaN invalid; the unit is unknown if ``scale_method`` is ``relative``.
-    scale_method : str
-        Method that determined the unit: ``metric``, ``fixed``, ..., or ``relative`` for none.
-    stage_seconds : mapping of str to float
-        Time of each stage.
-    track_labels : tuple of int
-        Label of each plane, above 0, the same from image to image; empty: not tracked.
-    classes : tuple of int
-        A value of ``PlaneClass`` for each plane; empty: all unknown.
-    scale_note, scale_event : str
-        Result of the scale method with its uncertainty, or why there is none; what changed with
-        this image, if anything.
-    shapes : tuple of Shape
-        Largest first; with N planes, ``labels`` are N + i in the pixels of shape i.
-    shape_labels : tuple of int
-        Label of each shape, above 0 and the same from image to image; empty: not tracked.
-    gravity_camera : (3,) float64 or None
-        Direction of gravity in the optical frame, as used for the classes; None: unknown.
-    gravity_source : str
-        ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
-    gravity_note : str
-        Why the image does not give the direction of gravity, if it was tried.
-    gravity_probability : float
-        That the direction of gravity is right within 5 degrees, if the image gives it; else NaN.
-    horizontal_axes : (A, 3) float64
-        Perpendicular horizontal axes of the scene, from the lines of the image; none: (0, 3).
-    ground : (H, W) bool
-        Pixels that a robot may roll on, and lower levels; nowhere if gravity, the unit or the own
-        floor are not known.
-    drops_m : (N, 3) float64
-        Points along the edges where the ground ends and the next surface is lower.
-    drop_depths_m : (N,) float64
-        By how much it is lower; NaN where nothing is seen behind the edge.
-    drop_note : str
-        Why there are no drops; empty if they are searched for.
-    camera_height_m, tilt_deg : float
-        Height above the own floor, and angle of the optical axis below the horizon; NaN unknown.
-
-    """
-
-    depth_m: np.ndarray
-    scale_method: str
+    depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit by ``scale_method``
+    scale_method: str  # ``metric``, ``fixed``, ...: metres; ``relative``: in an unknown unit
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
+    # Of each plane, above 0, the same from image to image; empty: not tracked.
     track_labels: tuple[int, ...] = ()
-    classes: tuple[int, ...] = ()
-    scale_note: str = ''
-    scale_event: str = ''
+    classes: tuple[int, ...] = ()  # a value of ``PlaneClass`` for each plane; empty: all unknown
+    scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
+    scale_event: str = ''  # what changed with this image, if anything
+    # Largest first; with N planes, ``labels`` are N + i in the pixels of shape i.
     shapes: tuple[Shape, ...] = ()
-    shape_labels: tuple[int, ...] = ()
-    gravity_camera: np.ndarray | None = None
+    shape_labels: tuple[int, ...] = ()  # as ``track_labels``
+    gravity_camera: np.ndarray | None = None  # (3,) float64, direction as used for the classes
+    # ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
     gravity_source: str = 'none'
-    gravity_note: str = ''
+    gravity_note: str = ''  # why the image does not give it, if it was tried
+    # That the direction is right within 5 degrees, if the image gives it; else NaN.
     gravity_probability: float = float('nan')
+    # (A, 3) float64, perpendicular horizontal axes of the scene, from the lines of the image.
     horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if gravity, the unit
+    # or the own floor are not known.
     ground: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
+    # and by how much, (N,); NaN where nothing is seen behind the edge.
     drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    drop_note: str = ''
-    camera_height_m: float = float('nan')
-    tilt_deg: float = float('nan')
+    drop_note: str = ''  # why there are no drops; empty if they are searched for
+    camera_height_m: float = float('nan')  # above the own floor; NaN unknown
+    tilt_deg: float = float('nan')  # of the optical axis below the horizon; NaN unknown

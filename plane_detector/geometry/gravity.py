@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-STANDARD_GRAVITY = 9.80665  # m/s^2
+_STANDARD_GRAVITY = 9.80665  # m/s^2
 # A larger deviation from standard gravity means that the accelerometer is being moved.
-MAX_FORCE_ERROR_SHARE = 0.1
-SMOOTHING_S = 0.5
+_MAX_FORCE_ERROR_SHARE = 0.1
+_SMOOTHING_S = 0.5
 
 
 def unit_direction(direction: Sequence[float]) -> np.ndarray | None:
@@ -59,7 +59,7 @@ def gravity_from_acceleration(acceleration: Sequence[float],
     """
     force = np.asarray(acceleration, np.float64)
     strength = np.linalg.norm(force)
-    if not abs(strength - STANDARD_GRAVITY) <= MAX_FORCE_ERROR_SHARE * STANDARD_GRAVITY:
+    if not abs(strength - _STANDARD_GRAVITY) <= _MAX_FORCE_ERROR_SHARE * _STANDARD_GRAVITY:
         return None
     return -_rotate(imu_to_camera, force / strength)
 
@@ -75,7 +75,7 @@ def smooth_gravity(previous: np.ndarray | None, reading: np.ndarray,
     """Return the low-pass filtered unit direction (3,) after one more reading."""
     if previous is None:
         return reading
-    gain = 1.0 - np.exp(-max(interval_s, 0.0) / SMOOTHING_S)
+    gain = 1.0 - np.exp(-max(interval_s, 0.0) / _SMOOTHING_S)
     mixed = previous + gain * (reading - previous)
     length = np.linalg.norm(mixed)
     return mixed / length if length > 1e-6 else reading

@@ -20,26 +20,12 @@ _COEFFICIENTS = {'plumb_bob': (4, 5), 'rational_polynomial': (8, 12, 14), 'equid
 
 @dataclass(frozen=True)
 class Rectification:
-    """
-    Maps from a rectified image to the original one.
+    """Maps from a rectified image to the original one; ValueError if they share no pixel."""
 
-    Attributes
-    ----------
-    map_x, map_y : (H, W) float32
-        Column and row in the original image, in pixels.
-    depth_factor : (H, W) float32
-        Depth along the rectified optical axis divided by the depth along the original one; 1 if
-        the camera is not rotated.
-
-    Raises
-    ------
-    ValueError
-        No pixel of the rectified image comes from the original one.
-
-    """
-
-    map_x: np.ndarray
-    map_y: np.ndarray
+    map_x: np.ndarray  # (H, W) float32, column in the original image, in pixels
+    map_y: np.ndarray  # the row
+    # (H, W) float32, depth along the rectified optical axis divided by that along the original
+    # one; 1 if the camera is not rotated.
     depth_factor: np.ndarray
 
     def __post_init__(self) -> None:

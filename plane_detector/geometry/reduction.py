@@ -13,12 +13,7 @@ import numpy as np
 @dataclass(frozen=True)
 class Reduction:
     """
-    Reduction of images from one size to a smaller one.
-
-    Attributes
-    ----------
-    old_size, new_size : (int, int)
-        Width and height, pixels.
+    Reduction of images from one size to a smaller one; sizes are width and height, pixels.
 
     Examples
     --------

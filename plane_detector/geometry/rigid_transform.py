@@ -17,11 +17,6 @@ class RigidTransform:
     """
     p_target = rotation @ p_source + translation_m.
 
-    Attributes
-    ----------
-    rotation : (3, 3) float64
-    translation_m : (3,) float64
-
     Examples
     --------
     >>> turn = RigidTransform.from_quaternion((0, 0, 1, 1), (1, 0, 0))
@@ -30,8 +25,8 @@ class RigidTransform:
 
     """
 
-    rotation: np.ndarray
-    translation_m: np.ndarray
+    rotation: np.ndarray  # (3, 3) float64
+    translation_m: np.ndarray  # (3,) float64
 
     @classmethod
     def from_quaternion(cls, quaternion: Sequence[float],

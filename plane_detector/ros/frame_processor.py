@@ -140,7 +140,7 @@ class FrameProcessor:
             by_imu = frame.gravity_camera is not None
             detection = replace(detection, gravity_source='imu' if by_imu else 'tf')
         with stages('tracking'):
-            merged = merged_labels(self._before, detection, seen.config.tracking)
+            merged = merged_labels(self._before, detection)
             self._before = detection
         return DetectedFrame(frame.image.header, seen.rgb, seen.intrinsics, detection,
                               begun.settings, to_target, begun.converted.distortion, merged,

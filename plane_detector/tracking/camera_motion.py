@@ -61,20 +61,9 @@ def estimate_motion(before: PlaneArrays, after: PlaneArrays, weights: np.ndarray
     1. Estimate the rotation between the normals (Kabsch 1976).
     2. Estimate translation and scale by least squares.
 
-    Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect.
-
-    Parameters
-    ----------
-    before, after : PlaneArrays
-        The same N planes in the previous and in the present camera frame.
-    weights : (N,) float
-        Weight of each pair.
-
-    Returns
-    -------
-    PlaneMotion
-        No motion if there is no pair.
-
+    Both are reweighted with Cauchy's function, so that a few wrong pairs have little effect. The N
+    planes are in the previous and in the present camera frame, with a weight (N,) of each pair.
+    Without a pair there is no motion.
     """
     if not len(before):
         return NO_MOTION

@@ -14,6 +14,9 @@ import numpy as np
 
 from plane_detector.types import Plane
 
+# Standard deviations of one plane in two images, apart from the motion of the camera: of the angle
+# between the normals, and of the distance from the plane as a share of that from the camera.
+_ANGLE_DEG, _OFFSET_SHARE = 10.0, 0.03
 _TINY_M = _TINY_M2 = 1e-12
 
 
@@ -97,31 +100,21 @@ def _joined(groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def likeness(before: PlaneArrays, after: PlaneArrays, overlap: Overlap,
-             tolerances: tuple[float, float], growth: np.ndarray) -> np.ndarray:
+             growth: np.ndarray) -> np.ndarray:
     """
     Return how well planes agree in position and coefficients, (T, N), 0 to 1.
 
     The positions agree by shared pixels or, if the camera has turned so far that there are none,
-    by the distance of the centroids relative to the size of the planes.
-
-    Parameters
-    ----------
-    before, after : PlaneArrays
-        T and N planes, in one camera frame.
-    overlap : Overlap
-        Of these planes.
-    tolerances : (float, float)
-        ``angle_deg`` and ``offset_share`` of :func:`squared_deviation`.
-    growth : (T,) float
-        As there.
-
+    by the distance of the centroids relative to the size of the planes. ``growth`` is that of
+    :func:`squared_deviation`.
     """
     place = np.maximum((overlap.of_union + overlap.of_known) / 2, _nearness(before, after))
-    return place * np.exp(-0.5 * squared_deviation(before, after, *tolerances, growth))
+    return place * np.exp(-0.5 * squared_deviation(before, after, growth))
 
 
-def squared_deviation(before: PlaneArrays, after: PlaneArrays, angle_deg: float,
-                      offset_share: float, growth: np.ndarray | float = 1.0) -> np.ndarray:
+def squared_deviation(before: PlaneArrays, after: PlaneArrays, growth: np.ndarray | float = 1.0,
+                      angle_deg: float = _ANGLE_DEG,
+                      offset_share: float = _OFFSET_SHARE) -> np.ndarray:
     """
     Return the squared number of standard deviations by which coefficients differ, (T, N).
 
@@ -129,13 +122,13 @@ def squared_deviation(before: PlaneArrays, after: PlaneArrays, angle_deg: float,
     ----------
     before, after : PlaneArrays
         T and N planes, in one camera frame.
+    growth : (T,) float or float
+        Factor on the variances of the next two.
     angle_deg : float
         Standard deviation of the angle between normals, in addition to that of the fits.
     offset_share : float
         The same for the distance from one plane to the centroid of the other, as a share of the
         distance of the centroid from the camera.
-    growth : (T,) float or float
-        Factor on these variances.
 
     """
     growth = np.reshape(growth, (-1, 1))

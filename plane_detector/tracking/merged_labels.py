@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from plane_detector.config import TrackingConfig
 from plane_detector.tracking.matching import PlaneArrays, squared_deviation
 from plane_detector.types import Detection
 
@@ -16,26 +15,12 @@ _MIN_SHARE = 0.5
 _MOST_DEVIATIONS = 3.0
 
 
-def merged_labels(before: Detection | None, after: Detection,
-                  config: TrackingConfig) -> tuple[int, ...]:
+def merged_labels(before: Detection | None, after: Detection) -> tuple[int, ...]:
     """
     Return, for each plane of an image, the label that was merged into it since the last image.
 
     A label that has disappeared was merged into a plane that existed before, now covers most of
-    its pixels, and is coplanar with it.
-
-    Parameters
-    ----------
-    before, after : Detection
-        Of consecutive images; ``before`` is None for the first one.
-    config : TrackingConfig
-        States how far the coefficients of one plane may differ.
-
-    Returns
-    -------
-    tuple of int
-        0 for none; the largest plane if there are several.
-
+    its pixels, and is coplanar with it. 0: none; the largest plane if there are several.
     """
     taken = np.zeros(len(after.planes), int)
     if (before is None or not before.track_labels or not after.track_labels
@@ -50,17 +35,15 @@ def merged_labels(before: Detection | None, after: Detection,
         counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:len(after.planes) + 1]
         new = int(np.argmax(counts))
         if (counts[new] > max(_MIN_SHARE * pixels.size, most[new])
-                and _is_taken(before, old, after, new, config)):
+                and _is_taken(before, old, after, new)):
             taken[new], most[new] = label, counts[new]
     return tuple(taken.tolist())
 
 
-def _is_taken(before: Detection, old: int, after: Detection, new: int,
-              config: TrackingConfig) -> bool:
+def _is_taken(before: Detection, old: int, after: Detection, new: int) -> bool:
     """Return whether the other label existed before, and both are one plane."""
     if after.track_labels[new] not in before.track_labels:
         return False
     deviation = squared_deviation(PlaneArrays.of([before.planes[old]]),
-                                  PlaneArrays.of([after.planes[new]]),
-                                  config.angle_tolerance, config.offset_tolerance)
+                                  PlaneArrays.of([after.planes[new]]))
     return bool(deviation.item() <= _MOST_DEVIATIONS**2)

@@ -35,7 +35,7 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
                         first_label: int, keep_frames: int
                         ) -> tuple[tuple[ShapeTrack, ...], tuple[int, ...]]:
     """
-    Match the shapes of an image with the known ones.
+    Match the shapes of an image with the known ones; return the tracks after it, and the labels.
 
     Parameters
     ----------
@@ -48,13 +48,6 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     first_label : int
     keep_frames : int
         A shape that is not found keeps its label for this many images.
-
-    Returns
-    -------
-    known : tuple of ShapeTrack
-        The tracks after this image.
-    labels : tuple of int
-        Label of each shape, above 0 and unique.
 
     """
     step = max(1, min(labels.shape) // _ROWS)

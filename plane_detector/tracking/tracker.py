@@ -88,23 +88,11 @@ class PlaneTracker:
     def update(self, found: PlaneSegmentation, config: TrackingConfig
                ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
         """
-        Match the planes of the next image and assign labels to them.
+        Return the planes of the next image, and the label of each, above 0 and unique.
 
-        Parameters
-        ----------
-        found : PlaneSegmentation
-            In any unit, which may change from image to image. An image of another size resets
-            the tracker.
-        config : TrackingConfig
-
-        Returns
-        -------
-        PlaneSegmentation
-            The same planes, with smoothed coefficients if ``config.smoothing`` is above 0.
-        tuple of int
-            Label of each plane, above 0 and unique; empty, and the tracker is reset, without
-            ``config.enabled``.
-
+        Their unit may change from image to image; an image of another size resets the tracker.
+        Coefficients are smoothed if ``config.smoothing`` is above 0. Without ``config.enabled``
+        there are no labels, and the tracker is reset.
         """
         if not config.enabled:
             self.reset()
@@ -124,35 +112,17 @@ class PlaneTracker:
 
 def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
                   ) -> tuple[KnownPlanes, tuple[Plane, ...]]:
-    """
-    Match the planes of an image with known planes.
-
-    Parameters
-    ----------
-    known : KnownPlanes
-        After the image before.
-    found : PlaneSegmentation
-        Of the next image.
-    config : TrackingConfig
-
-    Returns
-    -------
-    known : KnownPlanes
-        After this image.
-    planes : tuple of Plane
-        Those of this image, smoothed if ``config.smoothing`` is above 0.
-
-    """
+    """Return what is known after an image, and its planes, smoothed if that is requested."""
     pixels, after = _pixels_of_planes(found), PlaneArrays.of(found.planes)
     overlap = measure_overlap([track.pixels for track in known.tracks], pixels)
     moved = _moved_along(known, after, pixels, overlap)
-    match = _match(known.tracks, moved, after, overlap, config)
+    match = _match(known.tracks, moved, after, overlap)
     matched = set(match.values())
     gone = [index for index, track in enumerate(known.tracks)
             if index not in matched and track.missed < config.keep_frames]
     tracks = (*_seen_tracks(known.tracks, match, gone, pixels),
-              *(replace(track, missed=track.missed + 1)
-                for track in map(known.tracks.__getitem__, gone)))
+              *(replace(known.tracks[index], missed=known.tracks[index].missed + 1)
+                for index in gone))
     planes = found.planes
     if config.smoothing > 0:
         planes = _smoothed(planes, known, after, match, config.smoothing)
@@ -203,14 +173,13 @@ def _is_sure(known: KnownPlanes, after: PlaneArrays, share: np.ndarray) -> np.nd
             & (cosine > np.cos(_MOTION_MAX_TURN_RAD)))
 
 
-def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays, overlap: Overlap,
-           config: TrackingConfig) -> dict[int, int]:
+def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays,
+           overlap: Overlap) -> dict[int, int]:
     """Return the track of each found plane; unmatched planes are left out."""
     if not tracks or not len(after):
         return {}
     missed = np.array([track.missed for track in tracks])
-    score = likeness(before, after, overlap, (config.angle_tolerance, config.offset_tolerance),
-                     1 + missed)
+    score = likeness(before, after, overlap, 1 + missed)
     score[score < _MIN_SCORE] = 0
     trust = (1 - _YOUTH / np.array([track.streak for track in tracks])) * _MISSED ** (missed > 0)
     score *= trust[:, None]
@@ -225,7 +194,7 @@ def _smoothed(planes: Sequence[Plane], known: KnownPlanes, after: PlaneArrays,
     smooth = list(planes)
     for new, old in match.items():
         changed = squared_deviation(known.planes.picked([old]), after.picked([new]),
-                                    _NOISE_ANGLE_DEG, _NOISE_OFFSET)
+                                    1.0, _NOISE_ANGLE_DEG, _NOISE_OFFSET)
         if not known.tracks[old].missed and changed.item() <= _NOISE_DEVIATIONS ** 2:
             smooth[new] = _averaged(planes[new], known.planes.normals[old],
                                     known.planes.offsets_m[old], share)

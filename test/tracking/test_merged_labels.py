@@ -2,15 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """When two labels become one, the remaining plane names the merged label."""
 
-
 import numpy as np
 import pytest
 
-from plane_detector.config import TrackingConfig
 from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection, Plane
-
-CONFIG = TrackingConfig()
 
 
 def wall(distance_m=2.0, x_m=0.0):
@@ -37,7 +33,7 @@ def whole():
 
 
 def test_the_merged_label_is_named(halves, whole):
-    assert merged_labels(halves, whole, CONFIG) == (7,)
+    assert merged_labels(halves, whole) == (7,)
 
 
 def test_an_occluding_plane_does_not_merge_the_one_behind(halves):
@@ -45,12 +41,12 @@ def test_an_occluding_plane_does_not_merge_the_one_behind(halves):
     labels = halves.labels.copy()
     labels[:, :45] = 0
     hidden = detection(labels, (wall(1.0), wall()), (5, 3))
-    assert merged_labels(halves, hidden, CONFIG) == (0, 0)
+    assert merged_labels(halves, hidden) == (0, 0)
     known_before = detection(labels, (wall(1.0), wall()), (3, 9))
-    assert merged_labels(halves, known_before, CONFIG) == (0, 0), 'not in its plane'
+    assert merged_labels(halves, known_before) == (0, 0), 'not in its plane'
 
 
 def test_pixels_of_shapes_merge_no_label(halves):
     """Behind the labels of the planes come those of the shapes."""
     shapes = detection(np.where(halves.labels == 0, 2, halves.labels), halves.planes, (9, 3))
-    assert merged_labels(halves, shapes, CONFIG) == (0, 0)
+    assert merged_labels(halves, shapes) == (0, 0)
