@@ -2,16 +2,29 @@
 # SPDX-License-Identifier: Apache-2.0
 """The pipeline from image to planes, with given depth instead of a network."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
-from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
-from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig, TrackingConfig
+from plane_detector import CameraIntrinsics, PlaneDetector, segment_planes
+from plane_detector.config import (
+    Config,
+    DepthConfig,
+    DirectionsConfig,
+    RansacConfig,
+    ScaleConfig,
+    SegmentationConfig,
+    TrackingConfig,
+)
 from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 from plane_detector.geometry.disparity import noise_reference
+from plane_detector.segmentation.search import ransac
+from plane_detector.settings import Settings
+from plane_detector.stopping import Stop, Stopped
 
 SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 SCENE = random_room(np.random.default_rng(3), SMALL)
@@ -138,3 +151,86 @@ def test_tracking_can_be_switched_off(room):
         expected = tuple(range(1, len(detection.planes) + 1)) if enabled else ()
         assert detection.track_labels == expected
         assert 'tracking' in detection.stage_seconds
+
+
+CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
+RGB = np.zeros((120, 160, 3), np.uint8)
+
+
+def test_no_stage_starts_after_a_stop():
+    stop = Stop()
+
+    def estimate(rgb):
+        stop.set()
+        return np.full(rgb.shape[:2], 2.0, np.float32)
+
+    detector = PlaneDetector(Config(), estimate)
+    with pytest.raises(Stopped), stop.applies():
+        detector.detect(RGB, CAMERA)
+
+
+def test_the_search_looks_at_the_stop_before_every_pass(monkeypatch):
+    """Over curved depth and with the largest settings, where one pass finds many planes."""
+    stop, passes, find = Stop(), [], ransac.find_planes
+
+    def counted(*arguments):
+        passes.append(1)
+        stop.set()
+        return find(*arguments)
+
+    monkeypatch.setattr(ransac, 'find_planes', counted)
+    rows, columns = np.mgrid[:120, :160] / 120
+    noise = np.random.default_rng(0).normal(0, 0.02, rows.shape)
+    depth_m = (2 + np.sin(9 * rows) * np.cos(7 * columns) + noise).astype(np.float32)
+    config = Config(segmentation=SegmentationConfig(max_planes=255, min_plane_share=0.0),
+                    ransac=RansacConfig(max_iterations=1000000))
+    with pytest.raises(Stopped), stop.applies():
+        PlaneDetector(config, lambda rgb: depth_m).detect(RGB, CAMERA)
+    assert len(passes) == 1
+
+
+# Valid values of settings whose type and range say too little.
+VALUES = {'scale.gravity': (0.0, 1.0, 0.0), 'shapes.types': 'sphere',
+          'scale.imu_to_camera': (1.0, 0.0, 0.0, 0.0)}
+
+
+def depth_of(rgb):
+    return np.full(rgb.shape[:2], 2.0)
+
+
+def live_settings():
+    for section in fields(Config):
+        settings = getattr(Config(), section.name)
+        for field in fields(settings) if isinstance(settings, Settings) else ():
+            if not field.metadata['read_only']:
+                yield section.name, field
+
+
+def other_value(name, field):
+    value, meta = field.default, field.metadata
+    if name in VALUES:
+        return VALUES[name]
+    if isinstance(value, bool):
+        return not value
+    if meta['choices']:
+        return next(choice for choice in meta['choices'] if choice != value)
+    candidates = (type(value)(one) for one in (value + 1, value / 2, meta['high'], meta['low']))
+    return next(one for one in candidates if one != value and meta['low'] <= one <= meta['high'])
+
+
+def state_of(thing):
+    """Return what an object of this package holds, and what its parts hold."""
+    if not type(thing).__module__.startswith('plane_detector') or not hasattr(thing, '__dict__'):
+        return repr(thing)
+    return {name: state_of(part) for name, part in vars(thing).items()}
+
+
+@pytest.mark.parametrize(('section', 'field'), list(live_settings()),
+                         ids=lambda one: getattr(one, 'name', one))
+def test_no_part_of_a_detector_keeps_a_setting_that_may_change(section, field):
+    settings = replace(getattr(Config(), section),
+                       **{field.name: other_value(f'{section}.{field.name}', field)})
+    default = state_of(PlaneDetector(Config(), depth_of))
+    changed = state_of(PlaneDetector(Config(**{section: settings}), depth_of))
+    assert changed.pop('config') != default.pop('config')
+    assert changed == default

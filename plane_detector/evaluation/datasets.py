@@ -40,23 +40,11 @@ class Frame:
 
 def frames(data: Path, sets: tuple[str, ...] | None = None, first: int = 0) -> Iterator[Frame]:
     """
-    Yield the frames of a data folder, one set after another.
+    Yield the frames of some sets, by default of all, one set after another.
 
-    Parameters
-    ----------
-    data : Path
-    sets : tuple of str, optional
-        Names of the sets; default: all.
-    first : int
-        First frame of long sequences, of which only every STEPS-th frame is used.
-
-    Raises
-    ------
-    FileNotFoundError
-        The folder or a set is missing.
-    ValueError
-        An image cannot be read, or its size differs from its calibration.
-
+    Of long sequences only every STEPS-th frame is used, from the first one on. Raises
+    FileNotFoundError if the folder or a set is missing, and ValueError if an image cannot be read
+    or its size differs from its calibration.
     """
     if not data.is_dir():
         raise FileNotFoundError(f'there is no data folder {data}')
@@ -88,15 +76,7 @@ def read_frame(depth_path: Path) -> Frame:
 
 
 def library_frames() -> list[Frame]:
-    """
-    Return the images with known depth that are included in libraries.
-
-    Raises
-    ------
-    ImportError
-        scikit-image, or Pillow that reads its images, is not installed.
-
-    """
+    """Return the images with known depth of scikit-image; ImportError if it is missing."""
     return [Frame('libraries', photograph.name, photograph.rgb, photograph.true_depth_m,
                   photograph.intrinsics)
             for photograph in library_images() if photograph.true_depth_m is not None]
@@ -126,15 +106,7 @@ def labelled_frames(data: Path) -> Iterator[LabelledFrame]:
     Yield the frames of a data folder that were labelled by hand.
 
     Labels that ``intrinsics.json`` lists as not one plane are UNKNOWN. On table tops, labels 1 to
-    9 are one plane, the table, and the objects on it are NO_PLANE.
-
-    Raises
-    ------
-    FileNotFoundError
-        There are none.
-    ValueError
-        An image cannot be read.
-
+    9 are one plane, the table, and the objects on it are NO_PLANE. Raises as :func:`frames`.
     """
     paths = sorted(data.glob('labelled/*/*_labels.png'))
     if not paths:

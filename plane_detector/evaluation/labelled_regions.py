@@ -18,13 +18,8 @@ def labelled_regions(disparity: np.ndarray, labels: np.ndarray) -> PixelRegions:
     """
     Return the regions of given labels, each with the least-squares plane of its pixels.
 
-    Parameters
-    ----------
-    disparity : (H, W) floating
-        Affine in 1/z, in any unit; not finite where invalid.
-    labels : (H, W) int
-        -1 for no plane.
-
+    The disparity (H, W) may have any unit, and is not finite where it is invalid; a label of -1 is
+    no plane.
     """
     image = DisparityImage(*zero_filled(disparity))
     grid = build_cell_grid(image)

@@ -2,18 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
+from slow_networks import HEIGHT, WIDTH, write_slow_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.model_zoo import default_cache_dir
 from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.onnx_session import available_providers
+from plane_detector.stopping import Background, Stopped
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
 helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
@@ -174,3 +177,32 @@ def test_fastdepth_is_right_to_a_fifth_on_real_images():
         valid[24:-24, 32:-32] = truth[24:-24, 32:-32] > 0.3
         error = np.abs(estimate(rgb)[valid] - truth[valid]) / truth[valid]
         assert error.mean() < 0.2
+
+
+STUCK_S = 20.0
+BRIGHT = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+
+
+def config(path):
+    return replace(DepthConfig(model=str(path), output='metric_depth'), **PLAIN)
+
+
+def test_inference_ends_between_two_operators(tmp_path):
+    estimator = DepthEstimator(config(write_slow_network(tmp_path / 'slow.onnx')))
+    call = Background(lambda: estimator(BRIGHT), 'inference')
+    assert not call.wait(0.2)
+    call.stop.set()
+    assert call.wait(STUCK_S)
+    with pytest.raises(Stopped):
+        call.result()
+    assert np.isfinite(estimator(BRIGHT // 4)).all(), 'it can be used again'
+
+
+def test_the_warm_up_ends_too(tmp_path):
+    path = write_slow_network(tmp_path / 'slow.onnx', always=True)
+    call = Background(lambda: DepthEstimator(config(path)), 'warm-up')
+    assert not call.wait(0.5)
+    call.stop.set()
+    assert call.wait(STUCK_S)
+    with pytest.raises(Stopped):
+        call.result()

@@ -103,11 +103,6 @@ def test_few_lines_are_refused(rng):
     assert 'probability' in few.refusal
 
 
-def test_same_image_same_answer():
-    rgb = textured(random_room, 300).rgb
-    assert np.array_equal(directions_of(rgb).gravity_camera, directions_of(rgb).gravity_camera)
-
-
 def test_a_coarse_direction_determines_the_vertical_of_a_rolled_camera(rng):
     down, x, y = tilted_frame()
     segments = lines_along(np.stack([down, x, y]), 12, rng)

@@ -19,7 +19,7 @@ from ros_helpers import (
     image_array,
     image_msg,
 )
-from sensor_msgs.msg import CameraInfo, Imu
+from sensor_msgs.msg import CameraInfo
 from visualization_msgs.msg import Marker
 
 from plane_detector.depth.depth_function import DepthFunction
@@ -164,17 +164,6 @@ def test_with_gravity_the_floor_is_classified_and_removed(robot, room):
     assert on_floor.mean() < 0.05
     captions = [marker.text for marker in robot.wait_for('markers')[0].markers if marker.text]
     assert any('floor' in caption for caption in captions)
-
-
-def test_gravity_from_the_imu(robot, room):
-    start(robot, lambda rgb: room.depth_m, use_imu=True)
-    imu = Imu(header=header(1.0))
-    force = imu.linear_acceleration
-    force.x, force.y, force.z = (-9.81 * room.gravity_camera).tolist()
-    robot.publish('imu', imu)
-    robot.spin(timeout_s=0.2)
-    send(robot, room, 1.01)
-    assert PlaneClass.FLOOR in cloud_array(robot.wait_for('planes')[0])[0]['class']
 
 
 def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):

@@ -32,14 +32,7 @@ from plane_detector.evaluation.metrics import (
     score,
 )
 from plane_detector.evaluation.nyu_depth import DEPTHS, NyuDepth, NyuFrame, read_split
-from plane_detector.evaluation.peers import (
-    OpenCv,
-    Ours,
-    Paper,
-    PlainRansac,
-    Segments,
-    plane_array,
-)
+from plane_detector.evaluation.peers import OpenCv, Ours, Paper, PlainRansac, Segments, plane_array
 from plane_detector.evaluation.reference_planes import annotated_planes, plane_depth
 from plane_detector.pipeline import PlaneDetector
 

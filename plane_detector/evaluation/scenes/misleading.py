@@ -47,18 +47,7 @@ KINDS = (*PATTERNS, FALSE_COLOURS)
 
 
 def misleading_image(scene: Scene, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """
-    Return an image (H, W, 3) uint8 of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        With exact depth.
-    kind : str
-        One of :data:`KINDS`. ``false colours``: areas with straight borders, anywhere.
-    rng : numpy.random.Generator
-
-    """
+    """Return an image (H, W, 3) uint8 of a scene with exact depth; the kind is one of KINDS."""
     if kind == FALSE_COLOURS:
         return _false_colours(scene.labels.shape, rng)
     points_m, grey = depth_to_points(scene.depth_m, scene.intrinsics), np.zeros(scene.labels.shape)

@@ -13,23 +13,9 @@ def with_disparity_noise(depth_m: np.ndarray, sigma: float, rng: np.random.Gener
     """
     Add noise of constant standard deviation to 1/depth, as in stereo and depth networks.
 
-    Parameters
-    ----------
-    depth_m : (H, W) floating
-    sigma : float
-        Standard deviation of the total noise, 1/m.
-    rng : numpy.random.Generator
-    smooth_share : float
-        Share of the variance that is smooth over the image; the rest is independent from pixel
-        to pixel.
-    correlation_px : float
-        Standard deviation of the Gaussian blur of the smooth part.
-
-    Returns
-    -------
-    (H, W) float32
-        NaN where the disparity would not be positive; read-only, as all that a scene gives.
-
+    Of the variance, a share is smooth over the image, by a Gaussian blur of so many pixels; the
+    rest is independent from pixel to pixel. The result is float32, NaN where the disparity would
+    not be positive, and read-only, as all that a scene gives.
     """
     grain, smooth = rng.standard_normal((2, *depth_m.shape)).astype(np.float32)
     smooth = cv2.GaussianBlur(smooth, (0, 0), correlation_px)

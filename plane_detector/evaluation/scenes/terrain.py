@@ -42,23 +42,13 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class View:
-    """
-    Place and angles of the camera.
+    """Place and angles of the camera."""
 
-    Attributes
-    ----------
-    height_m, forward_m : float
-        Over the floor at the start, and along y.
-    pitch_deg, roll_deg, yaw_deg : float
-        The pitch is positive downwards.
-
-    """
-
-    height_m: float
-    pitch_deg: float
+    height_m: float  # over the floor at the start
+    pitch_deg: float  # positive downwards
     roll_deg: float = 0.0
     yaw_deg: float = 0.0
-    forward_m: float = 0.0
+    forward_m: float = 0.0  # along y
 
     def distance_m(self, below_axis_deg: float, farthest_m: float = 3.0) -> float:
         """Return where a ray below the optical axis meets the floor."""
@@ -74,26 +64,17 @@ def random_view(rng: np.random.Generator) -> View:
 
 @dataclass
 class Course:
-    """
-    Surfaces that are being laid out: the robot stands at x = y = z = 0 and looks along y.
-
-    Attributes
-    ----------
-    profile : list of (y, z)
-        Height of the ground along y.
-    edges : list of (3,), (3,), float
-        Edges where the ground ends, from one point to another, and how far it is down.
-    patch : (4,) tuple or None
-        x and y, low and high, of a part of the floor without depth.
-
-    """
+    """Surfaces that are being laid out: the robot stands at the origin and looks along y."""
 
     half_width_m: float
+    # y and z of the ground
     profile: list[tuple[float, float]] = field(default_factory=lambda: [(BEHIND_M, 0.0)])
     rectangles: list[Rectangle] = field(default_factory=list)
     kinds: list[Kind] = field(default_factory=list)
     curved: list[Revolution] = field(default_factory=list)
+    # where the ground ends, from one point to another, and how far it is down
     edges: list[tuple[np.ndarray, np.ndarray, float]] = field(default_factory=list)
+    # low x, high x, low y, high y of a part of the floor without depth
     patch: tuple[float, float, float, float] | None = None
 
     def on(self, y: float, z: float, kind: Kind,
@@ -133,37 +114,19 @@ class Course:
 
 @dataclass(frozen=True)
 class Terrain:
-    """
-    A rendered view with its truth.
-
-    Attributes
-    ----------
-    scene : Scene
-    kinds : (H, W) int8
-        A Kind for each pixel.
-    points_m : (H, W, 3) float32
-        In the world, which has its origin on the floor under the camera.
-    above_m : (H, W) float32
-        Height over the ground below each point.
-    edges_m, drops_m : (E, 3), (E,) float64
-        Points along all edges, and how far the ground is down there.
-    is_visible : (E,) bool
-        Whether the camera sees the edge and looks over it, on to what is lower or on nothing, and
-        the robot reaches it without falling: the first step of stairs down, not the next ones.
-    to_world, position_m : (3, 3), (3,) float64
-        Rotation and position of the camera.
-
-    """
+    """A rendered view with its truth."""
 
     scene: Scene
-    kinds: np.ndarray
-    points_m: np.ndarray
-    above_m: np.ndarray
-    edges_m: np.ndarray
-    drops_m: np.ndarray
+    kinds: np.ndarray  # (H, W) int8: a Kind for each pixel
+    points_m: np.ndarray  # (H, W, 3) float32: in the world, its origin on the floor at the robot
+    above_m: np.ndarray  # (H, W) float32: height over the ground below each point
+    edges_m: np.ndarray  # (E, 3): points along all edges
+    drops_m: np.ndarray  # (E,): how far the ground is down there
+    # (E,) bool: the camera sees the edge and looks over it, on to what is lower or on nothing, and
+    # the robot reaches it without falling: the first step of stairs down, not the next ones
     is_visible: np.ndarray
-    to_world: np.ndarray
-    position_m: np.ndarray
+    to_world: np.ndarray  # (3, 3): rotation of the camera
+    position_m: np.ndarray  # (3,): of the camera
 
 
 def flat(rng: np.random.Generator, start_m: float) -> Course:

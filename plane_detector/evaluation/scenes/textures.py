@@ -32,17 +32,7 @@ _GRAIN, _BLUR_PX = 3.0, 0.6
 
 
 def textured(make: MakeScene, seed: int, intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """
-    Return a scene with lines in its image.
-
-    Parameters
-    ----------
-    make : callable
-        Makes the scene from a generator and intrinsics; geometry is drawn before the colours.
-    seed : int
-    intrinsics : CameraIntrinsics
-
-    """
+    """Return a scene with lines in its image; ``make`` must draw geometry before colours."""
     double = CameraIntrinsics(2 * intrinsics.fx, 2 * intrinsics.fy, 2 * intrinsics.cx + 0.5,
                               2 * intrinsics.cy + 0.5, 2 * intrinsics.width,
                               2 * intrinsics.height)

@@ -5,7 +5,6 @@
 import numpy as np
 import pytest
 
-from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells import grid as cells
 from plane_detector.segmentation.cells.plane_fit import (
     fit_plane,
@@ -97,12 +96,6 @@ def test_one_plane_is_fitted_as_many_are(seed):
     moments = cells.build_cell_grid(cells.DisparityImage(disparity, valid)).moments
     for one, together in zip(moments, fit_planes(moments), strict=True):
         np.testing.assert_allclose(fit_plane(one), together, rtol=1e-9)
-
-
-@pytest.mark.parametrize('count', [1, 2, 3, 10, 11])
-def test_median_is_that_of_numpy(count):
-    values = np.random.default_rng(count).normal(size=count)
-    assert median(values) == np.median(values)
 
 
 def test_the_cells_of_a_part_are_those_of_the_whole_image():

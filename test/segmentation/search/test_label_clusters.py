@@ -56,13 +56,3 @@ def test_every_label_is_clustered_as_scikit_learn_does(eps, min_samples, share):
             assert found[index] in found[core[near]], 'a border cell joins one that it touches'
         used += np.unique(found[found >= 0]).tolist()
     assert sorted(used) == list(range(clusters.max() + 1)), 'numbered from 0, none of two labels'
-
-
-@pytest.mark.parametrize(('eps', 'pieces'), [(1.0, 2), (1.5, 1)])
-def test_corners_link_when_the_radius_reaches_them(eps, pieces):
-    labels = np.full((6, 6), 1, np.int32)
-    labels[:3, :3] = labels[3:, 3:] = 0
-    clusters = label_clusters(labels, eps, 1)
-    assert len(np.unique(clusters[labels == 0])) == pieces
-    assert len(np.unique(clusters[labels == 1])) == pieces
-    assert not set(clusters[labels == 0]) & set(clusters[labels == 1])

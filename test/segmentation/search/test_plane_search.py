@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The noise that the search starts from and settles at, and which way it takes to the planes."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from cell_helpers import EXACT, best_iou, disparity_image, view, wall
@@ -46,14 +48,15 @@ def test_exact_depth_has_no_noise(room, seed):
     assert (best_iou(scene, pixel_labels(regions, scene))[large] > 0.7).all()
 
 
-@pytest.mark.parametrize('seed', ROOMS)
-@pytest.mark.parametrize('sigma', [0.004, 0.01])
+@pytest.mark.parametrize(('seed', 'sigma'), [
+    (ROOMS[0], 0.0001), (ROOMS[0], 0.001), *product(ROOMS, (0.004, 0.01))])
 def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma):
+    """Between exact and noisy there is no gap: all parts of the noise are known at any level."""
     noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
     model, regions, noise = found(noisy_m)
     assert sigma * PART / 1.5 < noise.mean_sigma < sigma * PART * 1.5
     assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
-    assert noise.kind(model.grid.typical_disparity) is DepthKind.MEASURED
+    assert sigma < 0.004 or noise.kind(model.grid.typical_disparity) is DepthKind.MEASURED
     assert len(regions.coefficients) >= 5
 
 
@@ -79,13 +82,3 @@ def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
     _, regions, noise = found(noisy_m)
     assert (noise.pixel_sigma < 1e-5) == is_exact
     assert len(regions.coefficients) >= 1
-
-
-@pytest.mark.parametrize('sigma', [0.0001, 0.001])
-@pytest.mark.parametrize('seed', ROOMS[:1])
-def test_slight_noise_is_estimated_too(room, seed, sigma):
-    """Between exact and noisy there is no gap: all parts of the noise are known at any level."""
-    noisy_m = with_disparity_noise(room(seed).depth_m, sigma, np.random.default_rng(seed))
-    _, _, noise = found(noisy_m)
-    assert sigma * PART / 1.5 < noise.mean_sigma < sigma * PART * 1.5
-    assert noise.pixel_sigma == pytest.approx(sigma * PART, rel=0.1)
