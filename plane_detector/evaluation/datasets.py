@@ -20,7 +20,6 @@ import cv2
 import numpy as np
 
 from plane_detector.drawing import colour_depth
-from plane_detector.tools.demo.photographs import library_images
 from plane_detector.types import CameraIntrinsics
 
 # Every tenth frame of long sequences, because neighbouring frames are similar.
@@ -73,13 +72,6 @@ def read_frame(depth_path: Path) -> Frame:
     depth_m = raw.astype(np.float32) * np.float32(about['depth_unit_m'])
     depth_m[raw == about.get('invalid', 0)] = np.nan
     return Frame(folder.name, name, np.ascontiguousarray(bgr[..., ::-1]), depth_m, intrinsics)
-
-
-def library_frames() -> list[Frame]:
-    """Return the images with known depth of scikit-image; ImportError if it is missing."""
-    return [Frame('libraries', photograph.name, photograph.rgb, photograph.true_depth_m,
-                  photograph.intrinsics)
-            for photograph in library_images() if photograph.true_depth_m is not None]
 
 
 NO_PLANE, UNKNOWN = -1, -2

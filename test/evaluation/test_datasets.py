@@ -11,7 +11,6 @@ from plane_detector.evaluation.datasets import (
     UNKNOWN,
     frames,
     labelled_frames,
-    library_frames,
 )
 from plane_detector.evaluation.reference_planes import fit_planes, plane_depth
 
@@ -35,13 +34,6 @@ def test_missing_or_mismatched_frames_are_named(tmp_path):
         list(frames(tmp_path, ('other',)))
     with pytest.raises(ValueError, match='160 x 120'):
         list(frames(tmp_path))
-
-
-def test_library_frames_have_known_depth():
-    pytest.importorskip('skimage', reason='scikit-image is not installed')
-    (frame,) = library_frames()
-    assert frame.rgb.shape[:2] == frame.depth_m.shape == (500, 741)
-    assert 2 < np.nanmedian(frame.depth_m) < 4
 
 
 def test_labels_made_by_hand_fit_their_depth(data_folder):

@@ -31,7 +31,6 @@ from plane_detector.evaluation.benchmark.report import emit, table
 from plane_detector.evaluation.benchmark.samples import (
     COUNTS,
     Sample,
-    collect_frames,
     plan,
     run_jobs,
 )
@@ -117,15 +116,14 @@ def run(options: argparse.Namespace) -> None:
     if options.labelled:
         jobs = plan(methods, {'rooms': 0, 'living': 0, 'curved': 0}, 0, 0, by_hand)
     else:
-        jobs = plan(methods, vars(options), options.first_seed, 0,
-                    [*by_hand, *collect_frames(options.data)], sensors=tuple(SENSORS))
+        jobs = plan(methods, vars(options), options.first_seed, 0, by_hand,
+                    sensors=tuple(SENSORS))
     report(run_jobs(jobs, options.processes))
 
 
 def report(samples: Sequence[Sample]) -> None:
     """Print tables of the metrics with all stages, and of the changes without each."""
     by_hand = [one for one in samples if 'pieces' in one.numbers]
-    real = [one for one in samples if 'purity' in one.numbers]
     for title, own, metrics in (
             ('Planes labelled by hand: SC / recall / pieces', by_hand,
              ('SC', 'recall', 'pieces')),
@@ -133,9 +131,7 @@ def report(samples: Sequence[Sample]) -> None:
                [one for one in samples if one.kind == kind], ('SC', 'recall', 'precision'))
               for kind in EXACT_TRUTH),
             ('Columns, pipes and balls: taken for planes / least IoU of a plane',
-             [one for one in samples if one.kind == CURVED], ('curved', 'IoU')),
-            ('Real frames, depth of the sensor: labelled / purity / planes', real,
-             ('labelled', 'purity', 'planes'))):
+             [one for one in samples if one.kind == CURVED], ('curved', 'IoU'))):
         if own:
             emit(f'### {title}', changes(own, metrics))
     emit('First row: all stages. The others: the change without a stage; in brackets the standard '

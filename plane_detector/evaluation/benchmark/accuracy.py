@@ -3,8 +3,8 @@
 """
 Accuracy and time on all kinds of scenes, in one run of a few minutes.
 
-Rendered rooms of boxes, lived-in rooms, curved surfaces and real images, with our method and
-others, on seeds that were not used for tuning. --plots also draws the same numbers.
+Rendered rooms of boxes, lived-in rooms and curved surfaces, with our method and others, on seeds
+that were not used for tuning. --plots also draws the same numbers.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from plane_detector.evaluation.benchmark.samples import (
     COUNTS,
     Noise,
     Sample,
-    collect_frames,
     plan,
     run_jobs,
 )
@@ -35,8 +34,7 @@ EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    add_shared(parser, *COUNTS, '--first-seed', '--only-ours', '--processes', '--data',
-               rooms=20, living=16)
+    add_shared(parser, *COUNTS, '--first-seed', '--only-ours', '--processes', rooms=20, living=16)
     parser.add_argument('--slow', type=int, default=5,
                         help='rooms of each kind for methods that take seconds')
     only = parser.add_mutually_exclusive_group()
@@ -49,8 +47,8 @@ def run(options: argparse.Namespace) -> None:
     """Print the tables, and write the figure if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
     jobs = plan(methods, vars(options), options.first_seed, options.slow,
-                () if options.sensors else collect_frames(options.data), not options.sensors,
-                () if options.rendered else tuple(SENSORS))
+                rendered=not options.sensors,
+                sensors=() if options.rendered else tuple(SENSORS))
     samples = run_jobs(jobs, options.processes)
     report(samples)
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
@@ -60,7 +58,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def report(samples: Sequence[Sample]) -> None:
-    """Print the comparison of all methods, then details of ours, curved scenes and real images."""
+    """Print the comparison of all methods, then details of ours and of curved scenes."""
     for kind in EXACT_TRUTH:
         own = [one for one in samples if one.kind == kind]
         if own:
@@ -76,9 +74,7 @@ def report(samples: Sequence[Sample]) -> None:
              _exact_cells, lambda kind, method: kind in EXACT_TRUTH and method == first),
             ('Columns, pipes and balls',
              ('taken for planes', 'worst', 'least IoU of a plane'), _curved_cells,
-             lambda kind, _: kind == CURVED),
-            ('Real frames, depth of the sensor', ('planes', 'labelled', 'purity'), _frame_cells,
-             lambda kind, _: kind not in (*EXACT_TRUTH, CURVED))):
+             lambda kind, _: kind == CURVED)):
         rows = [[kind, noise_text(noise), method, str(len(group)), *cells(group), *_times(group)]
                 for (kind, noise, method), group in groups.items() if wanted(kind, method)]
         if rows:
@@ -87,8 +83,7 @@ def report(samples: Sequence[Sample]) -> None:
     emit(f'Recall: true planes over {MIN_PIXELS} pixels that a predicted one matches with '
          'IoU > 0.5; precision: predicted planes that match. Unlabelled: share of the pixels on '
          'true planes without a label. Taken for planes: share of the curved pixels that got a '
-         'label. Purity: share of the pixels of a plane near the best plane through the sensor\'s '
-         'points there. Times are of one core, from depth to labels and planes.')
+         'label. Times are of one core, from depth to labels and planes.')
 
 
 def comparison(samples: Sequence[Sample]) -> str:
@@ -141,11 +136,6 @@ def _exact_cells(group: Sequence[Sample]) -> list[str]:
 def _curved_cells(group: Sequence[Sample]) -> list[str]:
     taken = column(group, 'curved')
     return [f'{taken.mean():.3f}', f'{taken.max():.2f}', f'{column(group, "IoU").mean():.3f}']
-
-
-def _frame_cells(group: Sequence[Sample]) -> list[str]:
-    return [f'{column(group, "planes").mean():.1f}', f'{column(group, "labelled").mean():.3f}',
-            f'{known_mean(column(group, "purity")):.3f}']
 
 
 def _times(group: Sequence[Sample]) -> list[str]:

@@ -7,13 +7,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
 from plane_detector.evaluation.benchmark.parallel import mapping
-from plane_detector.evaluation.benchmark.report import emit
 from plane_detector.evaluation.benchmark.rooms import (
     CURVED,
     curved_scene,
@@ -22,16 +20,9 @@ from plane_detector.evaluation.benchmark.rooms import (
     noisy_depth,
     room,
 )
-from plane_detector.evaluation.datasets import (
-    UNKNOWN,
-    Frame,
-    LabelledFrame,
-    frames,
-    library_frames,
-)
+from plane_detector.evaluation.datasets import UNKNOWN, LabelledFrame
 from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
-from plane_detector.evaluation.reference_planes import judge_planes
 from plane_detector.evaluation.scenes.rooms import Scene
 from plane_detector.types import CameraIntrinsics
 
@@ -51,7 +42,7 @@ class Sample:
     """One method on one scene with one noise."""
 
     method: str
-    kind: str  # rooms, lived-in rooms, curved or the name of a set of real frames
+    kind: str  # rooms, lived-in rooms, curved or the name of a set of labelled frames
     scene: str  # seed or name of the frame
     noise: Noise
     cpu_ms: float  # time on one core; for a quick method the faster of two runs
@@ -66,30 +57,19 @@ class Job:
     """One scene, given by its seed or as a frame, and the methods to run on it."""
 
     kind: str
-    scene: int | Frame
+    scene: int | LabelledFrame
     noises: Sequence[Noise]
     methods: Sequence[Method]
 
 
-def collect_frames(data: Path) -> list[Frame]:
-    """Return the frames of the data folder and of the libraries; prints which are missing."""
-    found: list[Frame] = []
-    for source in (lambda: frames(data), library_frames):
-        try:
-            found += source()
-        except (FileNotFoundError, ImportError) as error:
-            emit(f'Not looked at: {error}.')
-    return found
-
-
 def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slow: int,
-         frames: Iterable[Frame], rendered: bool = True,
+         frames: Iterable[LabelledFrame] = (), rendered: bool = True,
          sensors: Sequence[str] = ()) -> list[Job]:
     """
     Return the jobs of a run of the methods that are not absent.
 
     The counts are those of COUNTS. Slow methods only get that many rooms and lived-in
-    rooms, and no real frames. The noises are those of SIGMAS and CURVED_SIGMAS if ``rendered``,
+    rooms, and no frames. The noises are those of SIGMAS and CURVED_SIGMAS if ``rendered``,
     and the named sensors.
     """
     present = [method for method in methods if not method.absent]
@@ -119,8 +99,6 @@ def run_job(job: Job) -> list[Sample]:
     """Run all methods of a job with all its noises."""
     if isinstance(job.scene, LabelledFrame):
         return [_on_labels(method, job.scene) for method in job.methods]
-    if isinstance(job.scene, Frame):
-        return [_on_frame(method, job.scene) for method in job.methods]
     scene = _SCENES[job.kind](job.scene)
     return [_on_scene(method, job.kind, scene, job.scene, noise)
             for noise in job.noises for method in job.methods]
@@ -167,15 +145,3 @@ def labelled_numbers(frame: LabelledFrame, labels: np.ndarray) -> dict[str, floa
     score = labelled_score(np.maximum(frame.labels, -1), labels, known)
     return {'SC': score.segmentation_covering, 'recall': score.recall, 'pieces': score.pieces,
             'merged': score.merged, 'unlabelled': score.unlabelled}
-
-
-def _on_frame(method: Method, frame: Frame) -> Sample:
-    (labels, planes), cpu_ms = timed(method, frame.depth_m, frame.intrinsics)
-    seen = np.isfinite(frame.depth_m)
-    judged = judge_planes(labels, planes, frame.depth_m, frame.intrinsics,
-                          np.random.default_rng(0))
-    purity = (np.average([one.purity for one in judged], weights=[one.pixels for one in judged])
-              if judged else np.nan)
-    numbers = {'planes': len(planes), 'labelled': float((labels[seen] >= 0).mean()),
-               'purity': float(purity)}
-    return Sample(method.name, frame.set_name, frame.name, 0.0, cpu_ms, numbers)
