@@ -1,0 +1,55 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""How often the lines of images with measured depth are sought."""
+
+import numpy as np
+import pytest
+from node_helpers import small_room
+from ros_helpers import camera_info_msg, image_msg
+
+from plane_detector.config import Config, DepthConfig, NodeConfig
+from plane_detector.directions import finder
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.inputs.synchronizer import Frame
+
+ROOM = small_room()
+
+
+@pytest.fixture
+def sought(monkeypatch):
+    """Return a list that has one entry for each image whose lines were sought."""
+    calls, detect = [], finder.detect_line_segments
+
+    def counted(*arguments):
+        calls.append(arguments)
+        return detect(*arguments)
+    monkeypatch.setattr(finder, 'detect_line_segments', counted)
+    return calls
+
+
+def process(stamps_s, noise, is_turned):
+    """Process noisy frames of the room; those for which is_turned(k) is true are mirrored."""
+    processor = FrameProcessor(PlaneDetector(Config(depth=DepthConfig(source='topic'))),
+                               NodeConfig(), 'image')
+    rng = np.random.default_rng(0)
+    for k, stamp_s in enumerate(stamps_s):
+        disparity = 1 / ROOM.depth_m + noise * rng.standard_normal(ROOM.depth_m.shape)
+        rgb, depth_m = ROOM.rgb, (1 / disparity).astype(np.float32)
+        if is_turned(k):
+            rgb, depth_m = np.rot90(rgb, 2), np.rot90(depth_m, 2)
+        processor.process(Frame(
+            image_msg(np.ascontiguousarray(rgb), 'rgb8', stamp_s),
+            camera_info_msg(ROOM.intrinsics, stamp_s),
+            image_msg(np.ascontiguousarray(depth_m), '32FC1', stamp_s), None, 0), ())
+
+
+@pytest.mark.parametrize('noise', [0.0, 0.001])
+def test_lines_of_a_still_camera_are_sought_twice_a_second(sought, noise):
+    process(np.arange(0, 1.2, 0.04), noise, lambda k: False)
+    assert len(sought) <= 4
+
+
+def test_lines_are_sought_when_the_camera_has_turned(sought):
+    process(np.arange(0, 1.2, 0.04), 0.001, lambda k: k // 3 % 2)
+    assert len(sought) >= 9
