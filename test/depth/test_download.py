@@ -58,6 +58,7 @@ def test_a_fetched_file_is_whole_verified_and_then_cached(server, tmp_path, monk
     ('/other.onnx', f'has SHA-256 [0-9a-f]{{64}} .1280000 bytes., not {SHA256}'),
     ('/broken.onnx', r'\(1000 bytes\).*incomplete'),
     ('/longer.onnx', r'sends more than the 1280000 bytes of the file'),
+    ('/endless.onnx', r'sends more than the 1280000 bytes of the file'),
     ('/stalled.onnx', 'is unreachable .no answer within 0.5 s'),
     ('/missing.onnx', '404')])
 def test_a_wrong_download_leaves_no_file(server, tmp_path, monkeypatch, file, said):

@@ -26,23 +26,12 @@ CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 
 @dataclass(frozen=True)
 class Row:
-    """
-    One fault.
+    """One fault."""
 
-    Attributes
-    ----------
-    fault : str
-        What was done.
-    wanted, measured : str
-    good : bool
-        Whether the one is the other.
-
-    """
-
-    fault: str
+    fault: str  # what was done
     wanted: str
     measured: str
-    good: bool
+    good: bool  # the one is the other
 
 
 def table(rows: list[Row]) -> str:

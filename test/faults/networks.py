@@ -1,18 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Malicious networks and servers are refused with a reason, within a limited time."""
+"""Malicious networks are refused with a reason, within a limited time."""
 
 from __future__ import annotations
 
-import contextlib
-import http.server
-import os
 import re
-import socketserver
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +14,6 @@ from common import Row
 from onnx_models import PLAIN, onnx_package, write_depth_network, write_network
 
 from plane_detector.config import DepthConfig
-from plane_detector.depth import download
-from plane_detector.depth.download import UrlSource
 from plane_detector.depth.estimator import DepthEstimator
 
 MOST_S = 10.0
@@ -46,15 +37,10 @@ def networks(folder: Path) -> list[Row]:
 
 
 def _refused(name: str, path: Path) -> Row:
-    config = replace(DepthConfig(model=str(path), output='metric_depth'), **PLAIN)
-    return _raises(name, lambda: DepthEstimator(config))
-
-
-def _raises(name: str, function: Callable[[], object]) -> Row:
     """Return a row for what has to raise ValueError or OSError soon."""
     start_s = time.monotonic()
     try:
-        function()
+        DepthEstimator(replace(DepthConfig(model=str(path), output='metric_depth'), **PLAIN))
         outcome, good = 'taken', False
     except (ValueError, OSError) as error:
         text = re.sub(r'\S*/', '', str(error))[:70]  # no names of temporary folders
@@ -86,70 +72,3 @@ def _with_empty_output(folder: Path) -> Path:
     return write_network(
         folder / 'none.onnx', [make('Slice', ['image', 'zero', 'zero', 'axis'], ['depth'])],
         [('image', float32, [1, 3, 48, 64])], [('depth', float32, [1, 0, 48, 64])], ends)
-
-
-def downloads(folder: Path) -> list[Row]:
-    """Return the results of downloads from malicious servers, with shortened limits."""
-    os.environ['no_proxy'] = '*'
-    download.ANSWER_TIMEOUT_S = 1.0
-    cache = folder / 'cache'
-    cache.mkdir()
-    rows = []
-    for name, answer in {
-            'that is silent': _silent, 'that sends more than the file has': _endless,
-            'that sends another file': _other, 'that breaks off': _short}.items():
-        with _server(answer) as address:
-            rows.append(_raises(f'server {name}', lambda address=address: download.download(
-                [UrlSource(address)], cache / 'network.onnx', '0' * 64, 1000)))
-        left = [path.name for path in cache.iterdir()]
-        if left:
-            rows.append(Row(f'after a server {name}', 'no file is left', ', '.join(left), False))
-    return rows
-
-
-@contextmanager
-def _server(answer: Callable) -> Iterator[str]:
-    class Handler(http.server.BaseHTTPRequestHandler):
-        def do_GET(self):
-            with contextlib.suppress(ConnectionError):  # the client has gone
-                answer(self)
-
-        def log_message(self, *_):
-            pass
-
-    server = socketserver.ThreadingTCPServer(('127.0.0.1', 0), Handler)
-    server.daemon_threads = True
-    server.block_on_close = False
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
-        yield f'http://127.0.0.1:{server.server_address[1]}/network.onnx'
-    finally:
-        server.shutdown()
-        server.server_close()
-
-
-def _head(handler: http.server.BaseHTTPRequestHandler) -> None:
-    handler.send_response(200)
-    handler.send_header('Content-Length', '1000')
-    handler.end_headers()
-
-
-def _silent(_handler) -> None:
-    time.sleep(60)
-
-
-def _endless(handler) -> None:
-    handler.send_response(200)
-    handler.end_headers()
-    for _ in range(1000):
-        handler.wfile.write(bytes(1000))
-
-
-def _other(handler) -> None:
-    _head(handler)
-    handler.wfile.write(bytes(1000))
-
-
-def _short(handler) -> None:
-    _head(handler)
-    handler.wfile.write(bytes(10))

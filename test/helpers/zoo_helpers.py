@@ -26,7 +26,7 @@ def files_in(folder):
 
 
 class Handler(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT complete, damaged, truncated, stalled, too long or slowly."""
+    """Serves CONTENT complete, damaged, truncated, stalled, too long, without end or slowly."""
 
     def do_GET(self):
         self.server.asked.append(self.path)
@@ -36,7 +36,10 @@ class Handler(http.server.BaseHTTPRequestHandler):
         content = {'/other.onnx': CONTENT[:-1] + b'!', '/longer.onnx': CONTENT * 2}.get(
             self.path, CONTENT)
         self.send_response(200)
-        self.send_header('Content-Length', str(len(content)))
+        if self.path == '/endless.onnx':
+            content = CONTENT * 20
+        else:
+            self.send_header('Content-Length', str(len(content)))
         self.end_headers()
         if self.path == '/dripping.onnx':
             self.drip(content)
