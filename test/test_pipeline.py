@@ -132,16 +132,6 @@ def test_pixels_outside_the_image_have_no_depth_and_no_plane():
     assert (found.labels[:, :100] == -1).all() and (found.labels[:, 100:] == 0).all()
 
 
-@pytest.mark.parametrize('source', ['model', 'topic'])
-def test_depth_beyond_the_largest_is_invalid_whatever_its_source(source):
-    scene = single_wall(yaw_deg=40.0)
-    limit_m = float(np.median(scene.depth_m))
-    config = Config(depth=DepthConfig(source=source, max_depth=limit_m))
-    model = (lambda rgb: scene.depth_m) if source == 'model' else None
-    found = PlaneDetector(config, model).detect(scene.rgb, scene.intrinsics, scene.depth_m)
-    np.testing.assert_array_equal(np.isnan(found.depth_m), scene.depth_m > limit_m)
-
-
 def test_tracking_can_be_switched_off(room):
     scene = room(3)
     source = DepthConfig(source='topic')

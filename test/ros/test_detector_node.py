@@ -22,7 +22,6 @@ from ros_helpers import (
 from sensor_msgs.msg import CameraInfo
 from visualization_msgs.msg import Marker
 
-from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import diagnostics
 
@@ -46,11 +45,6 @@ def test_all_outputs_are_true_to_the_scene(robot, room):
     assert cloud.shape == (240, 320)
     np.testing.assert_array_equal(cloud['label'], labels)
     np.testing.assert_allclose(cloud['z'], room.depth_m, rtol=1e-6)
-    rows, columns = np.mgrid[:240, :320]
-    np.testing.assert_allclose(cloud['x'], (columns - CAMERA.cx) / CAMERA.fx * room.depth_m,
-                               rtol=1e-4, atol=1e-5)
-    np.testing.assert_allclose(cloud['y'], (rows - CAMERA.cy) / CAMERA.fy * room.depth_m,
-                               rtol=1e-4, atol=1e-5)
     depth_m = image_array(robot.received['depth'][0], '<f4')[..., 0]
     np.testing.assert_array_equal(depth_m, room.depth_m)
     assert len(robot.received['plane_poses'][0].poses) == robot.received['planes'][0].width
@@ -133,16 +127,6 @@ def test_diagnostics(robot, room, monkeypatch):
     assert len(tables[0].values) == 1 + count
 
 
-def test_depth_of_unknown_unit_is_called_relative(robot, room):
-    start(robot, DepthFunction(lambda rgb: 1 / room.depth_m, 'relative_disparity'))
-    send(robot, room)
-    robot.wait_for('planes')
-    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
-    captions = [m.text for m in robot.wait_for('markers')[0].markers if m.text]
-    assert captions
-    assert not any(text.endswith(' m') for text in captions)
-
-
 def test_with_gravity_the_floor_is_classified_and_removed(robot, room):
     start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
     send(robot, room, 2.5)
@@ -164,19 +148,6 @@ def test_with_gravity_the_floor_is_classified_and_removed(robot, room):
     assert on_floor.mean() < 0.05
     captions = [marker.text for marker in robot.wait_for('markers')[0].markers if marker.text]
     assert any('floor' in caption for caption in captions)
-
-
-def test_measured_depth_fixes_the_scale_of_a_relative_network(robot, room):
-    disparity = (0.4 / room.depth_m - 0.03).astype(np.float32)
-    start(robot, DepthFunction(lambda rgb: disparity, 'relative_disparity'))
-    send(robot, room, 1.0, depth=True)
-    robot.wait_for('planes')
-    send(robot, room, 1.1, depth=True)
-    planes = robot.wait_for('planes', 2)[1]
-    labels = image_array(robot.wait_for('labels', 2)[1], '<u2')[..., 0]
-    assert_true_to(room, planes, labels)
-    assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'depth_topic')
-    assert robot.is_logged('depth_topic')
 
 
 def test_markers_of_lost_planes_and_earlier_nodes_are_deleted(robot, room):

@@ -5,9 +5,9 @@
 import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
-from node_helpers import change_state, send, small_room, start
+from node_helpers import assert_true_to, change_state, send, small_room, start
 from rclpy.parameter import Parameter
-from ros_helpers import camera_info_msg, cloud_array, header, image_msg
+from ros_helpers import camera_info_msg, cloud_array, header, image_array, image_msg
 from sensor_msgs.msg import Imu
 
 from plane_detector.depth.depth_function import DepthFunction
@@ -57,4 +57,7 @@ def test_measured_depth_is_subscribed_to_while_the_method_of_the_scale_uses_it(r
     send(robot, room, 1.0, depth=True)
     robot.wait_for('planes')
     send(robot, room, 1.1, depth=True)
+    planes = robot.wait_for('planes', 2)[1]
+    assert_true_to(room, planes, image_array(robot.wait_for('labels', 2)[1], '<u2')[..., 0])
     assert robot.spin(lambda: robot.diagnosis()[1].get('scale') == 'depth_topic')
+    assert robot.is_logged('depth_topic')

@@ -26,13 +26,6 @@ def standing_transforms(frame='base_footprint', stamp_s=0.0, is_static=True):
     return FrameTransforms(buffer)
 
 
-def test_gravity_from_tf_tells_the_floor(robot):
-    start(robot, lambda rgb: ROOM.depth_m, transforms=standing_transforms(),
-          base_frame='base_footprint')
-    send(robot, ROOM)
-    assert PlaneClass.FLOOR in cloud_array(robot.wait_for('planes')[0])[0]['class']
-
-
 def test_the_height_of_the_camera_from_tf_makes_a_relative_network_metric(robot):
     def estimate(rgb):
         return (0.4 / ROOM.depth_m).astype(np.float32)

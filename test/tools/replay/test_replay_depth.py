@@ -89,15 +89,3 @@ def test_without_registered_depth_a_network_is_used_with_the_reason(
     assert told in text
     assert_true(target, scenes)
     assert told in facts_of(target)[0]['depth']
-
-
-def test_other_topics_are_copied_whole_with_every_other_frame(tmp_path, scenes, replay):
-    from bags import read_bag
-    messages = camera_messages(scenes) + [
-        ('/bumper', when + 1, 'bang') for topic, when, _ in camera_messages(scenes)
-        if topic == IMAGE]
-    source = write_bag(tmp_path / 'walk', sorted(messages, key=lambda entry: entry[1]))
-    _, target, _ = replay(source, '--every', 2, '--copy', '/bumper', IMAGE)
-    copied = read_bag(target)
-    assert copied['/bumper'] == read_bag(source)['/bumper']
-    assert copied[IMAGE] == read_bag(source)[IMAGE][::2]
