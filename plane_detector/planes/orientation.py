@@ -7,7 +7,8 @@ The normal of a network is the true one plus an error of unknown size sigma, smo
 and much larger than the noise of the fit; for some small pieces it is unrelated to the true one.
 The true normal faces the camera, which the network's normal need not do. The prior of the true
 normal is a mixture: vertical (a horizontal plane); along a horizontal axis; horizontal with any
-azimuth (a vertical plane); perpendicular to a horizontal axis (a roof); or free.
+azimuth (a vertical plane); perpendicular to a horizontal axis (a roof); or free. The axes are
+those of the lines, or those of the planes themselves (plane_axes.py).
 
 1. Each hypothesis of each plane has a marginal likelihood: a density on the sphere for a point,
    of a circle for one degree of freedom, and a uniform density for two.
@@ -87,6 +88,8 @@ class Orientations:
         Error of the network's normals.
     probability : (K,) float64
         That the true normal is within CLOSE_RAD of the chosen one.
+    log_evidence : float
+        Log likelihood of these directions by all normals of the network.
 
     """
 
@@ -94,6 +97,7 @@ class Orientations:
     is_changed: np.ndarray
     sigmas_rad: np.ndarray
     probability: np.ndarray
+    log_evidence: float
 
 
 @dataclass(frozen=True)
@@ -127,13 +131,15 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
     tilts = _tilts_rad(planes, samples)
-    variances, outliers = _variances(planes, tilts), _outliers(tilts, samples.image_shares)
+    variances = normal_variances(planes, samples, SIGMAS_RAD[:, None])
+    outliers = _outliers(tilts, samples.image_shares)
     # Whatever its lines: a region without a bend is what it is.
     most = MOST_TILTS * np.sqrt(_fit_variance(planes) + tilts**2)
     lost[hypotheses.angle_rad > most[:, None]] = np.inf
     scores = _log_likelihood(hypotheses, variances, outliers[:, None]) - lost
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
-    best = int(np.argmax(np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior))
+    evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
+    best = int(np.argmax(evidence_of))
     every = np.arange(len(planes))
     alone = hypotheses.normals[every, scores[best].argmax(1)]
     likely = scores[best] + _same_surface(hypotheses, alone, samples)
@@ -145,7 +151,8 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     normals = _unit(hypotheses.normals[every, chosen] * (1 - share)[:, None]
                     + hypotheses.normals[:, -1] * share[:, None])
     return Orientations(normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances[best]),
-                        _probability(hypotheses, likely, chosen, variances[best]))
+                        _probability(hypotheses, likely, chosen, variances[best]),
+                        float(evidence_of[best]))
 
 
 def _probability(hypotheses: _Hypotheses, scores: np.ndarray, chosen: np.ndarray,
@@ -161,9 +168,11 @@ def _probability(hypotheses: _Hypotheses, scores: np.ndarray, chosen: np.ndarray
     return (posterior * near[:, hypotheses.freedoms]).sum(1)
 
 
-def _variances(planes: tuple[Plane, ...], tilts: np.ndarray) -> np.ndarray:
-    """Return the variance (S, K) of the network's normals, rad^2, for each of SIGMAS_RAD."""
-    return _fit_variance(planes) + 1 / (1 / SIGMAS_RAD[:, None] ** 2 + 1 / tilts**2)
+def normal_variances(planes: tuple[Plane, ...], samples: RegionSamples,
+                     sigmas_rad: np.ndarray | float) -> np.ndarray:
+    """Return the variances (..., K) of the normals, rad^2, for errors (..., 1) of the network."""
+    tilts = _tilts_rad(planes, samples)
+    return _fit_variance(planes) + 1 / (1 / sigmas_rad**2 + 1 / tilts**2)
 
 
 def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
@@ -174,7 +183,7 @@ def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
 
 def _tilts_rad(planes: tuple[Plane, ...], samples: RegionSamples) -> np.ndarray:
     """Return the largest error (K,) of normals that the bend of their regions allows."""
-    bend = samples.roughness() * [plane.offset_m / np.sqrt(plane.area_m2) for plane in planes]
+    bend = samples.roughness * [plane.offset_m / np.sqrt(plane.area_m2) for plane in planes]
     return np.maximum(TILT_PER_BEND * bend, 1e-6)
 
 

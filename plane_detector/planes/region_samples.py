@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -96,6 +97,7 @@ class RegionSamples:
         is_known = usable >= np.maximum(MIN_SAMPLES, MIN_POSSIBLE_SHARE * pixels)
         return np.divide(squares, products, out=np.full(self.count, np.nan), where=is_known)
 
+    @cached_property
     def roughness(self) -> np.ndarray:
         """
         Return how far the depth of each region (K,) is from a plane, as a share of its depth.

@@ -12,7 +12,8 @@ from plane_detector.compilation import kernel
 from plane_detector.directions.finder import ImageDirections
 from plane_detector.planes.line_evidence import collect_evidence
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
-from plane_detector.planes.orientation import orient_planes
+from plane_detector.planes.orientation import Orientations, normal_variances, orient_planes
+from plane_detector.planes.plane_axes import OWN_SIGMA_RAD, PLANE_VOTE, axes_of_planes
 from plane_detector.planes.region_samples import MIN_COSINE, sample_regions
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
@@ -82,10 +83,20 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
         see their rotated plane edge-on or from behind have no label.
 
     """
-    evidence = collect_evidence(lines.segments, lines.all_axes, regions.labels, len(planes))
     samples = sample_regions(regions, planes, intrinsics)
-    found = orient_planes(planes, lines.directions, evidence, samples)
     normals = np.stack([plane.normal for plane in planes])
+
+    def oriented(axes: ImageDirections) -> Orientations:
+        evidence = collect_evidence(axes.segments, axes.all_axes, regions.labels, len(planes))
+        return orient_planes(planes, axes.directions, evidence, samples)
+
+    found = oriented(lines)
+    own, log_prior = axes_of_planes(
+        normals, normal_variances(planes, samples, OWN_SIGMA_RAD), lines.directions)
+    if own is not None:
+        other = oriented(replace(lines, directions=own))
+        if PLANE_VOTE * (other.log_evidence - found.log_evidence) + log_prior > 0:
+            found = other
     offsets = np.array([plane.offset_m for plane in planes])
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)
