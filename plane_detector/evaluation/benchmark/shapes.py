@@ -5,10 +5,8 @@
 from __future__ import annotations
 
 import argparse
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 from tqdm import tqdm
@@ -17,9 +15,7 @@ from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, ShapesConfig
 from plane_detector.evaluation.benchmark.options import add_shared
 from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.metrics import score
-from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.benchmark.rooms import noisy_depth
 from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
 from plane_detector.process import one_thread
 from plane_detector.types import ShapeType
@@ -68,7 +64,6 @@ def run(options: argparse.Namespace) -> None:
              f'Recall counts true shapes of at least {MIN_PIXELS} pixels; a match has IoU > 0.5 '
              'and the right type. Half of the scenes hold a box, an ellipsoid, a curtain or a '
              'torus, which are none of these.')
-        _report_planes(seeds)
 
 
 def match(scene: ShapeScene, guesses: Sequence[ShapeGuess]) -> Judged:
@@ -90,29 +85,19 @@ def match(scene: ShapeScene, guesses: Sequence[ShapeGuess]) -> Judged:
         tuple(_angle_deg(guess, true) for guess, true in large if true.axis.any()))
 
 
-@lru_cache(maxsize=64)
-def _scene(seed: int) -> ShapeScene:
-    return shape_scene(np.random.default_rng(seed))
-
-
-def _noisy(seed: int, sigma: float) -> np.ndarray:
-    depth_m = _scene(seed).scene.depth_m
-    return with_disparity_noise(depth_m, sigma, np.random.default_rng([seed, 1])) if sigma else (
-        depth_m)
-
-
-def found_shapes(seed: int, sigma: float) -> list[ShapeGuess]:
+def found_shapes(scene: ShapeScene, depth_m: np.ndarray) -> list[ShapeGuess]:
     """Return the shapes that the package finds in a scene with its default settings."""
-    depth_m = _noisy(seed, sigma)
-    detection = PlaneDetector(CONFIG).detect(np.zeros((*depth_m.shape, 3), np.uint8),
-                                             _scene(seed).scene.intrinsics, depth_m)
-    return [ShapeGuess(shape.type, detection.labels == len(detection.planes) + k, shape.radius_m,
-                       shape.axis) for k, shape in enumerate(detection.shapes)]
+    found = PlaneDetector(CONFIG).detect(np.zeros((*depth_m.shape, 3), np.uint8),
+                                         scene.scene.intrinsics, depth_m)
+    return [ShapeGuess(shape.type, found.labels == len(found.planes) + k, shape.radius_m,
+                       shape.axis) for k, shape in enumerate(found.shapes)]
 
 
 def _row(seeds: Sequence[int], sigma: float) -> list[str]:
-    judged = [match(_scene(seed), found_shapes(seed, sigma))
-              for seed in tqdm(seeds, f'{sigma:g}', leave=False)]
+    judged = []
+    for seed in tqdm(seeds, f'{sigma:g}', leave=False):
+        scene = shape_scene(np.random.default_rng(seed))
+        judged.append(match(scene, found_shapes(scene, noisy_depth(scene.scene, sigma, seed))))
     matched = [kind for one in judged for kind in one.matched]
     missed = [kind for one in judged for kind in one.missed]
     wrong = sum(one.wrong for one in judged)
@@ -124,37 +109,6 @@ def _row(seeds: Sequence[int], sigma: float) -> list[str]:
             f'{len(matched) / found:.2f}' if found else '-',
             _errors([100 * e for one in judged for e in one.radius_errors], ' %'),
             _errors([e for one in judged for e in one.axis_errors_deg], ' deg')]
-
-
-def _report_planes(seeds: Sequence[int]) -> None:
-    """Print the effect of the search for shapes on the planes, and its time."""
-    rows = []
-    for sigma in SIGMAS:
-        results = np.array([_planes(seed, sigma) for seed in tqdm(seeds, 'planes', leave=False)])
-        means = np.nanmean(results, axis=0)
-        extra_ms = results[:, 7] - results[:, 6]
-        rows.append([f'{sigma:g}', *(f'{a:.3f} / {b:.3f}' for a, b in zip(
-            means[0:6:2], means[1:6:2], strict=True)),
-            f'{np.median(extra_ms):.1f} / {extra_ms.max():.1f} ms'])
-    emit('### The planes without and with the search for shapes',
-         table(('noise (1/m)', 'SC', 'recall', 'precision', 'time of the shapes, median / worst'),
-               rows),
-         'What is curved belongs to no plane, and its pixels count as that. Processor time of one '
-         'thread.')
-
-
-def _planes(seed: int, sigma: float) -> list[float]:
-    scene = _scene(seed).scene
-    depth_m, seen = _noisy(seed, sigma), np.isfinite(scene.depth_m)
-    scores, times_ms = [], []
-    for config in (replace(CONFIG, shapes=ShapesConfig()), CONFIG):
-        start_s = time.thread_time()
-        found = PlaneDetector(config).detect(scene.rgb, scene.intrinsics, depth_m)
-        times_ms.append(1e3 * (time.thread_time() - start_s))
-        labels = np.where(found.labels < len(found.planes), found.labels, -1)
-        scores.append(score(scene.labels, scene.planes, labels, plane_array(found), seen))
-    return [getattr(one, name) for name in ('segmentation_covering', 'recall', 'precision')
-            for one in scores] + times_ms
 
 
 def _iou(first: np.ndarray, second: np.ndarray) -> float:

@@ -62,8 +62,7 @@ def test_scenes_hold_visible_shapes_with_their_geometry():
         np.testing.assert_allclose(away, expected, atol=2e-4)
 
 
-def test_a_run_prints_both_tables(capsys):
+def test_a_run_finds_the_shapes_of_exact_depth(capsys):
     shapes.run(SimpleNamespace(scenes=1, first_seed=0))
-    printed = capsys.readouterr().out
-    assert '| 0 | 1 |' in printed
-    assert 'The planes without and with the search for shapes' in printed
+    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith('| 0 | 1'))
+    assert row.split(' | ')[3] == '1.00'
