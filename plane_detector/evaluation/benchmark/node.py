@@ -75,20 +75,6 @@ class Show:
     motion_px: int = 0  # each image is moved sideways against the one before; 0: a still camera
 
 
-@dataclass(frozen=True)
-class Load:
-    """Measurements of a node under load."""
-
-    rate_hz: float  # of ~/planes, as received
-    latency_ms: np.ndarray  # from stamp to receipt of ~/planes: median, 95 %, worst; NaN: none
-    stage_ms: dict[str, float]  # median over the seconds of its mean, from the diagnostics
-    core_share: float  # time of all threads on a core, as a share of the time that passed
-    busy_ms: float  # on a core per frame, all threads
-    waiting_ms: float  # per frame, for a core that other programs were using
-    resident_mb: float
-    start_s: float  # from the start of the process until it has subscribed
-
-
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_shared(parser, '--data')
@@ -165,20 +151,12 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
     for name, depth in found:
         for subscribed, outputs in tqdm(SUBSCRIPTIONS.items(), name, leave=False):
             load_before = os.getloadavg()[0]
-            load = _measured(depth, outputs, show, seconds)
-            rows.append([name, subscribed, f'{load.rate_hz:.1f}', f'{load.core_share:.0%}',
-                         f'{load.busy_ms:.1f}', f'{load.waiting_ms:.1f}',
-                         *(f'{one:.1f}' for one in load.latency_ms), f'{load.resident_mb:.0f}',
-                         f'{load.start_s:.1f}',
-                         *(f'{load.stage_ms.get(stage, 0.0):.1f}' for stage in _STAGES),
-                         f'{load_before:.1f}'])
+            cells = _measured(depth, outputs, show, seconds)
+            rows.append([name, subscribed, *cells.values(), f'{load_before:.1f}'])
     camera = f'moved by {show.motion_px} px from image to image' if show.motion_px else 'still'
     emit(f'### The node over DDS: {show.title}, {lens.width} x {lens.height}, '
          f'images at {show.rate_hz:g} Hz, {camera}',
-         table(('depth', 'subscribed', 'rate (Hz)', 'of a core', 'core time (ms)',
-                'without a core (ms)', 'latency: median (ms)', '95 % (ms)', 'worst (ms)',
-                'resident (MB)', 'ready after (s)', *(f'{one} (ms)' for one in _STAGES),
-                'load before'), rows),
+         table(('depth', 'subscribed', *cells, 'load before'), rows),
          'Rate: of ~/planes as received. Core time: of all threads of the node, per frame '
          'published, without subscribers per image sent. Without a core: how long it would have '
          'worked but other programs had the cores. Latency: from the stamp of an image, just '
@@ -186,7 +164,8 @@ def report_load(found: Sequence[tuple[str, DepthConfig]], show: Show, seconds: f
          '/diagnostics says. Load: of the machine in the minute before.')
 
 
-def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show, seconds: float) -> Load:
+def _measured(depth: DepthConfig, outputs: Sequence[str], show: Show,
+              seconds: float) -> dict[str, str]:
     """Start a node and a receiver, feed them, and end them."""
     parameters = {'depth.source': depth.source, 'depth.model': depth.model,
                   'depth.target_rate': depth.target_rate}
@@ -297,15 +276,11 @@ class Camera:
         self._executor.shutdown()
         self._node.destroy_node()
 
-    def measure(self, seconds: float) -> Load:
+    def measure(self, seconds: float) -> dict[str, str]:
         """
-        Wait for the node, feed it until its rate is steady, then measure.
+        Wait for the node, feed it until its rate is steady, then measure; return cells by column.
 
-        Raises
-        ------
-        RuntimeError
-            The node has ended, or published nothing.
-
+        Raises RuntimeError if the node has ended or publishes nothing.
         """
         process_id = self._process.pid
         self._spin_until(lambda: all(one.get_subscription_count()
@@ -327,10 +302,15 @@ class Camera:
             last = self._statuses[-1:] or [{}]
             raise RuntimeError(f'the node gave no planes: {last[0].get("last_error", "")}')
         images = len(latency_ms) or self._sent - sent
-        return Load(len(latency_ms) / elapsed_s,
-                    np.quantile(latency_ms or [np.nan], (0.5, 0.95, 1.0)), stage_ms,
-                    core_s / elapsed_s, 1e3 * core_s / images, 1e3 * waited_s / images,
-                    resident_mb(process_id), start_s)
+        median_ms, most_ms, worst_ms = np.quantile(latency_ms or [np.nan], (0.5, 0.95, 1.0))
+        return {'rate (Hz)': f'{len(latency_ms) / elapsed_s:.1f}',
+                'of a core': f'{core_s / elapsed_s:.0%}',
+                'core time (ms)': f'{1e3 * core_s / images:.1f}',
+                'without a core (ms)': f'{1e3 * waited_s / images:.1f}',
+                'latency: median (ms)': f'{median_ms:.1f}', '95 % (ms)': f'{most_ms:.1f}',
+                'worst (ms)': f'{worst_ms:.1f}', 'resident (MB)': f'{resident_mb(process_id):.0f}',
+                'ready after (s)': f'{start_s:.1f}',
+                **{f'{stage} (ms)': f'{stage_ms.get(stage, 0.0):.1f}' for stage in _STAGES}}
 
     def _spin_until(self, condition: Callable[[], object]) -> None:
         deadline_s = time.monotonic() + _START_TIMEOUT_S
