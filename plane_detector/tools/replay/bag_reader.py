@@ -22,7 +22,6 @@ from rosbags.typesys import Stores, get_typestore
 FILE_SUFFIXES = ('.bag', '.mcap', '.db3')
 # Reading continues this long after the message before the damage, then twice as long, and so on.
 _FIRST_SKIP_NS = 1_000_000
-_FIRST_SPAN_NS = 1_000_000_000
 
 
 class BagError(ValueError):
@@ -47,17 +46,9 @@ class Recorded(NamedTuple):
 
 class BagReader:
     """
-    An open bag; a context manager.
+    An open bag, a rosbag2 folder or a .mcap, .db3 or ROS 1 .bag file; a context manager.
 
-    Parameters
-    ----------
-    path : Path
-        A rosbag2 folder, or a .mcap, .db3 or ROS 1 .bag file.
-
-    Attributes
-    ----------
-    damaged : int
-        Number of messages, or of unreadable sections, that were skipped.
+    ``damaged`` is the number of messages, or of unreadable sections, that were skipped.
 
     Raises
     ------
@@ -158,22 +149,6 @@ class BagReader:
                     self._first[topic] = to_message(recorded, message_class)
                     break
         return self._first[topic]
-
-    def last_before(self, stop_ns: int, topic: str, message_class: Any) -> Any:
-        """Return the last message recorded before a time that can be read, or None."""
-        span_ns, damaged = _FIRST_SPAN_NS, self.damaged
-        found = None
-        while found is None and stop_ns > self.start_ns:  # backwards: bags are long
-            recorded = []
-            with suppress(BagError):
-                recorded.extend(self.read([topic], stop_ns - span_ns, stop_ns))
-            for one in reversed(recorded):
-                with suppress(BagError):
-                    found = to_message(one, message_class)
-                    break
-            stop_ns, span_ns = stop_ns - span_ns, 2 * span_ns
-        self.damaged = damaged  # what is damaged there is not of the part that is replayed
-        return found
 
     def _to_cdr(self, connection: Connection, data: bytes) -> bytes | memoryview:
         if not self.is_ros1:

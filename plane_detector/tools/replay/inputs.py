@@ -57,11 +57,7 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     """
     Choose image and calibration, by default among all images, and the calibration beside it.
 
-    Parameters
-    ----------
-    bag : BagReader
-    wanted : mapping of str to str
-        Requested topics, by ``image``, ``camera_info``, ``depth`` and ``imu``.
+    The requested topics are those of ``image``, ``camera_info``, ``depth`` and ``imu``.
 
     Raises
     ------
@@ -270,7 +266,8 @@ class FrameReader:
                topics.camera_info: synchronizer.add_camera_info,
                topics.depth: synchronizer.add_depth, topics.imu: synchronizer.add_imu}
         classes = {name: input_class(self.bag, name) for name in topics.names}
-        self._add_first_calibration()
+        # Calibrations that are recorded once may come late, or before the start.
+        synchronizer.add_camera_info(_first(self.bag, topics.camera_info))
         for recorded in self.bag.read({*topics.names, *copies.topics}, self._start_ns,
                                       self._stop_ns):
             time_ns, msg = recorded.time_ns, None
@@ -294,13 +291,6 @@ class FrameReader:
         length_ns = max(self.bag.end_ns - self.bag.start_ns, 1)
         share = np.clip((self._stop_ns - self._start_ns) / length_ns, 0, 1)
         return int(np.ceil(count * share / every))
-
-    def _add_first_calibration(self) -> None:
-        """Add a CameraInfo for the images before the first one, and after a late start."""
-        topic = self.topics.camera_info
-        kind = input_class(self.bag, topic)
-        self._synchronizer.add_camera_info(
-            self.bag.last_before(self._start_ns + 1, topic, kind) or self.bag.first(topic, kind))
 
 
 class CopiedMessages:
@@ -359,13 +349,8 @@ def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | N
     Return all transforms of a bag; None if the settings name no frame.
 
     All are read before the first image, because they may be recorded after the image they precede.
-    Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``.
-
-    Raises
-    ------
-    BagError
-        A frame is named, but the bag has no transforms.
-
+    Damaged messages and invalid transforms are skipped and counted in ``bag.damaged``. BagError is
+    raised if there are none.
     """
     if not (settings.base_frame or settings.target_frame):
         return None

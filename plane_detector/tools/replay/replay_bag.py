@@ -22,7 +22,6 @@ from tqdm import tqdm
 
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.diagnostics import Report, planes_status, status_to_msg
 from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
@@ -173,21 +172,13 @@ INTERRUPTED = 'interrupted_'
 """Prefix of the names of what an interrupted replay has made so far."""
 
 
-def replay(options: ReplayOptions, depth_model: ModelOrFunction | None = None,
-           quiet: bool = False) -> Tally:
+def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
     """
     Replay a bag.
 
     The new bag gets its name when it is whole. If the work is stopped
     (:mod:`plane_detector.stopping`), the bag of the frames so far gets the prefix `INTERRUPTED`.
-
-    Parameters
-    ----------
-    options : ReplayOptions
-    depth_model : DepthModel or callable, optional
-        Used instead of the network, as in :class:`PlaneDetector`.
-    quiet : bool
-        Whether to print neither the source of depth nor the progress.
+    ``quiet`` prints neither the source of depth nor the progress.
 
     Raises
     ------
@@ -207,9 +198,9 @@ def replay(options: ReplayOptions, depth_model: ModelOrFunction | None = None,
         times_ns = requested_times(bag, camera.image, options)
         choice = choose_depth(bag, camera, options)
         config = choice.config
-        if depth_model is None and config.depth.source == 'model':
-            depth_model = _network(config.depth, threading.get_ident())
-        processor = FrameProcessor(PlaneDetector(config, depth_model), options.settings,
+        network = (_network(config.depth, threading.get_ident())
+                   if config.depth.source == 'model' else None)
+        processor = FrameProcessor(PlaneDetector(config, network), options.settings,
                                    camera.image, read_transforms(bag, options.settings))
         topics = with_companions(bag, camera, choice, processor.output, options)
         reader = FrameReader(bag, topics, times_ns, FrameSynchronizer(

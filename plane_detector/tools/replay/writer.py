@@ -112,11 +112,7 @@ class BagWriter:
     """
     A new rosbag2 of format ``mcap`` or ``sqlite3``, compressed by zstd or not; a context manager.
 
-    Raises
-    ------
-    OSError
-        It cannot be written.
-
+    Its methods raise OSError if it cannot be written.
     """
 
     def __init__(self, path: Path, storage: str, compressed: bool):
@@ -195,23 +191,12 @@ class ReplayFiles:
     """
     Writes a figure, a labelled cloud and rows of tables for each frame; a context manager.
 
-    Parameters
-    ----------
-    figures, ply : Path, optional
-        Folders of the figures (.jpg) and of the clouds, created if needed.
-    table : Path, optional
-        CSV file of all planes of all frames, and ``<stem>_shapes.csv`` of all shapes if these are
-        wanted; they get their names by :meth:`publish`.
-
-    Raises
-    ------
-    OSError
-        A folder or a table cannot be written.
-
+    Folders of figures (.jpg) and clouds are created if needed. The CSV table of all planes of all
+    frames, and ``<stem>_shapes.csv`` of all shapes if these are wanted, get their names by
+    :meth:`publish`. OSError is raised at once if a folder or a table cannot be written.
     """
 
-    def __init__(self, figures: Path | None = None, ply: Path | None = None,
-                 table: Path | None = None, shapes: bool = False):
+    def __init__(self, figures: Path | None, ply: Path | None, table: Path | None, shapes: bool):
         self._figures, self._ply = figures, ply
         self._tables: dict[str, tuple[Path, np.dtype]] = {}
         if table is not None:
@@ -245,11 +230,6 @@ class ReplayFiles:
         for file, draft in zip(self._files.values(), self._drafts, strict=True):
             file.flush()
             draft.publish(prefix)
-
-    @property
-    def is_wanted(self) -> bool:
-        """Whether any file is written."""
-        return any((self._figures, self._ply, self._tables))
 
     @property
     def outputs(self) -> tuple[str, ...]:
