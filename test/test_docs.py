@@ -153,7 +153,7 @@ def test_results_in_the_readme_are_those_of_the_page(method):
 
 
 def test_every_field_of_planes_and_shapes_is_in_the_tables():
-    from plane_detector.ros.outputs.plane_table import CORNER_DTYPE, PLANE_DTYPE, SHAPE_DTYPE
+    from plane_detector.ros.outputs.clouds import CORNER_DTYPE, PLANE_DTYPE, SHAPE_DTYPE
     text = text_of(ROOT / 'docs' / 'topics.md')
     for field in (*PLANE_DTYPE.names, *SHAPE_DTYPE.names, *CORNER_DTYPE.names):
         assert re.search(rf'^\|[^|]*`{field}`', text, re.MULTILINE), field

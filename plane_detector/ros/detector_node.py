@@ -4,7 +4,7 @@
 The lifecycle node: its states, parameters, services and diagnostics.
 
 The thread of the executor receives messages and answers services; another thread processes
-frames, see frame_flow.py.
+frames, see frame_worker.py.
 """
 
 from __future__ import annotations
@@ -28,18 +28,14 @@ from plane_detector.process import freeze_loaded_objects
 from plane_detector.ros import parameters
 from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
-from plane_detector.ros.frame_flow import FrameFlow, FrameRecords
-from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_processor import FrameProcessor, fit_to_rate
 from plane_detector.ros.frame_requests import FrameRequests, answer_trigger
-from plane_detector.ros.frame_worker import FrameWorker
-from plane_detector.ros.health import Health
-from plane_detector.ros.inputs.subscriptions import Subscriptions
-from plane_detector.ros.inputs.topic_names import input_topics
+from plane_detector.ros.frame_worker import FrameFlow, FrameRecords, FrameWorker
+from plane_detector.ros.health import Health, slow_network
+from plane_detector.ros.inputs.subscriptions import Subscriptions, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
-from plane_detector.ros.kernels import load_kernels
-from plane_detector.ros.live_settings import LiveSettings
-from plane_detector.ros.network_pace import fit_to_rate, slow_network
-from plane_detector.ros.outputs.publishers import OutputPublishers
+from plane_detector.ros.live_settings import LiveSettings, load_kernels
+from plane_detector.ros.outputs.topics import OutputPublishers
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Autostart, Transitions

@@ -14,8 +14,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from plane_detector.ros.outputs.captions import plane_name
 from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.markers import plane_name
 from plane_detector.ros.outputs.messages import plane_labels
 from plane_detector.ros.qos import overriding_options
 from plane_detector.scale.estimate import RELATIVE

@@ -9,22 +9,30 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import cv2
 import numpy as np
+from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
+from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.observation import ModelDepth, Observation
+from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
+from plane_detector.geometry.disparity import to_depth, to_disparity
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.inputs.frame_conversion import ConvertedFrame, FrameConverter
 from plane_detector.ros.inputs.synchronizer import Frame
-from plane_detector.ros.inputs.transform_buffer import TransformBuffer
-from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms
+from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms, TransformBuffer
 from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.messages import rgb_to_msg
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stage_timer import StageTimer, median_seconds
 from plane_detector.tracking.merged_labels import merged_labels
 from plane_detector.types import Detection
 
+# Noise and blur of a network's depth, for timing the stages after it.
+_NOISE_PER_M, _BLUR_PX = 0.005, 12.0
 # A camera that does not turn, as its planes tell: the lines are held for so many times longer.
 _STEADY_TIMES = 5
 # derived: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
@@ -221,3 +229,26 @@ def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:
 def _height_m(pose: CameraPose | None) -> float | None:
     """Return the height of the camera from TF; None if the camera is below the base frame."""
     return pose.height_m if pose is not None and pose.height_m > 0 else None
+
+
+def fit_to_rate(detector: PlaneDetector) -> None:
+    """Choose the largest network input that keeps ``depth.target_rate``, if both are given."""
+    rate_hz = detector.config.depth.target_rate
+    if rate_hz > 0 and detector.config.depth.source == 'model':
+        detector.source.fit_to_rate(rate_hz, _seconds_beside_the_network(detector))
+
+
+def _seconds_beside_the_network(detector: PlaneDetector) -> float:
+    """Return the time of all other work on a frame with depth like that of a network."""
+    rgb, depth_m = corridor()
+    rng = np.random.default_rng(0)
+    smooth = cv2.GaussianBlur(rng.standard_normal(depth_m.shape), (0, 0), _BLUR_PX)
+    noise = _NOISE_PER_M * (smooth / smooth.std() + rng.standard_normal(depth_m.shape))
+    noisy_m = to_depth(to_disparity(depth_m) + noise)
+    processor = FrameProcessor(
+        PlaneDetector(detector.config, DepthFunction(lambda _: noisy_m, blur_px=_BLUR_PX)),
+        NodeConfig(), 'image')
+    header = Header()
+    frame = Frame(rgb_to_msg(header, rgb),
+                  camera_info_to_msg(header, CORRIDOR_LENS), None, None, 0)
+    return median_seconds(lambda: processor.process(frame))

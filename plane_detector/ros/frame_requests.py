@@ -13,8 +13,8 @@ from typing import Any
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.stamps import stamp_text
 
 ANSWERED_WITHIN_S = 30.0
 """A call without a frame is answered after this time."""

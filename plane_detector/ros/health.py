@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -18,6 +18,8 @@ from plane_detector.types import Detection
 LARGE_PX = 2500
 REDUCED_PX = 1280
 """Longer side that is advised for larger images."""
+# Smaller differences are those of the clocks.
+_TOLERANCE = 1.1
 FLOORLESS = 'points_without_floor'
 GRAVITY_SOURCES = 'scale.gravity, use_imu with an IMU, or base_frame'
 
@@ -152,3 +154,26 @@ def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     by_image = f' ({detection.gravity_note})' if detection.gravity_note else ''
     return (f'planes have no class{lost}: the direction of gravity is not known{by_image}; give '
             f'{GRAVITY_SOURCES}')
+
+
+def slow_network(report: Report, advise: Callable[[float], str]) -> str:
+    """
+    Return a message if the network takes longer than the period of the camera, else nothing.
+
+    Parameters
+    ----------
+    report : Report
+        Since the last one.
+    advise : callable
+        Returns advice for a share of the present time, see
+        :class:`~plane_detector.types.DepthModel`.
+
+    """
+    depth_s = report.stage_seconds.get('depth', 0.0)
+    if report.arrival_hz == 0 or depth_s * report.arrival_hz <= _TOLERANCE:
+        return ''
+    advice = advise(1 / (depth_s * report.arrival_hz))
+    if not advice:
+        return ''
+    return (f'the network takes {1e3 * depth_s:.0f} ms, the camera sends an image every '
+            f'{1e3 / report.arrival_hz:.0f} ms: {advice}')

@@ -25,7 +25,7 @@ with quiet_interrupt(), explained_imports():
     from rclpy.wait_for_message import wait_for_message
     from sensor_msgs.msg import CameraInfo
 
-    from plane_detector.ros.inputs.topic_names import input_topics
+    from plane_detector.ros.inputs.subscriptions import input_topics
 
 _FILE = 'plane_detector.rviz'
 _INTERRUPTED = 130

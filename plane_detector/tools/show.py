@@ -25,10 +25,10 @@ with quiet_interrupt(), explained_imports():
     from sensor_msgs.msg import PointCloud2
 
     from plane_detector.planes.classification import PlaneClass
-    from plane_detector.ros.cloud_reading import read_cloud
+    from plane_detector.ros.inputs.synchronizer import stamp_text
     from plane_detector.ros.inputs.topic_watch import GRACE_S
     from plane_detector.ros.node import not_of_ros
-    from plane_detector.ros.stamps import stamp_text
+    from plane_detector.ros.outputs.messages import read_cloud
     from plane_detector.scale.estimate import RELATIVE
 
 _CLEAR = '\x1b[2J\x1b[H'

@@ -8,8 +8,7 @@ from ros_helpers import FRAME_ID, cloud_array, header, transform_msg
 from scipy.spatial.transform import Rotation
 
 from plane_detector.planes.classification import PlaneClass
-from plane_detector.ros.inputs.transform_buffer import TransformBuffer
-from plane_detector.ros.inputs.transforms import FrameTransforms
+from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 
 ROOM = small_room()
 

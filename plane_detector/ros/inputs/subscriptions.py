@@ -1,23 +1,20 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The subscriptions of the node, and the frames made from their messages."""
+"""The subscriptions of the node, their topics, and the frames made from their messages."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.inputs.image_loss import Arrivals, ImageLoss
-from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
-from plane_detector.ros.inputs.topic_names import input_topics
-from plane_detector.ros.inputs.topic_watch import MESSAGES_LOST, TopicWatch
+from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
+from plane_detector.ros.inputs.topic_watch import MESSAGES_LOST, Arrivals, ImageLoss, TopicWatch
 from plane_detector.ros.qos import InputSubscription
-from plane_detector.ros.stamps import stamp_ns
 
 # derived: a camera's jitter is no change of the difference between its stamps.
 _OFFSET_CHANGE = 0.3
@@ -146,14 +143,14 @@ class Subscriptions:
                             is_needed=role != 'imu')
 
     def _on_image(self, msg: Any) -> None:
-        self._loss.add_image(stamp_ns(msg))
+        self._loss.add_image(ns_of(msg))
         epoch = self._synchronizer.epoch
         self._hand_over(self._synchronizer.add_image(msg))
         if self._synchronizer.epoch != epoch:
             self._node.get_logger().warning('time jumped back: buffers and tracking are reset')
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
-        self._loss.add_camera_info(stamp_ns(msg))
+        self._loss.add_camera_info(ns_of(msg))
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Image) -> None:
@@ -172,3 +169,46 @@ def _rounded_up(seconds: float) -> str:
     most_s = 1.2 * seconds
     step_s = 10.0 ** math.floor(math.log10(most_s))
     return f'{math.ceil(most_s / step_s) * step_s:.6g}'
+
+
+COMPRESSED = '/compressed'
+
+
+class Resolver(Protocol):
+    """The part of a node that is used: resolution of names."""
+
+    def resolve_topic_name(self, topic: str, *, only_expand: bool = False) -> str:
+        """Return the full name, with remappings unless ``only_expand``."""
+
+
+def input_topics(node: Resolver, image_transport: str) -> dict[str, str]:
+    """
+    Return the full names of the inputs, by the names used for remapping.
+
+    The compressed topic follows ``image``, as in image_transport, and ``camera_info`` is in the
+    namespace of the image, unless they are remapped themselves.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Resolves the names.
+    image_transport : str
+        ``raw`` or ``compressed``.
+
+    """
+    base = node.resolve_topic_name('image').removesuffix(COMPRESSED)
+    image = node.resolve_topic_name('image')
+    if image_transport == 'compressed':
+        image = base + COMPRESSED
+        if _is_remapped(node, 'image/compressed'):
+            image = node.resolve_topic_name('image/compressed')
+            base = image.removesuffix(COMPRESSED)
+    camera_info = node.resolve_topic_name('camera_info')
+    if not _is_remapped(node, 'camera_info'):
+        camera_info = f'{base.rpartition("/")[0]}/camera_info'
+    return {'image': image, 'camera_info': camera_info,
+            **{role: node.resolve_topic_name(role) for role in ('depth', 'imu')}}
+
+
+def _is_remapped(node: Resolver, topic: str) -> bool:
+    return node.resolve_topic_name(topic) != node.resolve_topic_name(topic, only_expand=True)

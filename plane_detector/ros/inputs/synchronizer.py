@@ -20,7 +20,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from plane_detector.config import Config
 from plane_detector.geometry.gravity import gravity_from_acceleration, smooth_gravity
 from plane_detector.ros.calibration import image_size
-from plane_detector.ros.stamps import stamp_ns as ns_of
 
 _CACHED = 16
 _JUMP_NS = 1_000_000_000
@@ -293,3 +292,25 @@ class _GravityFilter:
     def gravity_camera(self, stamp_s: float) -> np.ndarray | None:
         """Return the direction of gravity (3,), optical frame; None without recent readings."""
         return self._gravity_camera if stamp_s - self._stamp_s <= _SILENT_IMU_S else None
+
+
+def stamp_text(stamped: Any) -> str:
+    """
+    Return the stamp of a message, or of what else has a header, in seconds and exact.
+
+    Examples
+    --------
+    >>> from sensor_msgs.msg import Image
+    >>> msg = Image()
+    >>> msg.header.stamp.nanosec = 50
+    >>> stamp_text(msg)
+    '0.000000050'
+
+    """
+    stamp = stamped.header.stamp
+    return f'{stamp.sec}.{stamp.nanosec:09d}'
+
+
+def ns_of(stamped: Any) -> int:
+    """Return the stamp of a message, or of what else has a header, in nanoseconds."""
+    return stamped.header.stamp.sec * 1_000_000_000 + stamped.header.stamp.nanosec

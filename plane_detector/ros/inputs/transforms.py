@@ -1,15 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From TF: gravity and height of the camera, and the transform to the frame of the outputs."""
+"""Transforms between frames: from TF for the node, from a recording for replay."""
 
 from __future__ import annotations
 
 import time
+from bisect import bisect_left
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
+from geometry_msgs.msg import TransformStamped
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.time import Time
@@ -17,8 +19,127 @@ from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
 from plane_detector.geometry.gravity import unit_direction
-from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.inputs.transform_buffer import transform_from_msg
+from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
+
+
+class TransformError(ValueError):
+    """There is no transform between two frames at a time."""
+
+
+@dataclass
+class _Edge:
+    """The transforms from a frame to its parent, ordered by time."""
+
+    parent: str
+    is_static: bool
+    stamps_ns: list[int] = field(default_factory=list)
+    transforms: list[RigidTransform] = field(default_factory=list)
+
+    def at(self, stamp_ns: int) -> RigidTransform:
+        """Return the transform at a time, interpolated between its neighbours."""
+        if self.is_static:
+            return self.transforms[-1]
+        index = bisect_left(self.stamps_ns, stamp_ns)
+        if self.stamps_ns[index:index + 1] == [stamp_ns]:
+            return self.transforms[index]
+        if index in (0, len(self.stamps_ns)):
+            raise TransformError('the time is before the first or after the last transform to '
+                                 f'{self.parent}')
+        before_ns, after_ns = self.stamps_ns[index - 1:index + 1]
+        share = (stamp_ns - before_ns) / (after_ns - before_ns)
+        return interpolate(*self.transforms[index - 1:index + 1], share)
+
+
+class TransformBuffer:
+    """The tree of frames over time. No transform is dropped: memory grows with their number."""
+
+    def __init__(self) -> None:
+        self._edges: dict[str, _Edge] = {}
+
+    def add(self, msg: Any, is_static: bool = False) -> None:
+        """
+        Add a geometry_msgs/TransformStamped; static ones hold at any time.
+
+        Raises
+        ------
+        ValueError
+            Its quaternion is zero, or a number is not finite.
+
+        """
+        transform, stamp = transform_from_msg(msg), msg.header.stamp
+        edge = self._edges.get(msg.child_frame_id)
+        if edge is None or edge.parent != msg.header.frame_id:
+            edge = self._edges[msg.child_frame_id] = _Edge(msg.header.frame_id, is_static)
+        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+        index = len(edge.stamps_ns) if is_static else bisect_left(edge.stamps_ns, stamp_ns)
+        edge.stamps_ns.insert(index, stamp_ns)
+        edge.transforms.insert(index, transform)
+
+    def lookup_transform(self, target_frame: str, source_frame: str, time: Any,
+                         timeout: Any = None) -> TransformStamped:
+        """
+        Return the transform that maps points of the source frame into the target frame.
+
+        Only the transforms between the frames and their nearest common ancestor are needed at
+        that time (rclpy.time.Time); the timeout is ignored, because all have been added.
+
+        Raises
+        ------
+        TransformError
+            The frames are not connected at that time.
+
+        """
+        above_source, above_target = self._ancestors(source_frame), self._ancestors(target_frame)
+        common = next((frame for frame in above_target if frame in above_source), None)
+        if common is None:
+            frames = sorted({*self._edges, *(edge.parent for edge in self._edges.values())})
+            raise TransformError(f'the frames are not connected; there are {", ".join(frames)}')
+
+        def into_common(path: list[str]) -> RigidTransform:
+            transform = RigidTransform.identity()
+            for frame in path[:path.index(common)]:
+                transform = self._edges[frame].at(time.nanoseconds).after(transform)
+            return transform
+
+        transform = into_common(above_target).inverse().after(into_common(above_source))
+        return _to_msg(target_frame, source_frame, time, transform)
+
+    def _ancestors(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on; it ends where a cycle begins anew."""
+        path = [frame]
+        while (edge := self._edges.get(path[-1])) is not None and edge.parent not in path:
+            path.append(edge.parent)
+        return path
+
+
+def transform_from_msg(msg: Any) -> RigidTransform:
+    """
+    Return the transform of a geometry_msgs/TransformStamped, from child to parent frame.
+
+    Raises
+    ------
+    ValueError
+        Its quaternion is zero, or a number is not finite.
+
+    """
+    rotation, translation = msg.transform.rotation, msg.transform.translation
+    quaternion = rotation.x, rotation.y, rotation.z, rotation.w
+    translation_m = translation.x, translation.y, translation.z
+    if not np.isfinite([*quaternion, *translation_m]).all():
+        raise ValueError(f'the transform from {msg.child_frame_id} to {msg.header.frame_id} has '
+                         'numbers that are not finite')
+    return RigidTransform.from_quaternion(quaternion, translation_m)
+
+
+def _to_msg(target_frame: str, source_frame: str, time: Any,
+            transform: RigidTransform) -> TransformStamped:
+    msg = TransformStamped(child_frame_id=source_frame)
+    msg.header.frame_id, msg.header.stamp = target_frame, time.to_msg()
+    for name, value in zip('xyz', transform.translation_m.tolist(), strict=True):
+        setattr(msg.transform.translation, name, value)
+    for name, value in zip('xyzw', transform.quaternion.tolist(), strict=True):
+        setattr(msg.transform.rotation, name, value)
+    return msg
 
 
 class Buffer(Protocol):

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Conversion of the results of the core to messages, without state.
+Conversion of the results of the core to messages, without state, and of clouds to arrays.
 
 Every output has the header of its image, so that stamp and optical frame (REP-103) are those of
 the image. Labels in messages are above 0; 0 is no plane.
@@ -153,3 +153,19 @@ def _sharing(msg: Message, data: np.ndarray) -> Message:
     """
     msg._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8).data
     return msg
+
+
+_TYPES = {PointField.INT8: 'i1', PointField.UINT8: 'u1', PointField.INT16: 'i2',
+          PointField.UINT16: 'u2', PointField.INT32: 'i4', PointField.UINT32: 'u4',
+          PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
+
+
+def read_cloud(msg: PointCloud2) -> np.ndarray:
+    """Return the points, a structured array (height, width) that shares the message's memory."""
+    order = '>' if msg.is_bigendian else '<'
+    dtype = np.dtype({'names': [field.name for field in msg.fields],
+                      'formats': [order + _TYPES[field.datatype] for field in msg.fields],
+                      'offsets': [field.offset for field in msg.fields],
+                      'itemsize': msg.point_step})
+    rows = np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.row_step)
+    return rows[:, :msg.width * msg.point_step].view(dtype)

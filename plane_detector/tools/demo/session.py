@@ -23,10 +23,9 @@ from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from plane_detector.ros.calibration import camera_info_to_msg
-from plane_detector.ros.cloud_reading import read_cloud
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.image_decoding import depth_from_msg
-from plane_detector.ros.outputs.messages import depth_to_msg, rgb_to_msg
+from plane_detector.ros.outputs.messages import depth_to_msg, read_cloud, rgb_to_msg
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.demo.photographs import Photograph
 

@@ -18,8 +18,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.calibration import image_size
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
-from plane_detector.ros.inputs.transform_buffer import TransformBuffer
-from plane_detector.ros.inputs.transforms import FrameTransforms
+from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, Topic, to_message
 from plane_detector.tools.replay.options import ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter

@@ -27,7 +27,7 @@ from plane_detector.ros.diagnostics import Report, planes_status, status_to_msg
 from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
 from plane_detector.ros.health import gap_of
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
-from plane_detector.ros.kernels import load_kernels
+from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Stopped, raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader

@@ -38,9 +38,9 @@ from rosbags.typesys import Stores, get_typestore
 from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.ros.frame_processor import FrameOutputs
+from plane_detector.ros.inputs.synchronizer import stamp_text
+from plane_detector.ros.outputs.clouds import PLANE_DTYPE, SHAPE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.outputs.plane_table import PLANE_DTYPE, SHAPE_DTYPE
-from plane_detector.ros.stamps import stamp_text
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.tools.ply import write_ply
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded

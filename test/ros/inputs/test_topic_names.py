@@ -6,7 +6,7 @@ import pytest
 import rclpy
 from rclpy.node import Node
 
-from plane_detector.ros.inputs.topic_names import input_topics
+from plane_detector.ros.inputs.subscriptions import input_topics
 
 
 @pytest.fixture

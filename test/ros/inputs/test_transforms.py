@@ -10,12 +10,12 @@ from ros_helpers import header, transform_msg
 
 from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.ros.inputs.transform_buffer import (
+from plane_detector.ros.inputs.transforms import (
+    FrameTransforms,
     TransformBuffer,
     TransformError,
     transform_from_msg,
 )
-from plane_detector.ros.inputs.transforms import FrameTransforms
 
 OPTICAL = (-0.5, 0.5, -0.5, 0.5)  # x right, y down, z forward in a body frame of x forward, z up
 

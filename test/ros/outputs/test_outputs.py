@@ -12,7 +12,7 @@ from ros_helpers import cloud_array, header, image_array
 from scipy.spatial.transform import Rotation
 
 from plane_detector.drawing import label_colours
-from plane_detector.ros.cloud_reading import read_cloud
+from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.types import Detection, ShapeType
 

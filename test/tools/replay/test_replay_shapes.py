@@ -11,7 +11,7 @@ from replay_helpers import CAMERA, START_S, camera_messages
 
 from plane_detector.evaluation.scenes.rendering import Rectangle, camera_rotation, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
-from plane_detector.ros.outputs.plane_table import SHAPE_DTYPE
+from plane_detector.ros.outputs.clouds import SHAPE_DTYPE
 
 WALLS = [Rectangle(*(np.array(vector, float) for vector in one)) for one in (
     ([-5, 4, -1], [10, 0, 0], [0, 0, 4]), ([-5, -1, 0], [10, 0, 0], [0, 5, 0]))]

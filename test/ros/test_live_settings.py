@@ -10,7 +10,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from ros_helpers import header
 
-from plane_detector.ros import kernels
+from plane_detector.ros import live_settings
 from plane_detector.shapes import detector
 
 
@@ -24,8 +24,8 @@ def compiler(monkeypatch):
             tell(f'compiling {what}')
             finished.wait(60)
 
-    monkeypatch.setattr(kernels, 'compile_kernels', compile_slowly)
-    monkeypatch.setattr(kernels, 'are_ready', lambda subject: finished.is_set())
+    monkeypatch.setattr(live_settings, 'compile_kernels', compile_slowly)
+    monkeypatch.setattr(live_settings, 'are_ready', lambda subject: finished.is_set())
     yield finished
     finished.set()
 
