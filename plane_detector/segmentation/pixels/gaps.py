@@ -10,8 +10,6 @@ it as the settings allow a plane to be uneven.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -41,23 +39,28 @@ def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, gr
     (H, W) int32
 
     """
-    # A point at 1/z is off the plane by the distance of the plane times its relative residual.
-    largest = [distance_m * math.hypot(*normal_of(*plane, grid.lens)) for plane in planes]
     closed = labels.copy()
-    _close(closed, np.flatnonzero(labels < 0),
-           np.column_stack([grid.planes_in_pixels(planes), largest]), image.values, image.valid,
-           grid.size_px)
+    _close(closed, np.flatnonzero(labels < 0), (planes, grid.planes_in_pixels(planes), grid.lens),
+           image.values, image.valid, (grid.size_px, distance_m))
     return closed
 
 
-@kernel('void(int32[:, ::1], int64[::1], float64[:, ::1], float32[:, ::1], boolean[:, ::1], '
-        'int64)')
-def _close(labels, unlabelled, planes, disparity, valid, widest):
+@kernel('void(int32[:, ::1], int64[::1], Tuple((float64[:, ::1], float64[:, ::1], float64[::1])), '
+        'float32[:, ::1], boolean[:, ::1], Tuple((int64, float64)))')
+def _close(labels, unlabelled, model, disparity, valid, limits):
     """Close the gaps among the unlabelled pixels, along rows and then along columns."""
-    height, width = labels.shape
+    (height, width), (planes, in_pixels, lens), (widest, distance_m) = labels.shape, model, limits
+    largest = np.empty(len(planes))
+    for k in range(len(planes)):
+        x, y, z = normal_of(planes[k, 0], planes[k, 1], planes[k, 2], lens)
+        # A point at 1/z is off the plane by the distance of the plane times its relative residual.
+        largest[k] = distance_m * np.sqrt(x * x + y * y + z * z)
     for down, right in ((0, 1), (1, 0)):
+        v = 0
         for pixel in unlabelled:
-            v, u = pixel // width, pixel % width
+            while pixel >= (v + 1) * width:
+                v += 1
+            u = pixel - v * width
             if v < down or u < right or labels[v, u] >= 0:
                 continue
             label, length = labels[v - down, u - right], 1
@@ -71,9 +74,10 @@ def _close(labels, unlabelled, planes, disparity, valid, widest):
             row, column = v + length * down, u + length * right
             if row >= height or column >= width or labels[row, column] != label:
                 continue
-            a, b, c, most = planes[label, 0], planes[label, 1], planes[label, 2], planes[label, 3]
+            a, b, c = in_pixels[label, 0], in_pixels[label, 1], in_pixels[label, 2]
             for k in range(length):
                 row, column = v + k * down, u + k * right
                 d = disparity[row, column]
-                if valid[row, column] and abs(a * column + b * row + c - d) <= most * d:
+                off = abs(a * column + b * row + c - d)
+                if valid[row, column] and off <= largest[label] * d:
                     labels[row, column] = label
