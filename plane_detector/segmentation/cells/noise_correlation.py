@@ -137,19 +137,27 @@ def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> flo
         no region is large enough.
 
     """
-    labels, planes = np.ascontiguousarray(regions.labels), regions.coefficients
-    is_used = in_large_regions(labels, len(planes)) & model.is_planar
     own = (noise.pixel_sigma / model.grid.size_px) ** 2
-    logarithms = []
-    for lag in ROUGHNESS_LAGS:
-        moduli = _differences(labels, planes, model.table, is_used, lag)
+    if noise.source_sigma > 0 or noise.mean_sigma**2 <= own:
+        return 1.0
+    labels = np.ascontiguousarray(regions.labels)
+    is_used = in_large_regions(labels, len(regions.coefficients)) & model.is_planar
+
+    def log_variance(lag: int) -> float:
+        """Return that of the differences without the cells' own noise; NaN if it is all."""
+        moduli = _differences(labels, regions.coefficients, model.table, is_used, lag)
         variance = (SIGMA_PER_MEDIAN * median(moduli)) ** 2 - 2 * own if len(moduli) else 0.0
-        if variance <= 0 or noise.source_sigma > 0 or noise.mean_sigma**2 <= own:
-            return 1.0
-        logarithms.append(math.log2(variance))
-    power = (logarithms[1] - logarithms[0]) / math.log2(ROUGHNESS_LAGS[1] / ROUGHNESS_LAGS[0])
-    growth = (logarithms[2] - logarithms[1]) / math.log2(ROUGHNESS_LAGS[2] / ROUGHNESS_LAGS[1])
-    excess = min(max(BENDING_PER_POWER * (SMOOTH_POWER - power), 0.0), MAX_BENDING - 1)
+        return math.log2(variance) if variance > 0 else math.nan
+
+    near, middle, far = ROUGHNESS_LAGS
+    at_middle = log_variance(middle)
+    power = (at_middle - log_variance(near)) / math.log2(middle / near)
+    if not power < SMOOTH_POWER:
+        return 1.0
+    growth = (log_variance(far) - at_middle) / math.log2(far / middle)
+    if math.isnan(growth):
+        return 1.0
+    excess = min(BENDING_PER_POWER * (SMOOTH_POWER - power), MAX_BENDING - 1)
     share = min(max((growth - MIN_GROWTH) / (FULL_GROWTH - MIN_GROWTH), 0.0), 1.0)
     of_smooth = 1 + excess * share
     return (1 + (of_smooth**2 - 1) * (1 - own / noise.mean_sigma**2)) ** 0.5
