@@ -164,11 +164,10 @@ class OnnxSession:
         if missing := [name for name in names if name not in outputs]:
             raise self.misfit(f'it must have an output {" and ".join(missing)}')
         if not names:
-            names = list(outputs)
-        if not self._network.outputs.names and len(names) > 1:
-            names = [n for n in names if any(key in n.lower() for key in ('depth', 'disp'))]
-        if not self._network.outputs.names and len(names) != 1:
-            raise self.misfit('it must have one output, or one with depth or disp in its name')
+            names = list(outputs) if len(outputs) == 1 else [
+                name for name in outputs if 'depth' in name.lower() or 'disp' in name.lower()]
+            if len(names) != 1:
+                raise self.misfit('it must have one output, or one with depth or disp in its name')
         for name in names:
             if outputs[name].type not in _NUMBERS:
                 raise self.misfit(f'its output {name} must be a tensor of numbers')

@@ -8,6 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from plane_detector.geometry.rigid_transform import RigidTransform
+
 _STANDARD_GRAVITY = 9.80665  # m/s^2
 # A larger deviation from standard gravity means that the accelerometer is being moved.
 _MAX_FORCE_ERROR_SHARE = 0.1
@@ -61,13 +63,8 @@ def gravity_from_acceleration(acceleration: Sequence[float],
     strength = np.linalg.norm(force)
     if not abs(strength - _STANDARD_GRAVITY) <= _MAX_FORCE_ERROR_SHARE * _STANDARD_GRAVITY:
         return None
-    return -_rotate(imu_to_camera, force / strength)
-
-
-def _rotate(quaternion: Sequence[float], vector: np.ndarray) -> np.ndarray:
-    x, y, z, w = np.asarray(quaternion, np.float64) / np.linalg.norm(quaternion)
-    axis = np.array([x, y, z])
-    return vector + 2.0 * np.cross(axis, np.cross(axis, vector) + w * vector)
+    mounting = RigidTransform.from_quaternion(imu_to_camera, np.zeros(3))
+    return -mounting.points(force / strength)
 
 
 def smooth_gravity(previous: np.ndarray | None, reading: np.ndarray,

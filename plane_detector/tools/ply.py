@@ -16,26 +16,10 @@ _PLY_TYPES = {'f4': 'float', 'u1': 'uchar', 'i4': 'int'}
 def write_ply(path: Path, points_m: np.ndarray, rgb: np.ndarray, labels: np.ndarray,
               in_metres: bool = True) -> int:
     """
-    Write the points with finite coordinates, little-endian binary.
+    Write the points (..., 3) with finite coordinates, little-endian binary; return their number.
 
-    Parameters
-    ----------
-    path : Path
-        The file; an existing one is replaced.
-    points_m : (..., 3) floating
-        Points that are not finite are skipped.
-    rgb : (..., 3) uint8
-        Colour of each point.
-    labels : (...) integer
-        Plane of each point, 0 for none.
-    in_metres : bool
-        Whether the unit of the points is the metre or unknown; the file states it.
-
-    Returns
-    -------
-    int
-        Number of points written.
-
+    Each has a colour, uint8, and the label of a plane, 0 for none. The file states whether the
+    unit is the metre or unknown.
     """
     valid = np.isfinite(points_m).all(axis=-1)
     vertices = np.empty(np.count_nonzero(valid), _VERTEX)

@@ -38,17 +38,9 @@ _HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7
 
 def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
     """
-    Return the planes of a message as lines of text, largest first.
+    Return the planes of a message of ``~/planes`` as lines of text, largest first.
 
-    Parameters
-    ----------
-    msg : sensor_msgs.msg.PointCloud2
-        Of ``~/planes``.
-    is_metric : bool
-        Whether lengths are in metres.
-    camera : str
-        What the diagnostics say of its height, tilt and drops.
-
+    ``camera`` is what the diagnostics say of its height, tilt and drops.
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg).ravel() if msg.height else ()
@@ -70,25 +62,16 @@ def plane_lines(rows: Iterable[np.void]) -> list[str]:
 
 def camera_line(facts: Mapping[str, str]) -> str:
     """Return height and tilt of the camera, and the drops, from the facts of the diagnostics."""
-    parts = [f'camera {facts["camera_height_m"]} m above the floor'] * (
-        'camera_height_m' in facts) + [f'tilted {facts["camera_tilt_deg"]} degrees down'] * (
-        'camera_tilt_deg' in facts) + [f'drops: {facts["drops"]}'] * ('drops' in facts)
-    return ', '.join(parts)
+    texts = {'camera_height_m': 'camera {} m above the floor',
+             'camera_tilt_deg': 'tilted {} degrees down', 'drops': 'drops: {}'}
+    return ', '.join(text.format(facts[name]) for name, text in texts.items() if name in facts)
 
 
 class PlanePrinter(Node):
     """
     Prints every message of ``~/planes``, clearing a terminal before each. Logs why none arrives.
 
-    Parameters
-    ----------
-    detector : str
-        Name of the node, with its namespace.
-    stream : text file
-        Where to print.
-    on_table : callable
-        Called after each table.
-
+    ``detector`` is the name of the node, with its namespace; ``on_table`` is called after each.
     """
 
     def __init__(self, detector: str, stream: TextIO, on_table: Callable[[], None] = lambda: None,
