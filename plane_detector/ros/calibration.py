@@ -25,19 +25,7 @@ NO_DISTORTION = Distortion('plumb_bob', (0.0,) * 5)
 
 def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics,
                        distortion: Distortion = NO_DISTORTION) -> CameraInfo:
-    """
-    Return the calibration of images.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-        Of the image.
-    intrinsics : CameraIntrinsics
-        Of these images, rectified or not, reduced or not.
-    distortion : Distortion
-        Of these images.
-
-    """
+    """Return the calibration of images with this header, rectified or not, reduced or not."""
     fx, fy, cx, cy = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
     return CameraInfo(
         header=header, width=intrinsics.width, height=intrinsics.height,
@@ -48,22 +36,11 @@ def camera_info_to_msg(header: Header, intrinsics: CameraIntrinsics,
 
 def intrinsics_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraIntrinsics:
     """
-    Return the pinhole model of the image that a CameraInfo belongs to.
+    Return the pinhole model of the image that a CameraInfo belongs to: P if rectified, else K.
 
-    Binning and region of interest are applied as image_geometry's PinholeCameraModel does.
-
-    Parameters
-    ----------
-    msg : sensor_msgs.msg.CameraInfo
-        K is for the original image, P for the rectified one.
-    rectified : bool
-        The image is rectified: P is used, or K if P is not set.
-
-    Raises
-    ------
-    ValueError
-        K is all zeros (the camera is not calibrated) or not finite, or the image has no size.
-
+    Binning and region of interest are applied as image_geometry's PinholeCameraModel does. Raises
+    ValueError if K is all zeros (the camera is not calibrated) or not finite, or the image has no
+    size.
     """
     if not np.any(msg.k):
         raise ValueError('the CameraInfo has a K of zeros: the camera is not calibrated')

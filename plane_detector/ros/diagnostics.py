@@ -117,16 +117,8 @@ class DiagnosticsPublisher:
     """
     Publishes the state of the node on /diagnostics once a second, in every lifecycle state.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Its clock gives the stamps; the period is by the steady clock, so that diagnostics are
-        published even if simulation time stands still.
-    statistics : Statistics
-        Counts and times.
-    describe : callable
-        Returns (level, message, facts) for a report.
-
+    ``describe`` returns level, message and facts for a report. The period is by the steady clock,
+    so that diagnostics are published even if simulation time stands still.
     """
 
     def __init__(self, node: Node, statistics: Statistics,
@@ -155,15 +147,7 @@ def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: st
     """
     Return the log lines at configure: source of depth and its reason, inputs and outputs.
 
-    Parameters
-    ----------
-    facts : mapping of str to str
-        Of the source of depth.
-    topics : mapping of str to str
-        Of the inputs, including ``image`` and ``camera_info``.
-    planes : str
-        Topic of the planes.
-
+    ``facts`` are of the source of depth, ``topics`` of the inputs, ``planes`` is an output.
     """
     runs_on = facts.get('execution_provider')
     lines = [f'depth from {facts["depth_model"]}' + (f', {runs_on}' if runs_on else ''),
@@ -174,23 +158,7 @@ def introduction(facts: Mapping[str, str], topics: Mapping[str, str], planes: st
 
 def status_to_msg(name: str, level: bytes, message: str, report: Report,
                   facts: Mapping[str, str]) -> DiagnosticStatus:
-    """
-    Return a diagnostic status.
-
-    Parameters
-    ----------
-    name : str
-        Of the node.
-    level : bytes
-        DiagnosticStatus.OK, WARN or ERROR.
-    message : str
-        One line.
-    report : Report
-        Counts and times.
-    facts : mapping of str to str
-        Additional keys and values, which come first; empty ones are left out.
-
-    """
+    """Return the status of the node; facts come first, without the empty ones."""
     values = {key: value for key, value in facts.items() if value}
     values['rate_hz'] = f'{report.rate_hz:.2f}'
     for stage, seconds in report.stage_seconds.items():
@@ -211,14 +179,7 @@ def planes_status(name: str, frame: DetectedFrame,
     """
     Return the planes of a frame as a table: their number, then one row a plane.
 
-    Parameters
-    ----------
-    name : str
-        Of the node.
-    frame : DetectedFrame
-    planes_in_all : int, optional
-        In all frames so far.
-
+    ``planes_in_all`` is their number in all frames so far.
     """
     detection, labels = frame.detection, plane_labels(frame.detection).tolist()
     rows = {'planes': str(len(labels))}

@@ -40,16 +40,9 @@ def plain(text: str, most: int = MOST_CHARACTERS) -> str:
 
 class FaultLog:
     """
-    Logs why data from outside cannot be used.
+    Logs why data from outside cannot be used; ``what`` is the start of each line.
 
     The kind of a fault is its type and the line of code that raised it, not its text.
-
-    Parameters
-    ----------
-    logger : rclpy's logger
-    what : str
-        Start of each line.
-
     """
 
     def __init__(self, logger: Any, what: str):

@@ -32,13 +32,7 @@ class FrameRequests:
     """
     Waiting calls; thread-safe for the executor and the worker.
 
-    Parameters
-    ----------
-    wake : callable
-        Wakes the executor, so that it sends answers given by another thread.
-    clock : callable
-        Monotonic time in seconds.
-
+    ``wake`` wakes the executor, so that it sends answers given by another thread.
     """
 
     def __init__(self, wake: Callable[[], None], clock: Callable[[], float] = time.monotonic):

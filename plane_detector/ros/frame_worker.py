@@ -30,16 +30,10 @@ class FrameWorker:
     """
     Processes frames in order; one more may wait, and a newer one replaces it.
 
-    Parameters
-    ----------
-    begin : callable
-        Called with each frame; returns the function that finishes it, which is called after that
-        of the frame before. Both run under a stop for the frame, and must not raise, except
-        Stopped.
-    overlaps : bool
-        Whether frames are finished in a second thread, while the next one is begun. It is worth
-        it only if beginning takes long: two threads of Python wait for each other.
-
+    ``begin`` is called with each frame, and returns the function that finishes it, which is called
+    after that of the frame before. Both run under a stop for the frame, and must not raise, except
+    Stopped. If it ``overlaps``, frames are finished in a second thread, while the next one is
+    begun. It is worth it only if beginning takes long: two threads of Python wait for each other.
     """
 
     def __init__(self, begin: Callable[[Frame], Callable[[], None]], overlaps: bool):
@@ -135,20 +129,8 @@ class FrameFlow:
     """
     Passes frames to a processor in a worker thread, and its results to those who wait for them.
 
-    Parameters
-    ----------
-    processor : FrameProcessor
-    outputs : OutputPublishers
-    query : PointQuery
-    live : LiveSettings
-        Applied to the processor before each frame.
-    records : FrameRecords
-
-    Attributes
-    ----------
-    worker : FrameWorker
-        After `stop` its thread may still run.
-
+    The live settings are applied to the processor before each frame. After `stop` the thread of
+    ``worker`` may still run.
     """
 
     def __init__(self, processor: FrameProcessor, outputs: OutputPublishers, query: PointQuery,

@@ -31,11 +31,6 @@ class Health:
     There is no lock: attributes are replaced as a whole, `_told` only grows between two calls of
     `clear`, and a status may mix two frames.
 
-    Parameters
-    ----------
-    logger : rclpy's logger
-        Gets one line for each problem and each change of the scale.
-
     Attributes
     ----------
     advice : str
@@ -107,15 +102,8 @@ class Health:
         """
         Return level and message of an active node.
 
-        Parameters
-        ----------
-        report : Report
-            Counts since the last report.
-        silence : str
-            Names a silent or incomplete input and the reason; empty if there is none.
-        is_idle : bool
-            There are no subscribers, so no frame is processed.
-
+        ``silence`` names a silent or incomplete input and the reason; a node without subscribers
+        ``is_idle``, and processes no frame.
         """
         skipped = f'frames skipped: {report.last_error}' if report.skipped_lately else ''
         if skipped or silence:  # a silent IMU does not hide that images give nothing
@@ -131,13 +119,7 @@ def gap_of(detection: Detection, wanted: Collection[str]) -> str:
     """
     Return what a frame lacks for classes and obstacles, and the remedy; empty if nothing.
 
-    Parameters
-    ----------
-    detection : Detection
-        Of the frame.
-    wanted : collection of str
-        Names of the outputs that have subscribers.
-
+    ``wanted`` are the names of the outputs that have subscribers.
     """
     if not detection.planes:
         return ''
@@ -160,14 +142,7 @@ def slow_network(report: Report, advise: Callable[[float], str]) -> str:
     """
     Return a message if the network takes longer than the period of the camera, else nothing.
 
-    Parameters
-    ----------
-    report : Report
-        Since the last one.
-    advise : callable
-        Returns advice for a share of the present time, see
-        :class:`~plane_detector.types.DepthModel`.
-
+    ``advise`` returns advice for a share of the present time, as that of a DepthModel.
     """
     depth_s = report.stage_seconds.get('depth', 0.0)
     if report.arrival_hz == 0 or depth_s * report.arrival_hz <= _TOLERANCE:

@@ -32,15 +32,7 @@ def load_kernels(config: Config, log: Callable[[str], None]) -> None:
 
 
 class LateKernels:
-    """
-    Loads the loops of shapes requested while the node runs; until then, planes only are searched.
-
-    Parameters
-    ----------
-    log : callable
-        Called with a message if the loops must be compiled.
-
-    """
+    """Loads the loops of shapes requested while the node runs; meanwhile only planes are found."""
 
     def __init__(self, log: Callable[[str], None]) -> None:
         self._log = log
@@ -68,29 +60,11 @@ class LateKernels:
 
 class LiveSettings:
     """
-    Current settings, from the parameters of a node.
+    Current settings, from the parameters that it declares on a node.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node that declares the parameters.
-    is_configured : callable
-        Whether the settings that are read at configure are fixed now.
-    on_change : callable
-        Called after each change of a setting, in the thread of the executor.
-
-    Attributes
-    ----------
-    config : Config
-    settings : NodeConfig
-    late_kernels : LateKernels
-        Holds settings back until their machine code is loaded.
-
-    Raises
-    ------
-    ValueError, rclpy.exceptions.ParameterException
-        A parameter has an invalid value.
-
+    ``is_configured`` returns whether the settings that are read at configure are fixed now;
+    ``on_change`` is called after each change, in the thread of the executor. Raises ValueError or
+    rclpy's ParameterException if a parameter has an invalid value.
     """
 
     def __init__(self, node: Node, is_configured: Callable[[], bool],

@@ -32,13 +32,7 @@ def declare(node: Node, defaults: AnySettings) -> AnySettings:
     """
     Declare every field as a parameter, and return the settings with their initial values.
 
-    Raises
-    ------
-    ValueError
-        An initial value is out of range.
-    rclpy.exceptions.ParameterException
-        An initial value has another type.
-
+    Raises ValueError or rclpy's ParameterException if one is out of range or has another type.
     """
     return updated(defaults, [_declare_one(node, name, descriptor(field, value), value)
                               for name, field, value in parameters_of(defaults)])
@@ -105,11 +99,7 @@ def updated(settings: AnySettings, parameters: Iterable[Parameter]) -> AnySettin
     """
     Return the settings with the values of those parameters that belong to them.
 
-    Raises
-    ------
-    ValueError
-        A value is out of range, or inconsistent with another one.
-
+    Raises ValueError if a value is out of range, or inconsistent with another one.
     """
     values = {parameter.name: parameter.value for parameter in parameters}
     return _replaced(settings, values, '')

@@ -23,17 +23,7 @@ _MOST_CLICKS = 16
 
 
 class PointQuery:
-    """
-    Answers clicks with the next frame.
-
-    The thread of the executor adds clicks, the worker thread takes them.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-        Publishes, subscribes and logs.
-
-    """
+    """Answers clicks, which the thread of the executor adds, with the next frame of the worker."""
 
     def __init__(self, node: LifecycleNode):
         self._node = node
@@ -90,11 +80,7 @@ def point_in_camera(result: DetectedFrame, click: PointStamped) -> np.ndarray:
     """
     Return a clicked point (3,) in the frame of the image.
 
-    Raises
-    ------
-    ValueError
-        It is in a frame that is neither that of the image nor that of the outputs.
-
+    Raises ValueError if it is neither in that frame nor in that of the outputs.
     """
     point_m = np.array([click.point.x, click.point.y, click.point.z])
     frame = click.header.frame_id
@@ -111,11 +97,7 @@ def plane_at(result: DetectedFrame, point_m: np.ndarray) -> int:
     """
     Return the index of the plane at the pixel that shows a point, or at the nearest pixel.
 
-    Raises
-    ------
-    ValueError
-        The point is not in the image, or no plane is near it.
-
+    Raises ValueError if the point is not in the image, or no plane is near it.
     """
     x, y, z = point_m.tolist()
     camera, labels = result.intrinsics, result.detection.labels

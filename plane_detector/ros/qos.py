@@ -24,11 +24,8 @@ def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | Non
     """
     Return the policies of an endpoint that the qos_overrides parameters may change.
 
-    Parameters
-    ----------
-    settle : callable, optional
-        Called with the profile after these parameters are applied; may change or reject it.
-
+    ``settle`` is called with the profile after these parameters are applied; may change or reject
+    it.
     """
     return QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
                                  QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY),
@@ -45,21 +42,9 @@ class InputSubscription:
     A subscription that keeps the last message and can adapt to its publishers.
 
     With reliability ``auto`` it starts compatible with every publisher: best effort if none is
-    known, reliable if all of them are. When `follow` finds that they have changed, it creates
-    a second subscription with the other reliability, and the first one is destroyed when the
-    second has received a message, so that no message is lost in between.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Subscribes and logs.
-    msg_type, topic : type, str
-        Of the messages.
-    callback : callable
-        Called with each message, in the thread of the executor.
-    reliability : str
-        ``auto``, ``reliable`` or ``best_effort``.
-
+    known, reliable if all of them are. When `follow` finds that they have changed, it creates a
+    second subscription with the other reliability, and the first one is destroyed when the second
+    has received a message, so that no message is lost in between.
     """
 
     def __init__(self, node: Node, msg_type: Any, topic: str, callback: Callable[[Any], None],

@@ -77,25 +77,15 @@ class CannotRunError(Exception):
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoReturn:
     """
-    Run a node until SIGINT or SIGTERM; once per process.
+    Run a node, made when rclpy is initialised, until SIGINT or SIGTERM; once per process.
 
     Python handles both signals instead of rclpy. After the first one the node has `MOST_ENDING_S`
     to end; a second one ends the process at once. An exception of a callback is logged with its
     traceback, and the node goes on.
 
-    Parameters
-    ----------
-    make_node : callable
-        Called after rclpy is initialised.
-    args : list of str, optional
-        Command line; default: sys.argv.
-
-    Notes
-    -----
     This function does not return: the process exits with code 1 if the node cannot be made with
     these arguments or raises `CannotRunError`, otherwise 0. The regular exit of the interpreter
     would take a second or more to unload all libraries, and crash if one of them is still running.
-
     """
     ending, exit_code = _Ending(), 0
     ending.begin()

@@ -34,18 +34,9 @@ class Transitions(Generic[Prepared]):
     """
     Answers the service ``~/change_state`` of a node instead of rclpy.
 
-    Parameters
-    ----------
-    node : LifecycleNode
-        Its ``on_configure`` must call `prepared`.
-    prepare : callable
-        The slow part of configuring; called in a thread.
-
-    Attributes
-    ----------
-    group : CallbackGroup
-        For callbacks that call `configure`: others run while these wait.
-
+    ``prepare`` is the slow part of configuring, called in a thread; ``on_configure`` of the node
+    must call `prepared`. Callbacks that call `configure` belong to ``group``: others run while
+    they wait.
     """
 
     def __init__(self, node: LifecycleNode, prepare: Callable[[], Prepared]):
@@ -62,11 +53,7 @@ class Transitions(Generic[Prepared]):
         """
         Do the same as ``trigger_configure`` of rclpy without blocking the executor.
 
-        Raises
-        ------
-        RuntimeError
-            The state does not allow it.
-
+        Raises RuntimeError if the state does not allow it.
         """
         machine = self._node._state_machine  # rclpy has no public name for it
         number, label = machine.current_state
@@ -114,18 +101,9 @@ class Autostart:
     """
     Brings a lifecycle node to the active state without a lifecycle manager.
 
-    Parameters
-    ----------
-    node : rclpy.lifecycle.LifecycleNode
-        With the attribute ``state``.
-    transitions : Transitions
-        Of this node.
-    may_pass : callable
-        Whether the cause of the last failure may be temporary: an unreachable host, but not a
-        wrong setting.
-    exits : bool
-        Raise at the first failure instead of retrying.
-
+    ``may_pass`` returns whether the cause of the last failure may be temporary: an unreachable
+    host, but not a wrong setting. If it ``exits``, it raises at the first failure instead of
+    retrying.
     """
 
     def __init__(self, node: Any, transitions: Transitions, may_pass: Callable[[], bool],
@@ -144,11 +122,8 @@ class Autostart:
         """
         Configure and activate, unless the node has been configured by others in the meantime.
 
-        Raises
-        ------
-        CannotRunError
-            It failed and ``exits`` is true; this ends the spinning of the executor.
-
+        Raises CannotRunError if it failed and is told to exit; this ends the spinning of the
+        executor.
         """
         self._node.destroy_timer(self._timer)
         if self._node.state != 'unconfigured':

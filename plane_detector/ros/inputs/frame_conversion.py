@@ -48,11 +48,7 @@ class FrameConverter:
     """
     Converts frames; the maps of the rectification are cached until the calibration changes.
 
-    Parameters
-    ----------
-    image_topic : str
-        Its name indicates whether the images are rectified.
-
+    The name of the image topic tells whether the images are rectified.
     """
 
     def __init__(self, image_topic: str):

@@ -24,23 +24,11 @@ _LOSS_CHANGE = 0.15
 
 class Subscriptions:
     """
-    Subscribes to the topics that the settings require.
+    Subscribes to the topics that the settings require; ``on_frame`` is called with each frame.
 
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Subscribes and logs.
-    config : Config
-        Says whether depth is needed.
-    settings : NodeConfig
-        Transport and quality of service.
-    output : str
-        Output of the network: relative disparity can use measured depth.
-    on_frame : callable
-        Called with each frame, in the thread of the executor.
-    on_dropped : callable
-        Called with the number of images that did not become a frame.
-
+    ``output`` is that of the network: relative disparity can use measured depth. ``on_dropped`` is
+    called with the number of images that did not become a frame. Both are called in the thread of
+    the executor.
     """
 
     def __init__(self, node: Node, config: Config, settings: NodeConfig, output: str,

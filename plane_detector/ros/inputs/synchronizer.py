@@ -46,13 +46,7 @@ def depth_use(config: Config, output: str) -> str:
     """
     Return whether measured depth is ``required``, ``optional`` or ``unused``.
 
-    Parameters
-    ----------
-    config : Config
-        Source of depth and of its unit.
-    output : str
-        Output of the network: only relative disparity uses the unit of measured depth.
-
+    Of the outputs of networks only relative disparity uses the unit of measured depth.
     """
     if config.depth.source == 'topic':
         return 'required'
@@ -253,15 +247,7 @@ class _MessageBuffer:
 
 
 class _GravityFilter:
-    """
-    Smooths readings of an accelerometer over time; those during acceleration are ignored.
-
-    Parameters
-    ----------
-    imu_to_camera : (4,) float
-        Quaternion x y z w that rotates vectors from the frame of the IMU into the optical frame.
-
-    """
+    """Smooths readings of an accelerometer over time; those during acceleration are ignored."""
 
     def __init__(self, imu_to_camera: Sequence[float]):
         self._imu_to_camera = imu_to_camera

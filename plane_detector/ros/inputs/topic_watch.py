@@ -42,17 +42,7 @@ class _Topic:
 
 
 class TopicWatch:
-    """
-    Records the arrival of messages, and reports which topic is silent and why.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Provides the graph and the log.
-    clock : callable
-        Monotonic time in seconds.
-
-    """
+    """Records the arrival of messages, and reports which topic is silent and why."""
 
     def __init__(self, node: Node, clock: Callable[[], float] = time.monotonic):
         self._node, self._clock = node, clock
@@ -146,19 +136,7 @@ class TopicWatch:
 
 
 def explain_loss(topic: str, offered: Sequence[ReliabilityPolicy], only_reliable: bool) -> str:
-    """
-    Return why nothing has arrived on a topic that has publishers, and the remedy.
-
-    Parameters
-    ----------
-    topic : str
-        Resolved name.
-    offered : sequence of ReliabilityPolicy
-        Of its publishers.
-    only_reliable : bool
-        Best-effort publishers are rejected.
-
-    """
+    """Return why nothing has arrived on a topic that has publishers, and the remedy."""
     if only_reliable and ReliabilityPolicy.BEST_EFFORT in offered:
         return (f'nothing arrives on {topic}: the parameter input_reliability asks for reliable, '
                 'the publisher is best effort: set it to auto or best_effort')
@@ -178,17 +156,9 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
     """
     Return why a topic has no publisher of its type, and the remedy.
 
-    Parameters
-    ----------
-    role : str
-        Name used for remapping.
-    topic, type_name : str
-        The subscription.
-    offered : sequence of str
-        Types of the publishers of that topic, all different from the subscription's.
-    published : mapping of str to str
-        Type of every topic that other nodes publish.
-
+    ``offered`` are the types of its publishers, all different from that of the subscription;
+    ``published`` are the types of all topics that other nodes publish. Topics are remapped by
+    their ``role``.
     """
     if offered:
         return (f'{topic} is published as {offered[0]}, not as {type_name}'

@@ -162,13 +162,8 @@ class FrameTransforms:
     """
     Looks up the frames named in the settings; does nothing if none is named.
 
-    Parameters
-    ----------
-    buffer : Buffer
-        Filled in another thread.
-    listener : object, optional
-        Fills the buffer until its ``unregister`` is called.
-
+    A listener, if there is one, fills the buffer in another thread until its ``unregister`` is
+    called.
     """
 
     def __init__(self, buffer: Buffer, listener: Any = None):
@@ -236,15 +231,7 @@ class FrameTransforms:
 
 
 def listen_to_tf(node: Node) -> FrameTransforms:
-    """
-    Return transforms that the node receives from /tf and /tf_static.
-
-    Raises
-    ------
-    ValueError
-        tf2_ros is not installed.
-
-    """
+    """Return transforms that the node receives from /tf and /tf_static."""
     try:
         import tf2_ros
     except ImportError as error:

@@ -199,21 +199,9 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
     """
     Return the captions that are shown, by label.
 
-    A caption is placed where its plane is widest in the image, in front of the plane, and faces
-    the viewer. A small plane has none. If two overlap as seen from where the layout of the viewer
-    looks, the one of the larger plane is kept.
-
-    Parameters
-    ----------
-    detection : Detection
-        The planes, in the frame of the camera.
-    labels : sequence of int
-        Of the planes, as in the text.
-    intrinsics : CameraIntrinsics
-        Of the image.
-    places : mapping of int to LabelPlace
-        By label; the default is the centroid.
-
+    A caption is placed where its plane is widest in the image, by default at the centroid, in
+    front of the plane, and faces the viewer. A small plane has none. If two overlap as seen from
+    where the layout of the viewer looks, the one of the larger plane is kept.
     """
     captions: dict[int, Caption] = {}
     boxes: list[np.ndarray] = []

@@ -110,19 +110,7 @@ def jpeg_to_msg(header: Header, rgb: np.ndarray) -> CompressedImage:
 
 def cloud_msg(header: Header, dtype: np.dtype, data: np.ndarray, height: int,
               width: int) -> PointCloud2:
-    """
-    Return a cloud whose points are rows of a structured type.
-
-    Parameters
-    ----------
-    header : std_msgs.msg.Header
-    dtype : numpy.dtype
-        Of a point, packed.
-    data : array of height * width points
-        C-contiguous; shared with the message.
-    height, width : int
-
-    """
+    """Return a cloud whose points have a structured type; it shares the data, C-contiguous."""
     msg = PointCloud2(header=header, height=height, width=width, fields=list(_fields(dtype)),
                       is_bigendian=False, point_step=dtype.itemsize,
                       row_step=dtype.itemsize * width, is_dense=dtype is not POINT_DTYPE,

@@ -69,14 +69,7 @@ OUTPUTS: dict[str, Output] = {
 
 
 class OutputPublishers:
-    """
-    Creates the publishers of a lifecycle node.
-
-    Parameters
-    ----------
-    node : LifecycleNode
-
-    """
+    """The publishers of a lifecycle node."""
 
     def __init__(self, node: LifecycleNode):
         self._node = node
