@@ -3,9 +3,11 @@
 """The RViz configuration, and the program that sets its frame; RViz itself is a stand-in."""
 
 import os
+import threading
 
 import pytest
 import yaml
+from rclpy.node import Node
 from ros_helpers import camera_info_msg
 
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -27,11 +29,9 @@ def test_the_configuration_shows_outputs_relative_to_its_namespace():
 
 
 def test_the_frame_is_that_of_the_camera(robot):
-    from rclpy.node import Node
     node = Node('viewer', context=robot.context)
     publisher = robot.node.create_publisher(type(camera_info_msg(CAMERA)), 'camera_info', 1)
     robot.node.create_timer(0.05, lambda: publisher.publish(camera_info_msg(CAMERA)))
-    import threading
     thread = threading.Thread(target=robot.spin, kwargs={'timeout_s': 3.0})
     thread.start()
     try:

@@ -70,14 +70,8 @@ def load_settings(params_file: Path | None, assignments: Sequence[str],
     """
     Return the settings that the node would start with.
 
-    Parameters
-    ----------
-    params_file : Path, optional
-        As for ``ros2 run`` after ``--params-file``.
-    assignments : sequence of str
-        As for ``ros2 run`` after ``-p``: ``depth.source:=topic``. They override the file.
-    node : NodeConfig, optional
-        Values of what is not set, instead of those of the node.
+    File and assignments are as for ``ros2 run`` after ``--params-file`` and ``-p``; the latter
+    (``depth.source:=topic``) override the file. ``node`` has the values of what is not set.
 
     Raises
     ------

@@ -44,8 +44,9 @@ from plane_detector.tools.replay.options import NODE_NAME, ReplayOptions
 from plane_detector.tools.replay.writer import BagWriter, Draft, ReplayFiles
 from plane_detector.types import Detection
 
-DIAGNOSTICS_TOPIC = '/diagnostics'
-REPLAY_NAME = 'replay'
+INTERRUPTED = 'interrupted_'  # prefix of the names of what an interrupted replay has made so far
+_DIAGNOSTICS_TOPIC = '/diagnostics'
+_REPLAY_NAME = 'replay'
 
 
 @dataclass
@@ -161,15 +162,11 @@ def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str
                     skipped_lately=bool(error), last_error=error)
     level, message = ((DiagnosticStatus.WARN, f'frame skipped: {error}') if error
                       else (DiagnosticStatus.OK, 'replayed'))
-    statuses = [status_to_msg(REPLAY_NAME, level, message, report,
+    statuses = [status_to_msg(_REPLAY_NAME, level, message, report,
                               {'frame': str(index), **facts})]
     if processed is not None:
-        statuses.append(planes_status(REPLAY_NAME, processed.result, tally.planes))
+        statuses.append(planes_status(_REPLAY_NAME, processed.result, tally.planes))
     return DiagnosticArray(header=header, status=statuses)
-
-
-INTERRUPTED = 'interrupted_'
-"""Prefix of the names of what an interrupted replay has made so far."""
 
 
 def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
@@ -228,7 +225,7 @@ def _process(reader: FrameReader, processor: FrameProcessor, writer: BagWriter,
     """Process the frames, to the end of the bag or of what can be read, or to a stop."""
     copied = () if options.copied is None else options.copied or reader.topics.names
     writer.add_outputs({**{_topic(name): OUTPUTS[name].msg_type for name in options.outputs},
-                        DIAGNOSTICS_TOPIC: DiagnosticArray})
+                        _DIAGNOSTICS_TOPIC: DiagnosticArray})
     writer.add_copies(reader.bag, copied)
     copies = CopiedMessages(writer, copied, reader.topics, options.every)
     wanted = dict.fromkeys((*options.outputs, *files.outputs))
@@ -258,7 +255,7 @@ def _process(reader: FrameReader, processor: FrameProcessor, writer: BagWriter,
                 for name in options.outputs if processed else ():
                     if name in processed.messages:  # some are not available for every frame
                         writer.write(_topic(name), time_ns, processed.messages[name])
-                writer.write(DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
+                writer.write(_DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
                     frame.image.header, index, tally, facts, processed, error))
             progress.update()
     except Stopped:
