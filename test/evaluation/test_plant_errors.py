@@ -1,6 +1,8 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every error of the list can be planted: its text stands once in its file."""
+"""Every error of the list can be planted, and the docs name an existing test that catches it."""
+
+import re
 
 from plane_detector.evaluation.plant_errors import ERRORS, ROOT, TESTS
 
@@ -10,3 +12,12 @@ def test_every_error_can_be_planted():
         assert (ROOT / 'plane_detector' / file).read_text('utf-8').count(right) == 1, right
         assert part in TESTS
         assert right != wrong
+
+
+def test_the_table_of_the_docs_names_a_test_for_each_error():
+    rows = re.findall(r'^\| (\w+) \| ([^|]+) \| (\S+) \| `(\w+)` in (\S+) \|$',
+                      (ROOT / 'docs' / 'development.md').read_text('utf-8'), re.MULTILINE)
+    assert {(part, wrong, file) for part, wrong, file, _, _ in rows} == {
+        (part, wrong, file) for part, file, _, _, wrong in ERRORS}
+    for *_, name, tests in rows:
+        assert f'def {name}(' in (ROOT / 'test' / tests).read_text('utf-8'), name
