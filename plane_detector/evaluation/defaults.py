@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import json
 import textwrap
-from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -35,17 +34,15 @@ _ROOT = Path(__file__).resolve().parents[2]
 def yaml_text() -> str:
     """Return the content of config/plane_detector.yaml."""
     lines = [_HEADER.rstrip(), '/**:', '  ros__parameters:', '    # What matters first:', '']
+    settings = _settings()
     for name in FIRST:
-        lines += _yaml_setting(name, *_by_name()[name], indent=4)
-    for group, settings in _groups():
-        rest = [(name, *entry) for name, *entry in settings
-                if f'{group}.{name}'.lstrip('.') not in FIRST]
-        if group:
-            lines.append(f'    {group}:')
-        elif rest:
-            lines += ['', '    # All the others:', '']
-        for name, meta, value in rest:
-            lines += _yaml_setting(name, meta, value, indent=6 if group else 4)
+        lines += _yaml_setting(name, *settings[name], indent=4)
+    others = [name for name in settings if name not in FIRST]
+    for group, names in groupby(others, key=lambda name: name.rpartition('.')[0]):
+        lines += [f'    {group}:'] if group else ['', '    # All the others:', '']
+        for name in names:
+            lines += _yaml_setting(name.rpartition('.')[2], *settings[name],
+                                   indent=6 if group else 4)
     return '\n'.join(lines) + '\n'
 
 
@@ -60,12 +57,10 @@ def _yaml_setting(name: str, meta: Any, value: Any, indent: int) -> list[str]:
 def parameter_table() -> str:
     """Return the parameters as a Markdown table."""
     lines = ['| parameter | default | unit | range | meaning |', '|---|---|---|---|---|']
-    for group, settings in _groups():
-        for name, meta, value in settings:
-            cells = (f'`{group}.{name}`' if group else f'`{name}`', f'`{_yaml(value)}`',
-                     meta['unit'], _range(meta),
-                     meta['doc'] + ('; read at configure' if meta['read_only'] else ''))
-            lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
+    for name, (meta, value) in _settings().items():
+        cells = (f'`{name}`', f'`{_yaml(value)}`', meta['unit'], _range(meta),
+                 meta['doc'] + ('; read at configure' if meta['read_only'] else ''))
+        lines.append('| ' + ' | '.join(cell.replace('|', '\\|') for cell in cells) + ' |')
     return '\n'.join(lines) + '\n'
 
 
@@ -86,19 +81,10 @@ def with_table(page: str) -> str:
     return f'{head}{_BEGIN}\n\n{parameter_table()}\n{_END}{tail}'
 
 
-def _groups() -> Iterator[tuple[str, list[tuple[str, Any, Any]]]]:
-    """Yield prefix and (name, metadata, default) of the settings; those without prefix first."""
-    settings = [(*name.rpartition('.')[::2], field.metadata, value)
-                for part in (NodeConfig(), Config())
-                for name, field, value in parameters_of(part)]
-    for group, members in groupby(settings, key=lambda setting: setting[0]):
-        yield group, [member[1:] for member in members]
-
-
-def _by_name() -> dict[str, tuple[Any, Any]]:
-    """Return metadata and default of each setting by its full name."""
-    return {f'{group}.{name}'.lstrip('.'): (meta, value)
-            for group, settings in _groups() for name, meta, value in settings}
+def _settings() -> dict[str, tuple[Any, Any]]:
+    """Return metadata and default of each setting by its name; those of the node first."""
+    return {name: (field.metadata, value) for part in (NodeConfig(), Config())
+            for name, field, value in parameters_of(part)}
 
 
 def _description(meta: Any) -> str:
