@@ -18,6 +18,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from plane_detector.geometry.robust import dilated, touching
+
 FAR_DEVIATIONS = 3.0
 """A disparity below this many standard deviations does not determine a distance."""
 _SMALL_WIDTH_PX = 160
@@ -79,9 +81,10 @@ def find_sky(rgb: np.ndarray, disparity: np.ndarray) -> np.ndarray | None:
     if region is None:
         return None
     least_grey = float(np.quantile(small[region].mean(axis=-1), 0.1)) - _HORIZON_DARKER
-    region = _touching(is_even & _is_bright(small, least_grey, -_HORIZON_REDDER), region)
-    near_region = cv2.dilate(region.astype(np.uint8), np.ones((2 * _BORDER_PX + 1,) * 2))
-    wide = cv2.resize(near_region, (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    near_horizon = is_even & _is_bright(small, least_grey, -_HORIZON_REDDER)
+    region = touching(near_horizon | region, region, connectivity=4)
+    wide = cv2.resize(dilated(region, _BORDER_PX).view(np.uint8), (width, height),
+                      interpolation=cv2.INTER_NEAREST) > 0
     return wide & _is_bright(rgb.astype(np.float32), least_grey, -_HORIZON_REDDER)
 
 
@@ -126,16 +129,7 @@ def _at_the_top(candidates: np.ndarray) -> np.ndarray:
     """Return the candidates that are connected to the upper border."""
     top = np.zeros_like(candidates)
     top[0] = candidates[0]
-    return _touching(candidates, top)
-
-
-def _touching(candidates: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Return the candidates that are connected to a seed."""
-    _, parts = cv2.connectedComponents((candidates | seeds).astype(np.uint8), connectivity=4)
-    is_found = np.zeros(parts.max() + 1, bool)
-    is_found[parts[seeds]] = True
-    is_found[0] = False
-    return is_found[parts]
+    return touching(candidates, top, connectivity=4)
 
 
 def _whitens_downwards(small: np.ndarray, region: np.ndarray) -> bool:

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robust statistics and dilation."""
+"""Robust statistics, dilation and connected parts."""
 
 from __future__ import annotations
 
@@ -60,3 +60,20 @@ def dilated(mask: np.ndarray, reach: int) -> np.ndarray:
     """
     square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
     return cv2.dilate(np.ascontiguousarray(mask).view(np.uint8), square).view(bool)
+
+
+def touching(mask: np.ndarray, seeds: np.ndarray, connectivity: int) -> np.ndarray:
+    """
+    Return the parts of a mask (H, W) bool that contain a seed (H, W) bool.
+
+    Examples
+    --------
+    >>> touching(np.array([[True, True, False, True]]), np.array([[True, False, True, False]]), 4)
+    array([[ True,  True, False, False]])
+
+    """
+    count, parts = cv2.connectedComponents(mask.view(np.uint8), connectivity=connectivity)
+    is_found = np.zeros(count, bool)
+    is_found[parts[seeds]] = True
+    is_found[0] = False
+    return is_found[parts]

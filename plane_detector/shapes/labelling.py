@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from plane_detector.config import ShapesConfig
+from plane_detector.geometry.robust import dilated, touching
 from plane_detector.shapes.fitting import (
     explained_share,
     fit_shape,
@@ -47,13 +48,9 @@ def on_image(view: DepthView, found: FoundShape) -> FoundShape:
     cells = view.around(found.members)
     window = view.window_of(cells)
     mask = view.mask_on(found.fit.shape, cells, window, found.absorbed)
-    count, pieces = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     rows, columns = (np.arange(side.start, side.stop) // view.size_px for side in window)
     core = found.members.reshape(view.shape)[np.ix_(rows, columns)]
-    on_shape = np.zeros(count, bool)
-    on_shape[pieces[core]] = True
-    on_shape[0] = False
-    return replace(found, window=window, mask=on_shape[pieces])
+    return replace(found, window=window, mask=touching(mask, core, connectivity=8))
 
 
 def open_share(view: DepthView, found: FoundShape) -> float:
@@ -63,9 +60,8 @@ def open_share(view: DepthView, found: FoundShape) -> float:
     It continues where pixels just outside have no plane and the same depth as those inside.
     """
     window, mask = found.window, found.mask
-    near, far = (cv2.dilate(mask.astype(np.uint8), np.ones((2 * k + 1, 2 * k + 1), np.uint8))
-                 for k in (_RING_PX - 1, _RING_PX))
-    ring = (far > near) & np.isfinite(view.depth_m[window])
+    ring = (dilated(mask, _RING_PX) & ~dilated(mask, _RING_PX - 1)
+            & np.isfinite(view.depth_m[window]))
     side = 2 * _RING_PX + 1
     inside = mask.astype(np.float32)
     depth_m = np.where(mask, view.depth_m[window], 0).astype(np.float32)
