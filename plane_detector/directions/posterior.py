@@ -216,14 +216,16 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     """
     step = max(1, intrinsics.width // CELLS_PER_ROW)
     size = intrinsics.width // step, intrinsics.height // step
-    is_valid = disparity > 0
+    every = 1 if step % 8 else 2  # pixel of a row; half of them are enough in large cells
+    thinned = disparity[:size[1] * step:every, :size[0] * step:every]
+    is_valid = thinned > 0
     total, share = (
-        cv2.resize(image[:size[1] * step, :size[0] * step], size, interpolation=cv2.INTER_AREA)
-        for image in (np.where(is_valid, disparity, 0).astype(np.float32),
-                      is_valid.astype(np.float32)))
+        cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        for image in (np.where(is_valid, thinned, 0), is_valid))
     inverse = np.where(share > LEAST_VALID, total / np.maximum(share, LEAST_VALID), np.nan)
-    x = (np.arange(1, size[0] - 1) * step + (step - 1) / 2 - intrinsics.cx) / intrinsics.fx
-    y = (np.arange(1, size[1] - 1) * step + (step - 1) / 2 - intrinsics.cy) / intrinsics.fy
+    middle = (step - every) / 2
+    x = (np.arange(1, size[0] - 1) * step + middle - intrinsics.cx) / intrinsics.fx
+    y = (np.arange(1, size[1] - 1) * step + middle - intrinsics.cy) / intrinsics.fy
     # 1/z = p x + q y + r on a plane with a normal along (p, q, r).
     p = (inverse[1:-1, 2:] - inverse[1:-1, :-2]) * intrinsics.fx / (2 * step)
     q = (inverse[2:, 1:-1] - inverse[:-2, 1:-1]) * intrinsics.fy / (2 * step)
@@ -280,6 +282,7 @@ def _with_normal_error(evidence: Evidence) -> Evidence:
     if not len(evidence.normals):
         return evidence
     tilts = _tilts()
+    tilts = tilts[np.abs(tilts[:, 1]) < 3 * HELD_DEG[1]]
     alone = replace(evidence, lines=evidence.lines[:0],
                     normals=np.ascontiguousarray(evidence.normals[::2]))
     azimuths = np.tile(np.arange(0, 90, 2 * STEP_DEG), (len(tilts), 1))
@@ -408,18 +411,17 @@ def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad
                 a[k, 1] = b[0] - m[0] * b[2]
                 a[k, 2] = b[1] - m[1] * b[2]
             down = _near(a[0, 0], a[0, 1], a[0, 2], spread)
+            (x0, x1, x2), (y0, y1, y2) = (a[1, 0], a[1, 1], a[1, 2]), (a[2, 0], a[2, 1], a[2, 2])
             for z in range(azimuths):
                 c, s = cosines[v, z], sines[v, z]
-                level[z] = (_near(c * a[1, 0] + s * a[2, 0], c * a[1, 1] + s * a[2, 1],
-                                  c * a[1, 2] + s * a[2, 2], spread)
-                            + _near(c * a[2, 0] - s * a[1, 0], c * a[2, 1] - s * a[1, 1],
-                                    c * a[2, 2] - s * a[1, 2], spread))
+                level[z] = weight * (
+                    _near(c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2, spread)
+                    + _near(c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2, spread))
             for z in range(azimuths):
                 if level[z] > 0:
-                    others[v, z] += lines[i, 7] * np.log(1 + weight * level[z])
+                    others[v, z] += lines[i, 7] * np.log(1 + level[z])
                 if down > 0:
-                    upright[v, z] += lines[i, 7] * np.log(
-                        1 + weight * down / (1 + weight * level[z]))
+                    upright[v, z] += lines[i, 7] * np.log(1 + weight * down / (1 + level[z]))
         product[:] = 1.0  # of at most 100 factors between 0.3 and 5
         for i in range(len(normals)):
             n = normals[i]

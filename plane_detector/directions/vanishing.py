@@ -153,11 +153,15 @@ def _fitted(segments: LineSegments, axes: np.ndarray, used: tuple[int, ...]) -> 
 def _if_it_rises(axes: np.ndarray, evidence: Evidence) -> tuple[float, np.ndarray, bool]:
     """Return a probability, the axes that have it, and whether they are not those given."""
     rises = np.radians(RISES_DEG)[:, None]
-    downs = np.concatenate([np.cos(rises) * axes[0] + np.sin(rises) * level for level in axes[1:]])
+    cosine, sine = np.cos(rises), np.sin(rises)
+    turned = np.concatenate([
+        np.stack([cosine * axes[0] + sine * level, cosine * level - sine * axes[0],
+                  np.broadcast_to(other, (len(rises), 3))], axis=1)
+        for level, other in (axes[1:], axes[:0:-1])])
+    downs = turned[:, 0]
     bases = np.concatenate([downs[:, None], np.broadcast_to(axes[1:], (len(downs), 2, 3))], axis=1)
     upright = _log_likelihood(bases, replace(evidence, normals=evidence.normals[:0]))[0]
     # The normals tell, too: those of a floor that rises are along no axis then.
-    turned = np.stack([axes @ turn_between(axes[0], down).T for down in downs])
     upright += _log_likelihood(turned, replace(evidence, lines=evidence.lines[:0]))[1]
     mass = np.exp(upright - upright.max())
     is_level = downs @ axes[0] > np.cos(np.radians(LEVEL_DEG))
