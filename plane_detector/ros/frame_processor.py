@@ -22,7 +22,7 @@ from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.calibration import camera_info_to_msg
 from plane_detector.ros.inputs.frame_conversion import ConvertedFrame, FrameConverter
-from plane_detector.ros.inputs.synchronizer import Frame
+from plane_detector.ros.inputs.synchronizer import Frame, ns_of
 from plane_detector.ros.inputs.transforms import CameraPose, FrameTransforms, TransformBuffer
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import rgb_to_msg
@@ -147,7 +147,7 @@ class FrameProcessor:
         with stages('wait'):
             pose, to_target = begun.transforms()
         # 3. Gravity and lines, those found shortly before if nothing moves; then planes.
-        stamp_s = _stamp_s(frame)
+        stamp_s = 1e-9 * ns_of(frame.image)
         hold_s = seen.config.directions.hold_time * (_STEADY_TIMES if self._is_steady else 1)
         may_hold = (seen.is_measured or seen.is_still) and 0 < stamp_s - self._lines_s < hold_s
         around = self.detector.look(seen, _down(frame, pose), may_hold)
@@ -212,11 +212,6 @@ def _has_turned(before: dict[int, np.ndarray], after: dict[int, np.ndarray]) -> 
 
 def _sum(first: Mapping[str, float], second: Mapping[str, float]) -> dict[str, float]:
     return {name: first.get(name, 0.0) + second.get(name, 0.0) for name in {**first, **second}}
-
-
-def _stamp_s(frame: Frame) -> float:
-    stamp = frame.image.header.stamp
-    return stamp.sec + 1e-9 * stamp.nanosec
 
 
 def _down(frame: Frame, pose: CameraPose | None) -> np.ndarray | None:

@@ -13,7 +13,13 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
-from plane_detector.ros.inputs.topic_watch import MESSAGES_LOST, Arrivals, ImageLoss, TopicWatch
+from plane_detector.ros.inputs.topic_watch import (
+    COMPRESSED,
+    MESSAGES_LOST,
+    Arrivals,
+    ImageLoss,
+    TopicWatch,
+)
 from plane_detector.ros.qos import InputSubscription
 
 # derived: a camera's jitter is no change of the difference between its stamps.
@@ -159,9 +165,6 @@ def _rounded_up(seconds: float) -> str:
     return f'{math.ceil(most_s / step_s) * step_s:.6g}'
 
 
-COMPRESSED = '/compressed'
-
-
 class Resolver(Protocol):
     """The part of a node that is used: resolution of names."""
 
@@ -175,14 +178,6 @@ def input_topics(node: Resolver, image_transport: str) -> dict[str, str]:
 
     The compressed topic follows ``image``, as in image_transport, and ``camera_info`` is in the
     namespace of the image, unless they are remapped themselves.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Resolves the names.
-    image_transport : str
-        ``raw`` or ``compressed``.
-
     """
     base = node.resolve_topic_name('image').removesuffix(COMPRESSED)
     image = node.resolve_topic_name('image')

@@ -23,7 +23,7 @@ _STOPPED_INTERVALS = 3.0
 _FIRST_INTERVAL_S = 5.0
 _REMEMBERED = 6
 _LISTED = 8
-_COMPRESSED = '/compressed'
+COMPRESSED = '/compressed'
 MESSAGES_LOST = 'messages get lost between processes without config/fastdds_large_messages.xml'
 
 
@@ -51,25 +51,7 @@ class TopicWatch:
 
     def add(self, role: str, topic: str, msg_type: Any, may_stop: bool = False,
             only_reliable: bool = False, is_needed: bool = True) -> None:
-        """
-        Watch a topic.
-
-        Parameters
-        ----------
-        role : str
-            Name used for remapping.
-        topic : str
-            Resolved name.
-        msg_type : type
-            Of the messages.
-        may_stop : bool
-            A single message is enough, for example of a calibration.
-        only_reliable : bool
-            Best-effort publishers are rejected.
-        is_needed : bool
-            No frame is possible without it.
-
-        """
+        """Watch a topic by its resolved name; ``role`` is its name for remapping."""
         package = msg_type.__module__.split('.')[0]
         self._topics[role] = _Topic(topic, f'{package}/msg/{msg_type.__name__}', may_stop,
                                     only_reliable, is_needed)
@@ -169,13 +151,13 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
                 + _other_transport(type_name, published))
     listed = ', '.join(same[:_LISTED]) + (', ...' if len(same) > _LISTED else '')
     return (f'nobody publishes {topic}; of type {type_name} there are {listed}: remap with '
-            f'--ros-args -r {role}:={same[0].removesuffix(_COMPRESSED)}')
+            f'--ros-args -r {role}:={same[0].removesuffix(COMPRESSED)}')
 
 
 def _transport_hint(topic: str, offered: str) -> str:
     if offered.endswith('/CompressedImage'):
         return (f': set image_transport to compressed and remap image to '
-                f'{topic.removesuffix(_COMPRESSED)}')
+                f'{topic.removesuffix(COMPRESSED)}')
     return ': set image_transport to raw' if offered.endswith('/Image') else ''
 
 

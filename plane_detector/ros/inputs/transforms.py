@@ -20,6 +20,7 @@ from std_msgs.msg import Header
 from plane_detector.config import NodeConfig
 from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.rigid_transform import RigidTransform, interpolate
+from plane_detector.ros.inputs.synchronizer import ns_of
 
 
 class TransformError(ValueError):
@@ -66,11 +67,10 @@ class TransformBuffer:
             Its quaternion is zero, or a number is not finite.
 
         """
-        transform, stamp = transform_from_msg(msg), msg.header.stamp
+        transform, stamp_ns = transform_from_msg(msg), ns_of(msg)
         edge = self._edges.get(msg.child_frame_id)
         if edge is None or edge.parent != msg.header.frame_id:
             edge = self._edges[msg.child_frame_id] = _Edge(msg.header.frame_id, is_static)
-        stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         index = len(edge.stamps_ns) if is_static else bisect_left(edge.stamps_ns, stamp_ns)
         edge.stamps_ns.insert(index, stamp_ns)
         edge.transforms.insert(index, transform)
