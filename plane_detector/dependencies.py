@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from typing import NamedTuple
 
 
@@ -41,7 +42,7 @@ PACKAGES = {
 
 
 @contextmanager
-def explained_imports(*needed: str) -> Iterator[None]:
+def explained_imports(*needed: str, installed: Sequence[str] = ()) -> Iterator[None]:
     """
     End the process with exit code 1 and one line if an import of this block fails.
 
@@ -49,6 +50,8 @@ def explained_imports(*needed: str) -> Iterator[None]:
     ----------
     *needed : str
         Packages that the program imports only later, when it works.
+    installed : sequence of str
+        Packages that some settings need and that are too large to import without them.
 
     """
     try:
@@ -57,6 +60,9 @@ def explained_imports(*needed: str) -> Iterator[None]:
             import_module(name)
     except ImportError as error:
         sys.exit(explanation(error))
+    for name in installed:
+        if find_spec(name) is None:
+            sys.exit(_told(name, PACKAGES[name], ModuleNotFoundError(name=name)))
     for name, package in PACKAGES.items():
         module = sys.modules.get(name)
         found = getattr(module, '__version__', package.oldest)

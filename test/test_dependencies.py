@@ -83,7 +83,9 @@ def missing(name):
      r'numba [0-9.]+ cannot be imported \(Numba needs NumPy 1.26 or less; .*: .* install '),
     ('tools.replay', 'numba', missing('numba'), 'numba is not installed: .* install '),
     ('tools.replay', 'rosbags', missing('rosbags'), 'rosbags is not installed: .* install '),
-    ('tools.demo', 'scipy', missing('scipy'), 'scipy is not installed: .* install '),
+    *((module, 'sitecustomize', "import sys; sys.modules['scipy'] = None",
+       'scipy is not installed: .* install ')
+      for module in ('ros.node', 'tools.demo', 'tools.replay')),
     ('tools.fetch', 'tqdm', missing('tqdm'), "tqdm is not installed: .* install --upgrade 'tqdm'"),
     ('tools.show', 'cv2', "raise ImportError('libGL.so.1: no such file')",
      r'cv2 [0-9.]+ cannot be imported \(libGL.so.1: no such file; .*: .* install '),

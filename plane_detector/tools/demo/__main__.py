@@ -20,7 +20,7 @@ from pathlib import Path
 from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import leave, quiet_interrupt
 
-with quiet_interrupt(), explained_imports('numba', 'scipy'):
+with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import DepthConfig
     from plane_detector.depth.model_zoo import resolve
     from plane_detector.depth.networks import NETWORKS

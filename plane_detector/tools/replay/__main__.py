@@ -14,7 +14,7 @@ from typing import TypeVar
 from plane_detector.dependencies import explained_imports
 from plane_detector.stopping import Background, Stopped, leave, quiet_interrupt
 
-with quiet_interrupt(), explained_imports('numba'):
+with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import NodeConfig
     from plane_detector.depth.networks import NETWORKS
     from plane_detector.ros.outputs.topics import OUTPUTS
