@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.geometry.assignment import best_pairs
+from plane_detector.tracking.assignment import best_pairs
 from plane_detector.tracking.matching import free_labels, measure_overlap
 from plane_detector.types import Shape
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.config import TrackingConfig
-from plane_detector.geometry.assignment import best_pairs
+from plane_detector.tracking.assignment import best_pairs
 from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from plane_detector.geometry.assignment import best_pairs
+from plane_detector.tracking.assignment import best_pairs
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (3, 3), (12, 12), (4, 9), (9, 4), (30, 25)])
