@@ -163,7 +163,7 @@ def _own_kernels(subjects: set[str]) -> list[Kernel]:
 def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambda text: None,
                     what: str = 'the loops') -> None:
     """
-    Compile kernels, or load them from the cache, so that the first frame is not delayed.
+    Compile kernels, or load those that no other one calls, so that the first frame is not delayed.
 
     Parameters
     ----------
@@ -175,12 +175,13 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
         What is compiled, for this text.
 
     """
-    wanted = [one for one in _own_kernels(set(subjects)) if not one.is_ready]
+    subjects = set(subjects)
+    wanted = [one for one in _own_kernels(subjects) if not one.is_ready]
     if not wanted:
         return
     with _one_process(cache_folder() / wanted[0].digest):
-        missing = [one for one in wanted if not one.is_cached]
-        if missing:
+        if not all(one.is_cached for one in wanted):
+            missing = [one for one in _KERNELS if one.subject in subjects and not one.is_cached]
             tell(f'compiling {what} for this machine, once; this takes half a minute or more')
             _compile_in_processes(missing, tell)
         for one in wanted:
