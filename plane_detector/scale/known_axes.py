@@ -16,12 +16,11 @@ import numpy as np
 
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.scale.manhattan import (
-    MAX_PLANES,
     MAX_TOLERANCE_DEG,
     MIN_AXIS_SHARE,
-    MIN_PIXEL_SHARE,
     RIVAL_SHARE,
     ManhattanVote,
+    largest,
     turn_deg,
 )
 
@@ -56,12 +55,11 @@ def estimate_shift(planes: DisparityPlanes, lowest_disparity: float,
     ManhattanVote
 
     """
-    order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
-    planes = planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
+    planes = largest(planes)
     shifts = _proposals(planes.coefficients, axes)
     shifts = shifts[shifts > -lowest_disparity]
     if not len(shifts):
-        return _refused('no plane can lie along the known directions')
+        return ManhattanVote.refused('no plane can lie along the known directions')
     support = _support(planes, shifts, axes)
     score = support.sum((1, 2))
     best = int(score.argmax())
@@ -72,12 +70,8 @@ def estimate_shift(planes: DisparityPlanes, lowest_disparity: float,
     apart = turn_deg(planes, np.array([tau]), shifts) @ planes.pixel_share > MAX_TOLERANCE_DEG
     objection = _reason_to_refuse(planes, final, score[apart].max(initial=0.0))
     if objection:
-        return _refused(objection)
+        return ManhattanVote.refused(objection)
     return ManhattanVote(tau, _sigma(planes, tau, axes), axes, '')
-
-
-def _refused(reason: str) -> ManhattanVote:
-    return ManhattanVote(np.nan, np.nan, np.full((3, 3), np.nan), reason)
 
 
 def _proposals(coefficients: np.ndarray, axes: np.ndarray) -> np.ndarray:

@@ -59,6 +59,11 @@ class ManhattanVote:
     axes: np.ndarray
     refusal: str
 
+    @classmethod
+    def refused(cls, reason: str) -> ManhattanVote:
+        """Return a vote without an answer."""
+        return cls(np.nan, np.nan, np.full((3, 3), np.nan), reason)
+
 
 @dataclass(frozen=True)
 class _Frames:
@@ -93,27 +98,27 @@ def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
     ManhattanVote
 
     """
-    planes = _largest(planes)
+    planes = largest(planes)
     tau, axes = _proposals(planes.coefficients, -lowest_disparity)
     if gravity_camera is not None:
         off_deg = np.degrees(np.arccos(np.abs(axes @ gravity_camera).max(1).clip(0, 1)))
         upright = off_deg <= down_tolerance_deg + MAX_TOLERANCE_DEG
         tau, axes = tau[upright], axes[upright]
     if len(planes) < MIN_DISTINCT_PLANES or not len(tau):
-        return _refused('fewer than three planes, or none of them can be perpendicular')
+        return ManhattanVote.refused(
+            'fewer than three planes, or none of them can be perpendicular')
     frames = _judge(planes, tau, axes)
     best = int(frames.votes.argmax())
     tau, sigma, axes = _refine(planes, frames, best, -lowest_disparity)
     winner = _judge(planes, np.array([tau]), axes[None])
     objection = _reason_to_refuse(planes, winner, frames, sigma)
-    return _refused(objection) if objection else ManhattanVote(tau, sigma, axes, '')
+    if objection:
+        return ManhattanVote.refused(objection)
+    return ManhattanVote(tau, sigma, axes, '')
 
 
-def _refused(reason: str) -> ManhattanVote:
-    return ManhattanVote(np.nan, np.nan, np.full((3, 3), np.nan), reason)
-
-
-def _largest(planes: DisparityPlanes) -> DisparityPlanes:
+def largest(planes: DisparityPlanes) -> DisparityPlanes:
+    """Return the planes that may vote, the largest first."""
     order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
     return planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
 
