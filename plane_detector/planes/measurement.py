@@ -9,6 +9,8 @@ With X = (u - cx) / fx and Y = (v - cy) / fy a plane is 1/z = A X + B Y + C. Its
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -80,7 +82,9 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     kept = kept[is_kept[kept]]
     labels = relabel_sequential(regions.labels, kept, len(sums))
     planes = planes_from_sums(regions, sums[kept], regions.coefficients[kept], intrinsics)
-    return planes, labels
+    certainty = np.broadcast_to(regions.certainty, len(sums))[kept].tolist()
+    return tuple(replace(plane, confidence=plane.confidence * sure)
+                 for plane, sure in zip(planes, certainty, strict=True)), labels
 
 
 def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,

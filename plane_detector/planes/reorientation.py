@@ -110,7 +110,8 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
         again = samples.joined(group).offsets(normals)
         grown &= np.isfinite(again)
         offsets[grown] = again[grown]
-    return _rotated(joined, normals, offsets, changed | grown, intrinsics)
+    turned = _rotated(joined, normals, offsets, changed | grown, intrinsics)
+    return replace(turned, certainty=found.probability)
 
 
 def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,

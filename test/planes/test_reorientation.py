@@ -72,6 +72,22 @@ def test_labels_are_only_joined_or_dropped():
     assert scene.labels.shape == after.shape
 
 
+def test_a_plane_is_as_sure_as_its_orientation():
+    scene = textured(random_room, 300)
+    depth_m = with_disparity_noise(scene.depth_m, 0.02, np.random.default_rng(300), 0.998, 90.0)
+    regions = segment(1 / depth_m, metric_noise_floor(CONFIG, 0.004), CONFIG,
+                      np.random.default_rng(0))
+    planes, labels = measure_planes(regions, scene.intrinsics, 1000)
+    lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
+    turned = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
+    found, labels = measure_planes(turned, scene.intrinsics)
+    alone, _ = measure_planes(replace(turned, certainty=1.0), scene.intrinsics)
+    assert turned.certainty.min() < 0.95
+    for k, (plane, without) in enumerate(zip(found, alone, strict=True)):
+        region = turned.labels[labels == k][0]
+        assert plane.confidence == pytest.approx(without.confidence * turned.certainty[region])
+
+
 def upright_axes(camera):
     """Return the axes of an upright camera, without segments."""
     found = SceneDirections(np.array([0.0, 1, 0]), 1e-4 * np.eye(3), np.eye(3)[None, [0, 2]])

@@ -32,6 +32,9 @@ class PixelRegions:
         Of this disparity.
     correlated_px : float
         Area over which the smooth part of the noise is the same, in pixels; 0: not known.
+    certainty : float or (K,) float64
+        Probability that the regions are oriented as their planes, where not the depth alone
+        decides.
 
     """
 
@@ -41,6 +44,7 @@ class PixelRegions:
     grid: CellGrid
     noise: Noise
     correlated_px: float = 0.0
+    certainty: float | np.ndarray = 1.0
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:
         """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""
