@@ -9,8 +9,6 @@ With X = (u - cx) / fx and Y = (v - cy) / fy a plane is 1/z = A X + B Y + C. Its
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -81,27 +79,25 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
     kept = np.argsort(-sums[:, N], kind='stable')
     kept = kept[is_kept[kept]]
     labels = relabel_sequential(regions.labels, kept, len(sums))
-    planes = planes_from_sums(regions, sums[kept], regions.coefficients[kept], intrinsics)
-    certainty = np.broadcast_to(regions.certainty, len(sums))[kept].tolist()
-    return tuple(replace(plane, confidence=plane.confidence * sure)
-                 for plane, sure in zip(planes, certainty, strict=True)), labels
+    return planes_from_sums(regions, sums, kept, intrinsics), labels
 
 
-def planes_from_sums(regions: PixelRegions, sums: np.ndarray, planes: np.ndarray,
+def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
                      intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
-    """Measure planes (K, 3) from the sums (K, 21) over their pixels."""
-    noise, camera = regions.noise, intrinsics
+    """Measure some of the planes from the sums (K, 21) over their pixels."""
+    noise, camera, sums_kept = regions.noise, intrinsics, sums[kept]
     table = _measured(
-        sums, planes, ray_plane_jacobian(camera),
+        sums_kept, regions.coefficients[kept], ray_plane_jacobian(camera),
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
          *_smooth_noise(regions)),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
+    table[:, CONFIDENCE] *= np.broadcast_to(regions.certainty, len(sums))[kept]
     return tuple(
         Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure)
         for normal, centroid_m, covariance, (offset_m, rms_m, area_m2, sure), pixels in zip(
             table[:, :CENTROID], table[:, CENTROID:OFFSET],
             table[:, COVARIANCE:].reshape(-1, 4, 4), table[:, OFFSET:COVARIANCE].tolist(),
-            sums[:, N].tolist(), strict=True))
+            sums_kept[:, N].tolist(), strict=True))
 
 
 def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:

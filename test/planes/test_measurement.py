@@ -103,7 +103,7 @@ def test_covariance_and_confidence_follow_from_the_fit(camera):
     grid = build_cell_grid(DisparityImage(np.ones(shape, np.float32), np.ones(shape, bool)))
     regions = PixelRegions(np.ones((1, 1)), np.zeros((1, 1), np.int32), plane[None], grid,
                            Noise(0.0, pixel_sigma=0.02))
-    measured, = planes_from_sums(regions, sums[None], plane[None], camera)
+    measured, = planes_from_sums(regions, sums[None], np.array([0]), camera)
 
     def equation(coefficients):
         ray = ray_plane_jacobian(camera) @ coefficients
