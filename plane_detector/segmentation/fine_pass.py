@@ -63,7 +63,7 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
         found = label_pixels(left, graph, (labels[part], len(known.planes)))
         model = (frame.image.values[part], left.grid.planes_in_pixels(planes),
                  _sides_of_intersections(graph, known))
-        borders = np.flatnonzero(at_borders(graph.labels))
+        borders = np.flatnonzero(at_borders(graph.labels, 1))
         _take_back(found, borders, size, model, pixel_tolerance(left), frame.grid.size_px)
         labels = labels.copy()
         labels[part] = found

@@ -35,10 +35,21 @@ def _renamed(labels, names):
     return found
 
 
-def at_borders(labels: np.ndarray, reach: int = 1) -> np.ndarray:
+@kernel('boolean[:, ::1](int32[:, ::1], int64)', is_short=True)
+def at_borders(labels, reach):
     """Return which labels (H, W) have another one so near in rows and columns, (H, W) bool."""
-    labels, square = labels.astype(np.int16), np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-    return cv2.dilate(labels, square) != cv2.erode(labels, square)
+    (height, width), found = labels.shape, np.zeros(labels.shape, np.bool_)
+    for down in range(reach + 1):
+        for right in range(-reach if down else 1, reach + 1):
+            left = max(-right, 0)
+            for v in range(height - down):
+                here, there = labels[v, left:], labels[v + down, left + right:]
+                is_one, is_other = found[v, left:], found[v + down, left + right:]
+                for u in range(width - abs(right)):
+                    is_one[u] |= here[u] != there[u]
+                for u in range(width - abs(right)):
+                    is_other[u] |= here[u] != there[u]
+    return found
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:

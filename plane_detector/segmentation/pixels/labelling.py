@@ -58,7 +58,7 @@ def label_pixels(frame: Frame, graph: RegionGraph,
     if others is None and frame.kind is DepthKind.MEASURED:
         disparity = _smooth(disparity, image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
     _label((found, first), (disparity, image.valid, grid.size_px),
-           (graph.labels, at_borders(graph.labels)),
+           (graph.labels, at_borders(graph.labels, 1)),
            (grid.planes_in_pixels(graph.planes), graph.intersections()), pixel_tolerance(frame),
            sweeps)
     return found

@@ -75,7 +75,7 @@ def _reassign(given: np.ndarray, model: tuple, weights: tuple) -> np.ndarray:
     """Lower the energy of labels by single cells and by pieces, in turn; return the labels."""
     labels, single = given.copy(), np.arange(given.size, dtype=np.int32).reshape(given.shape)
     for _ in range(MAX_TRIALS):
-        cells = np.flatnonzero(at_borders(labels)).astype(np.int32)
+        cells = np.flatnonzero(at_borders(labels, 1)).astype(np.int32)
         _improve(labels, (single, cells, np.arange(len(cells) + 1)), model, weights)
         if not _improve(labels, clusters_and_cells(labels, CONNECTED), model, weights):
             break

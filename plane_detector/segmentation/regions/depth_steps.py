@@ -56,12 +56,12 @@ def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
     is_candidate = ((blocks >= frame.min_pixels * (BLOCKS / grid.size_px) ** 2)
                     & (_offsets(label, blocks, mean)
                        > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
-    for k in np.argsort(-blocks, kind='stable'):
+    candidates = np.flatnonzero(is_candidate)
+    for k in candidates[np.argsort(-blocks[candidates], kind='stable')]:
         new = len(regions.coefficients)
-        if is_candidate[k]:
-            labels = _with_piece(regions.labels, pieces, k + 1, label[k], new)
-            if prefer_two_planes(cells, labels, correlation, label[k], new):
-                regions = fit_regions(cells, labels, new + 1)
+        labels = _with_piece(regions.labels, pieces, k + 1, label[k], new)
+        if prefer_two_planes(cells, labels, correlation, label[k], new):
+            regions = fit_regions(cells, labels, new + 1)
     return regions
 
 
@@ -77,8 +77,9 @@ def _block_residuals(disparity, valid, labels, planes, size):
     residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
     total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.float32)
+    begin = np.arange(max(rows, columns) * BLOCKS) * size // BLOCKS
     for i in range(rows * BLOCKS):
-        top = i * size // BLOCKS
+        top = begin[i]
         for u in range(width):
             total[u] = count[u] = 0
         for v in range(top, min(top + side, height)):
@@ -92,7 +93,7 @@ def _block_residuals(disparity, valid, labels, planes, size):
             ends_below = i % BLOCKS == BLOCKS - 1 and labels[min(row + 1, rows - 1), column] != k
             ends_right = labels[row, min(column + 1, columns - 1)] != k
             for j in range(column * BLOCKS, column * BLOCKS + BLOCKS):
-                left, d, n = j * size // BLOCKS, np.float32(0), np.float32(0)
+                left, d, n = begin[j], np.float32(0), np.float32(0)
                 for u in range(left, left + side):
                     d += total[u]
                     n += count[u]

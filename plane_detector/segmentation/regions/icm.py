@@ -43,7 +43,7 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
     """
     if len(regions.coefficients) == 0:
         return regions
-    labels = _compete(regions.labels, at_borders(regions.labels),
+    labels = _compete(regions.labels, at_borders(regions.labels, 1),
                       (regions.coefficients, frame.cells.table), frame.threshold**2)
     clusters, count = label_clusters(labels, frame.config.dbscan)
     return fit_regions(frame.cells, clusters, count, frame.min_pixels)

@@ -14,7 +14,13 @@ from __future__ import annotations
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.model import MIN_VARIANCE, WeightedCells
+from plane_detector.segmentation.cells.model import (
+    MEAN_D,
+    MEAN_X,
+    MEAN_Y,
+    MIN_VARIANCE,
+    WeightedCells,
+)
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.plane_fit import solve_least_squares
 from plane_detector.segmentation.regions.region_graph import PLANE_TERMS
@@ -57,16 +63,27 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     """
     if correlation is None:
         return False
-    pair = np.array([first, second])
-    cell, is_first = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
-    if min(np.count_nonzero(is_first), np.count_nonzero(~is_first)) <= PLANE_TERMS:
-        return False
-    gain = _gain(cells.table, cell, is_first, correlation.table)
-    return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
+    gain = log_likelihood_gain(np.ascontiguousarray(labels), cells.table, cells.is_planar,
+                               correlation.table, (first, second))
+    return gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power
 
 
-@kernel('Tuple((int64[::1], boolean[::1]))(int32[:, ::1], boolean[::1], int64[::1])',
-        is_short=True)
+# With MAX_CELLS it takes 0.2 ms and keeps the lock, as the node switches threads after 1 ms; with
+# the usual number 0.03 ms.
+@kernel('float64(int32[:, ::1], float64[:, ::1], boolean[::1], float64[:, ::1], '
+        'UniTuple(int64, 2))', is_short=True)
+def log_likelihood_gain(labels, table, is_planar, covariance, pair):
+    """Return twice the gain of two planes over one; 0 if either has too few cells for a fit."""
+    cell, is_first = _cells_about(labels, is_planar, pair)
+    of_first = np.count_nonzero(is_first)
+    if min(of_first, len(cell) - of_first) <= PLANE_TERMS:
+        return 0.0
+    products = _weighted_products(_system(table, covariance, labels.shape[1], cell, is_first))
+    one = solve_least_squares(products, PLANE_TERMS, np.empty(7))
+    return one - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7))
+
+
+@kernel('Tuple((int64[::1], boolean[::1]))(int32[:, ::1], boolean[::1], UniTuple(int64, 2))')
 def _cells_about(labels, is_planar, pair):
     """Return the cells (n,) nearest to a border, and which of them are the first region's."""
     columns, (top, bottom, left, right) = labels.shape[1], _box_of_smaller(labels, pair)
@@ -80,9 +97,9 @@ def _cells_about(labels, is_planar, pair):
             if not is_planar[(top + row) * columns + left + column]:
                 continue
             if near[row, column] == pair[0]:
-                distance[row, column] = to_second[row, column]
+                distance[row, column] = to_second[row + 1, column + 1]
             elif near[row, column] == pair[1]:
-                distance[row, column] = to_first[row, column]
+                distance[row, column] = to_first[row + 1, column + 1]
             if distance[row, column] > 0:
                 start[distance[row, column] + 1] += 1
     for k in range(1, len(start)):
@@ -99,7 +116,7 @@ def _cells_about(labels, is_planar, pair):
     return cell, is_first
 
 
-@kernel('UniTuple(int64, 4)(int32[:, ::1], int64[::1])')
+@kernel('UniTuple(int64, 4)(int32[:, ::1], UniTuple(int64, 2))')
 def _box_of_smaller(labels, pair):
     """Return the rows and columns of cells within reach of the smaller one of two regions."""
     (rows, columns), sizes = labels.shape, np.zeros(2, np.int64)
@@ -117,92 +134,80 @@ def _box_of_smaller(labels, pair):
     return box[0], box[1], box[2], box[3]
 
 
-@kernel('int64[:, ::1](int32[:, :], int64)')
+@kernel('int32[:, ::1](int32[:, :], int64)')
 def _distance(labels, label):
-    """Return the chessboard distance (R, C) of each cell to the nearest cell with a label."""
-    rows, columns = labels.shape
-    distance = np.full((rows, columns), rows + columns)
-    for turn in range(2):
-        for i in range(labels.size):
-            at = i if turn == 0 else labels.size - 1 - i
-            row, column, towards = at // columns, at % columns, 2 * turn - 1
-            shortest = 0 if labels[row, column] == label else distance[row, column]
-            if 0 <= row + towards < rows:
-                for c in range(max(column - 1, 0), min(column + 2, columns)):
-                    shortest = min(shortest, distance[row + towards, c] + 1)
-            if 0 <= column + towards < columns:
-                shortest = min(shortest, distance[row, column + towards] + 1)
-            distance[row, column] = shortest
+    """Return the chessboard distance of each cell to the nearest one with a label, with a rim."""
+    (rows, columns), far = labels.shape, np.int32(labels.shape[0] + labels.shape[1])
+    distance, one = np.full((rows + 2, columns + 2), far), np.int32(1)
+    for row in range(1, rows + 1):
+        above, here = distance[row - 1], distance[row]
+        for c in range(1, columns + 1):
+            nearest = min(min(above[c - 1], above[c]), above[c + 1]) + one
+            here[c] = np.int32(0) if labels[row - 1, c - 1] == label else min(nearest, far)
+        for c in range(1, columns + 1):
+            here[c] = min(here[c], here[c - 1] + one)
+    for row in range(rows, 0, -1):
+        below, here = distance[row + 1], distance[row]
+        for c in range(1, columns + 1):
+            nearest = min(min(below[c - 1], below[c]), below[c + 1]) + one
+            here[c] = min(here[c], nearest)
+        for c in range(columns, 0, -1):
+            here[c] = min(here[c], here[c + 1] + one)
     return distance
 
 
-# With MAX_CELLS it takes 0.23 ms and keeps the lock, as the node switches threads after 1 ms; with
-# the usual number 0.03 ms.
-@kernel('float64(float64[:, ::1], int64[::1], boolean[::1], float64[:, ::1])', is_short=True)
-def _gain(table, cell, is_first, covariance):
-    """Return twice the gain in log-likelihood of two planes over one."""
-    products = _weighted_products(_covariance(cell, covariance), _design(table, cell, is_first))
-    one = solve_least_squares(products, PLANE_TERMS, np.empty(7))
-    return one - solve_least_squares(products, 2 * PLANE_TERMS, np.empty(7))
+@kernel('float32[:, ::1](float64[:, ::1], float64[:, ::1], int64, int64[::1], boolean[::1])')
+def _system(table, covariance, columns, cell, is_first):
+    """
+    Return the upper triangle of the covariance (n, n) of cells, and seven columns behind it.
 
-
-@kernel('float64[:, ::1](float64[:, ::1], int64[::1], boolean[::1])')
-def _design(table, cell, is_first):
-    """Return 1, x, y of all cells, the same of the first region, and d, (7, n)."""
+    These are 1, x, y of all cells, the same of the first region, and d.
+    """
     n, x, y, d = len(cell), 0.0, 0.0, 0.0
     for i in range(n):
-        x += table[cell[i], 0] / n
-        y += table[cell[i], 1] / n
-        d += table[cell[i], 2] / n
-    basis = np.zeros((7, n))
+        x += table[cell[i], MEAN_X] / n
+        y += table[cell[i], MEAN_Y] / n
+        d += table[cell[i], MEAN_D] / n
+    work, row, column = np.zeros((n, n + 7), np.float32), cell // columns, cell % columns
     for i in range(n):
-        basis[0, i], basis[1, i] = 1.0, table[cell[i], 0] - x
-        basis[2, i], basis[6, i] = table[cell[i], 1] - y, table[cell[i], 2] - d
-        for k in range(3):
-            basis[3 + k, i] = basis[k, i] if is_first[i] else 0.0
-    return basis
+        for j in range(i, n):
+            work[i, j] = covariance[abs(row[i] - row[j]), abs(column[i] - column[j])]
+        work[i, n], work[i, n + 1] = 1.0, table[cell[i], MEAN_X] - x
+        work[i, n + 2], work[i, n + 6] = table[cell[i], MEAN_Y] - y, table[cell[i], MEAN_D] - d
+        for k in range(n, n + 3 if is_first[i] else n):
+            work[i, k + 3] = work[i, k]
+    return work
 
 
-@kernel('float32[:, ::1](int64[::1], float64[:, ::1])')
-def _covariance(cell, covariance):
-    """Return the lower triangle of the covariance (n, n) of cells."""
-    n, columns = len(cell), covariance.shape[1]
-    matrix = np.zeros((n, n), np.float32)
-    row, column = cell // columns, cell % columns
-    for i in range(n):
-        for j in range(i + 1):
-            matrix[i, j] = covariance[abs(row[i] - row[j]), abs(column[i] - column[j])]
-    return matrix
-
-
-@kernel('float64[:, ::1](float32[:, ::1], float64[:, ::1])')
-def _weighted_products(matrix, basis):
+@kernel('float64[:, ::1](float32[:, ::1])')
+def _weighted_products(work):
     """
-    Return basis (m, n) times the inverse of a covariance times basis, (m, m).
+    Return the products (m, m) of the last m columns, weighted by the inverse of the covariance.
 
-    By Cholesky decomposition of the lower triangle of the covariance (n, n), which is overwritten.
+    By elimination of the upper triangle of the covariance (n, n) in the first n columns, which is
+    overwritten; four rows at once, since the time is that of reading and writing the others.
     """
-    n, m = len(matrix), len(basis)
-    white, inverse = basis.astype(np.float32), np.empty(n, np.float32)
-    for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i > j:
-                matrix[i, j] = total * inverse[j]
-            else:
-                inverse[i] = np.float32(1) / np.sqrt(max(total, np.float32(MIN_VARIANCE)))
-        for row in range(m):
-            total = white[row, i]
-            for k in range(i):
-                total -= matrix[i, k] * white[row, k]
-            white[row, i] = total * inverse[i]
-    products = np.empty((m, m))
-    for i in range(m):
-        for j in range(m):
-            total = np.float32(0)
-            for k in range(n):
-                total += white[i, k] * white[j, k]
-            products[i, j] = total
+    n, m = len(work), work.shape[1] - len(work)
+    inverse, products = np.empty(n, np.float32), np.zeros((m, m))
+    for first in range(0, n, 4):
+        last = min(first + 4, n)
+        for k in range(first, last):
+            row = work[k, k:]
+            for p in range(first, k):
+                above = work[p, k:]
+                factor = above[0] * inverse[p]
+                for j in range(len(row)):
+                    row[j] -= factor * above[j]
+            inverse[k] = np.float32(1) / max(row[0], np.float32(MIN_VARIANCE))
+        for i in range(last, n):
+            row, one, two = work[i, i:], work[first, i:], work[first + 1, i:]
+            three, four = work[first + 2, i:], work[first + 3, i:]
+            a, b = one[0] * inverse[first], two[0] * inverse[first + 1]
+            c, d = three[0] * inverse[first + 2], four[0] * inverse[first + 3]
+            for j in range(len(row)):
+                row[j] -= a * one[j] + b * two[j] + c * three[j] + d * four[j]
+    for k in range(n):
+        for i in range(m):
+            for j in range(m):
+                products[i, j] += np.float64(work[k, n + i]) * work[k, n + j] * inverse[k]
     return products

@@ -125,19 +125,19 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
         Returns whether two regions stay separate although they fit; called once per pair.
 
     """
-    count = len(graph.planes)
-    cost = misfit(graph)
-    if cost.min(initial=np.inf) > 1:
-        return graph
-    graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
-    refused: set[tuple[int, int]] = set()
-    while cost.min() <= 1:
-        i, j = divmod(int(cost.argmin()), count)
+    cost, refused, is_own = misfit(graph), [], False
+    while cost.size:
+        i, j = divmod(int(cost.argmin()), len(cost))
+        if cost[i, j] > 1:
+            break
         if is_apart(graph, i, j):
-            refused.add((i, j))
+            refused.append((i, j))
         else:
+            if not is_own:
+                graph = RegionGraph(*(part.copy() for part in vars(graph).values()))
+                is_own = True
             _merge(graph, i, j)
-            refused = {pair for pair in refused if i not in pair and j not in pair}
+            refused = [pair for pair in refused if i not in pair and j not in pair]
             cost = misfit(graph)
         for pair in refused:
             cost[pair] = np.inf
