@@ -9,13 +9,17 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from plane_detector.compilation import kernel
+
 # derived: ratio of the standard deviation of a normal variable to its median absolute deviation.
 SIGMA_PER_MEDIAN = 1.4826
+# derived: its inverse, times the number of buckets, is finite.
+TINY_RANGE = 1e-300
 
 
 def median(values: np.ndarray) -> float:
     """
-    Return the median of values (n,), without NaN; faster than numpy.median.
+    Return the median of values (n,), finite and at least one; faster than numpy.median.
 
     Examples
     --------
@@ -23,10 +27,55 @@ def median(values: np.ndarray) -> float:
     2.5
 
     """
-    middle, ordered = len(values) // 2, values.copy()
-    ordered.partition(middle)  # both of the middle take three times as long
-    low = ordered[middle] if len(values) % 2 else ordered[:middle].max()
-    return float((low + ordered[middle]) / 2)
+    low, high = order_statistics(values, len(values) // 2)
+    return high if len(values) % 2 else (low + high) / 2
+
+
+def order_statistics(values: np.ndarray, rank: int) -> tuple[float, float]:
+    """
+    Return the two values (n,), all finite, of ranks ``rank`` - 1 and ``rank`` < n from 0 on.
+
+    Below the smallest is -infinity. Three times as fast as numpy.partition, which waits for
+    branches that the processor cannot predict.
+
+    Examples
+    --------
+    >>> order_statistics(np.array([4.0, 1.0, 2.0, 3.0]), 2)
+    (2.0, 3.0)
+
+    """
+    part, rank, below = _bucket_of(np.ascontiguousarray(values, np.float64), rank)
+    part.sort()
+    return float(part[rank - 1] if rank > 0 else below), float(part[rank])
+
+
+@kernel("Tuple((float64[::1], int64, float64))(Array(float64, 1, 'C', readonly=True), int64)",
+        is_short=True)
+def _bucket_of(values, rank):
+    """Return few of the values with one of a rank, its rank in them, the largest one below."""
+    kept, counts, below = values.copy(), np.empty(1024, np.int64), -np.inf
+    while len(kept) > 48:
+        low, high = kept[0], kept[0]
+        for value in kept:
+            low, high = min(low, value), max(high, value)
+        if not high - low > TINY_RANGE:
+            break
+        per = (len(counts) - 1) / (high - low)
+        counts[:] = 0
+        for value in kept:
+            counts[int((value - low) * per)] += 1
+        place = 0
+        while rank >= counts[place]:
+            rank -= counts[place]
+            place += 1
+        part, n = np.empty(counts[place] + 1), 0
+        for value in kept:
+            bucket = int((value - low) * per)
+            part[n] = value
+            n += bucket == place
+            below = max(below, value) if bucket < place else below
+        kept = part[:n]
+    return kept, rank, below
 
 
 def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:

@@ -26,7 +26,7 @@ MIN_CELL_SHARE = 0.5
 
 
 def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
-                     min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+                     min_turn_deg: float) -> np.ndarray:
     """
     Find more planes among the pixels without a label.
 
@@ -34,6 +34,7 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
     ----------
     frame : Frame
     labels : (H, W) int32
+        Pixels of new planes are overwritten.
     known : RegionGraph
         Of the K planes that the labels are indices of.
     min_turn_deg : float
@@ -41,19 +42,18 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
 
     Returns
     -------
-    labels : (H, W) int32
-    planes : (K + L, 3) float64
+    (K + L, 3) float64
         The new planes follow the others; some may have no pixels.
 
     """
     size, valid = frame.grid.size_px // 2, frame.image.valid
     room = frame.config.segmentation.max_planes - len(known.planes)
     if size < MIN_CELL_SIZE_PX or room < 1 or not _sees_width(frame):
-        return labels, known.planes
+        return known.planes
     wanted = _large_pieces(_count_unlabelled(valid, labels, size), size,
                            frame.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
-        return labels, known.planes
+        return known.planes
     box = _box_around(wanted)
     part = tuple(slice(side.start * size, side.stop * size) for side in box)
     left = _unlabelled_part(frame, labels, part, wanted[box])
@@ -65,9 +65,8 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
                  _sides_of_intersections(graph, known))
         borders = np.flatnonzero(at_borders(graph.labels, 1))
         _take_back(found, borders, size, model, pixel_tolerance(left), frame.grid.size_px)
-        labels = labels.copy()
         labels[part] = found
-    return labels, planes
+    return planes
 
 
 def _sides_of_intersections(new: RegionGraph, known: RegionGraph) -> np.ndarray:
@@ -150,11 +149,11 @@ def _sees_width(frame: Frame) -> bool:
     return frame.noise.mean_sigma < width * grid.typical_disparity
 
 
-@kernel('int64[:, ::1](boolean[:, ::1], int32[:, ::1], int64)')
+@kernel('int32[:, ::1](boolean[:, ::1], int32[:, ::1], int64)')
 def _count_unlabelled(valid, labels, size):
     """Return the number of valid pixels without a label in each cell."""
     (height, width), of_columns = valid.shape, np.empty(valid.shape[1], np.int32)
-    pixels = np.zeros((-(-height // size), -(-width // size)), np.int64)
+    pixels = np.zeros((-(-height // size), -(-width // size)), np.int32)
     for row in range(pixels.shape[0]):
         for u in range(width):
             of_columns[u] = 0
@@ -169,10 +168,22 @@ def _count_unlabelled(valid, labels, size):
 
 def _large_pieces(unlabelled: np.ndarray, size: int, min_pixels: float) -> np.ndarray:
     """Return the cells, at least half unlabelled, in connected pieces with enough pixels."""
-    wanted = 2 * unlabelled >= size**2
-    _, pieces = cv2.connectedComponents(wanted.astype(np.uint8), connectivity=4)
-    pixels = np.bincount(pieces.ravel(), unlabelled.ravel())
-    return wanted & (pixels >= min_pixels).take(pieces)
+    half = cv2.inRange(unlabelled, -(-size**2 // 2), size**2)
+    return _of_large_pieces(*cv2.connectedComponents(half, connectivity=4), unlabelled, min_pixels)
+
+
+@kernel('boolean[:, ::1](int64, int32[:, ::1], int32[:, ::1], float64)', is_short=True)
+def _of_large_pieces(count, pieces, pixels, min_pixels):
+    """Return which cells are in pieces, but for the first, with enough pixels."""
+    total, is_wanted = np.zeros(count, np.int64), np.empty(pieces.shape, np.bool_)
+    for row in range(pieces.shape[0]):
+        for column in range(pieces.shape[1]):
+            total[pieces[row, column]] += pixels[row, column]
+    total[0] = -1
+    for row in range(pieces.shape[0]):
+        for column in range(pieces.shape[1]):
+            is_wanted[row, column] = total[pieces[row, column]] >= min_pixels
+    return is_wanted
 
 
 def _box_around(mask: np.ndarray) -> tuple[slice, slice]:

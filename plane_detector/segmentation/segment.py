@@ -170,9 +170,9 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
     if frame.kind is DepthKind.EXACT and frame.noise.is_metric:
-        labels = close_gaps(labels, graph.planes, frame.image, frame.grid,
-                            frame.config.segmentation.flatness_distance)
-    labels, planes = add_small_planes(frame, labels, graph, min_turn_deg)
+        close_gaps(labels, graph.planes, frame.image, frame.grid,
+                   frame.config.segmentation.flatness_distance)
+    planes = add_small_planes(frame, labels, graph, min_turn_deg)
     curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending)
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:

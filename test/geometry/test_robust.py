@@ -5,16 +5,27 @@
 import numpy as np
 import pytest
 
-from plane_detector.geometry.robust import dilated, median, quantiles
+from plane_detector.geometry.robust import dilated, median, order_statistics, quantiles
 
 SHARES = (0.0, 0.02, 0.5, 0.98, 1.0)
 
 
-@pytest.mark.parametrize('count', [1, 2, 3, 10, 101])
+@pytest.mark.parametrize('count', [1, 2, 3, 10, 101, 5000, 5001])
 def test_median_is_that_of_numpy(count):
     values = np.random.default_rng(count).normal(size=count)
     values.flags.writeable = False
     assert median(values) == np.median(values)
+
+
+@pytest.mark.parametrize('values', [
+    np.random.default_rng(0).normal(size=3000)**9, np.random.default_rng(0).integers(0, 5, 900),
+    np.full(400, 7.0), np.append(np.full(400, 5e-324), [0.0, 1e-320]),
+    np.append(np.linspace(0, 1e-9, 300), [-1e30, 1e300])],
+    ids=['heavy tails', 'few values', 'one value', 'denormal', 'outliers'])
+def test_order_statistics_are_those_of_sorted_values(values):
+    ordered = [-np.inf, *np.sort(values).astype(float)]
+    for rank in {0, 1, len(values) // 4, len(values) // 2, len(values) - 1}:
+        assert order_statistics(values, rank) == tuple(ordered[rank:rank + 2])
 
 
 @pytest.mark.parametrize('count', [1, 2, 3, 10, 101])

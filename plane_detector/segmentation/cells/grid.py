@@ -177,16 +177,19 @@ def _sum_up(disparity, valid, size, frame, wanted):
     sums = np.empty((6, columns * size), np.float32)
     reference = np.empty(columns * size, np.float32)
     for row in range(rows):
-        wanted_here = np.flatnonzero(wanted[row * columns:(row + 1) * columns])
-        if len(wanted_here) == 0:
-            continue
-        band = row * size, size, wanted_here[0] * size, (wanted_here[-1] + 1) * size
-        _sum_up_columns(disparity, valid, band, reference, sums)
-        y = frame[2] + (row * size + (size - 1) / 2) * pixel
-        for column in wanted_here:
-            left = column * size
-            centre = frame[1] + (left + (size - 1) / 2) * pixel, y, np.float64(reference[left])
-            _sum_up_cell(sums, (left, size), centre, pixel, moments[row * columns + column])
+        end, y = 0, frame[2] + (row * size + (size - 1) / 2) * pixel
+        while end < columns:
+            begin, is_wanted = end, wanted[row * columns + end]
+            while end < columns and wanted[row * columns + end] == is_wanted:
+                end += 1
+            if not is_wanted:
+                continue
+            band = row * size, size, begin * size, end * size
+            _sum_up_columns(disparity, valid, band, reference, sums)
+            for column in range(begin, end):
+                left = column * size
+                centre = frame[1] + (left + (size - 1) / 2) * pixel, y, np.float64(reference[left])
+                _sum_up_cell(sums, (left, size), centre, pixel, moments[row * columns + column])
     return moments
 
 

@@ -27,7 +27,7 @@ from statistics import NormalDist
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.geometry.robust import median
+from plane_detector.geometry.robust import median, order_statistics
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 
 # derived: the median of so many is good to 4 %.
@@ -207,8 +207,7 @@ def sample_cells(is_wanted: np.ndarray) -> np.ndarray:
 
 
 def _quantile(values: np.ndarray) -> float:
-    rank = int(QUANTILE * (len(values) - 1))
-    return float(np.partition(values, rank)[rank])
+    return order_statistics(values, int(QUANTILE * (len(values) - 1)))[1]
 
 
 def _rms_quantile(freedom: int) -> float:

@@ -18,14 +18,14 @@ from plane_detector.segmentation.cells.plane_fit import normal_of
 
 
 def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, grid: CellGrid,
-               distance_m: float) -> np.ndarray:
+               distance_m: float) -> None:
     """
     Label the pixels of narrow gaps.
 
     Parameters
     ----------
     labels : (H, W) int32
-        Index into ``planes``, -1 none.
+        Index into ``planes``, -1 none; overwritten.
     planes : (K, 3) float64
         1/z = a x + b y + c in 1/metres.
     image : DisparityImage
@@ -34,15 +34,9 @@ def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, gr
     distance_m : float
         Largest distance of a pixel from the plane.
 
-    Returns
-    -------
-    (H, W) int32
-
     """
-    closed = labels.copy()
-    _close(closed, np.flatnonzero(labels < 0), (planes, grid.planes_in_pixels(planes), grid.lens),
+    _close(labels, np.flatnonzero(labels < 0), (planes, grid.planes_in_pixels(planes), grid.lens),
            image.values, image.valid, (grid.size_px, distance_m))
-    return closed
 
 
 @kernel('void(int32[:, ::1], int64[::1], Tuple((float64[:, ::1], float64[:, ::1], float64[::1])), '
