@@ -30,13 +30,13 @@ def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, gr
         1/z = a x + b y + c in 1/metres.
     image : DisparityImage
     grid : CellGrid
-        Of this image; gaps are at most as wide as a cell.
+        Of this image; gaps are wider than a cell by at most a pixel.
     distance_m : float
         Largest distance of a pixel from the plane.
 
     """
     _close(labels, np.flatnonzero(labels < 0), (planes, grid.planes_in_pixels(planes), grid.lens),
-           image.values, image.valid, (grid.size_px, distance_m))
+           image.values, image.valid, (grid.size_px + 1, distance_m))
 
 
 @kernel('void(int32[:, ::1], int64[::1], Tuple((float64[:, ::1], float64[:, ::1], float64[::1])), '
@@ -44,34 +44,42 @@ def close_gaps(labels: np.ndarray, planes: np.ndarray, image: DisparityImage, gr
 def _close(labels, unlabelled, model, disparity, valid, limits):
     """Close the gaps among the unlabelled pixels, along rows and then along columns."""
     (height, width), (planes, in_pixels, lens), (widest, distance_m) = labels.shape, model, limits
-    largest = np.empty(len(planes))
+    largest, image = np.empty(len(planes)), (disparity, valid)
     for k in range(len(planes)):
         x, y, z = normal_of(planes[k, 0], planes[k, 1], planes[k, 2], lens)
         # A point at 1/z is off the plane by the distance of the plane times its relative residual.
         largest[k] = distance_m * np.sqrt(x * x + y * y + z * z)
-    for down, right in ((0, 1), (1, 0)):
-        v = 0
-        for pixel in unlabelled:
-            while pixel >= (v + 1) * width:
-                v += 1
-            u = pixel - v * width
-            if v < down or u < right or labels[v, u] >= 0:
-                continue
-            label, length = labels[v - down, u - right], 1
-            if label < 0:
-                continue  # not the first of a gap
-            for _ in range(widest):
-                row, column = v + length * down, u + length * right
-                if row >= height or column >= width or labels[row, column] >= 0:
-                    break
-                length += 1
-            row, column = v + length * down, u + length * right
-            if row >= height or column >= width or labels[row, column] != label:
-                continue
-            a, b, c = in_pixels[label, 0], in_pixels[label, 1], in_pixels[label, 2]
-            for k in range(length):
-                row, column = v + k * down, u + k * right
-                d = disparity[row, column]
-                off = abs(a * column + b * row + c - d)
-                if valid[row, column] and off <= largest[label] * d:
-                    labels[row, column] = label
+    end = 0
+    while end < len(unlabelled):
+        pixel = unlabelled[end]
+        v, left, end = pixel // width, pixel % width, end + 1
+        right = left + 1
+        while right < width and end < len(unlabelled) and unlabelled[end] == pixel + right - left:
+            right, end = right + 1, end + 1
+        if (left > 0 and right < width and right - left <= widest
+                and labels[v, left - 1] == labels[v, right]):
+            for u in range(left, right):
+                _label_near(labels, v, u, labels[v, right], in_pixels, largest, image)
+    first, last, v = np.zeros(width, np.int64), np.full(width, -1), 0
+    for pixel in unlabelled:
+        while pixel >= (v + 1) * width:
+            v += 1
+        u = pixel - v * width
+        if labels[v, u] >= 0:
+            continue
+        first[u], last[u] = first[u] if last[u] == v - 1 else v, v
+        above = first[u] - 1
+        if (above >= 0 and v + 1 < height and v - above <= widest
+                and labels[v + 1, u] >= 0 and labels[above, u] == labels[v + 1, u]):
+            for row in range(above + 1, v + 1):
+                _label_near(labels, row, u, labels[above, u], in_pixels, largest, image)
+
+
+@kernel('void(int32[:, ::1], int64, int64, int32, float64[:, ::1], float64[::1], '
+        'Tuple((float32[:, ::1], boolean[:, ::1])))')
+def _label_near(labels, v, u, label, in_pixels, largest, image):
+    """Give a pixel a label if it is valid and near that plane."""
+    d = image[0][v, u]
+    off = abs(in_pixels[label, 0] * u + in_pixels[label, 1] * v + in_pixels[label, 2] - d)
+    if image[1][v, u] and off <= largest[label] * d:
+        labels[v, u] = label
