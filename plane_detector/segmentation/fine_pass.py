@@ -13,7 +13,7 @@ from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.plane_fit import N, X, Y
-from plane_detector.segmentation.pixels.labelling import label_pixels, pixel_tolerance
+from plane_detector.segmentation.pixels.labelling import label_more_pixels, pixel_tolerance
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.region_graph import BORDER_REACH_CELLS, RegionGraph
 from plane_detector.segmentation.search.frame import Frame
@@ -54,18 +54,20 @@ def add_small_planes(frame: Frame, labels: np.ndarray, known: RegionGraph,
                            frame.min_pixels / MIN_CELL_SHARE)
     if not wanted.any():
         return known.planes
-    box = _box_around(wanted)
-    part = tuple(slice(side.start * size, side.stop * size) for side in box)
-    left = _unlabelled_part(frame, labels, part, wanted[box])
+    # Whole rows, with those that planes grow into: of these an array is no copy.
+    filled = np.flatnonzero(wanted.any(axis=1))
+    rows = slice(max(filled[0] - BORDER_REACH_CELLS, 0), filled[-1] + 1 + BORDER_REACH_CELLS)
+    part = slice(rows.start * size, rows.stop * size)
+    left = _unlabelled_part(frame, labels, part, wanted[rows])
     graph = _flat_regions(left, room, min_turn_deg)
     planes = np.concatenate([known.planes, graph.planes])
     if len(graph.planes):
-        found = label_pixels(left, graph, (labels[part], len(known.planes)))
-        model = (frame.image.values[part], left.grid.planes_in_pixels(planes),
+        found = labels[part]
+        label_more_pixels(left, graph, found, len(known.planes))
+        model = (left.image.values, left.grid.planes_in_pixels(planes),
                  _sides_of_intersections(graph, known))
         borders = np.flatnonzero(at_borders(graph.labels, 1))
         _take_back(found, borders, size, model, pixel_tolerance(left), frame.grid.size_px)
-        labels[part] = found
     return planes
 
 
@@ -81,7 +83,7 @@ def _sides_of_intersections(new: RegionGraph, known: RegionGraph) -> np.ndarray:
     return np.where(here * there < 0, np.sign(here), 0).astype(np.int8)
 
 
-@kernel('void(int32[:, ::1], int64[::1], int64, Tuple((float32[:, :], float64[:, ::1], '
+@kernel('void(int32[:, ::1], int64[::1], int64, Tuple((float32[:, ::1], float64[:, ::1], '
         'int8[:, ::1])), UniTuple(float64, 2), int64)')
 def _take_back(labels, cells, size, model, tolerance, reach):
     """
@@ -122,12 +124,11 @@ def _take_back(labels, cells, size, model, tolerance, reach):
                 last += 1
 
 
-def _unlabelled_part(frame: Frame, labels: np.ndarray, part: tuple[slice, slice],
-                     wanted: np.ndarray) -> Frame:
-    """Return the unlabelled pixels of a part of the image, in small cells where wanted."""
+def _unlabelled_part(frame: Frame, labels: np.ndarray, part: slice, wanted: np.ndarray) -> Frame:
+    """Return the unlabelled pixels of some rows of the image, in small cells where wanted."""
     image, size = frame.image, frame.grid.size_px // 2
-    left = DisparityImage(image.values[part].copy(), image.valid[part] & (labels[part] < 0))
-    grid = build_cell_grid(left, size, wanted.ravel(), pixel_frame(image.valid.shape, part),
+    left = DisparityImage(image.values[part], image.valid[part] & (labels[part] < 0))
+    grid = build_cell_grid(left, size, wanted.ravel(), pixel_frame(image.valid.shape, part.start),
                            frame.grid.lens)
     noise = frame.noise.at_cell_size(frame.grid.size_px, size)
     return replace(frame, image=left, grid=grid, noise=noise)
@@ -185,9 +186,3 @@ def _of_large_pieces(count, pieces, pixels, min_pixels):
             is_wanted[row, column] = total[pieces[row, column]] >= min_pixels
     return is_wanted
 
-
-def _box_around(mask: np.ndarray) -> tuple[slice, slice]:
-    """Return the rows and columns around the cells of a mask, with those that planes grow into."""
-    sides = [np.flatnonzero(mask.any(axis)) for axis in (1, 0)]
-    return tuple(slice(max(side[0] - BORDER_REACH_CELLS, 0), side[-1] + 1 + BORDER_REACH_CELLS)
-                 for side in sides)

@@ -129,12 +129,10 @@ def lens_of(intrinsics: CameraIntrinsics) -> np.ndarray:
                      intrinsics.cy - (height - 1) / 2]) / width
 
 
-def pixel_frame(shape: tuple[int, int],
-                part: tuple[slice, slice] = np.s_[0:, 0:]) -> tuple[float, float, float]:
-    """Return the width of an image in pixels, and x and y of the first pixel of a part of it."""
+def pixel_frame(shape: tuple[int, int], first_row: int = 0) -> tuple[float, float, float]:
+    """Return the width of an image in pixels, and x and y of the first pixel of a row of it."""
     height, width = shape
-    return (float(width), (part[1].start - (width - 1) / 2) / width,
-            (part[0].start - (height - 1) / 2) / width)
+    return float(width), -(width - 1) / 2 / width, (first_row - (height - 1) / 2) / width
 
 
 def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | None = None,
@@ -151,7 +149,7 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     wanted : (R * C,) bool, optional
         Cells to fill; the others stay empty. Default: all.
     frame : (float, float, float), optional
-        If the image is a part of another one: the :func:`pixel_frame` of this part.
+        If the image is some rows of another one: the :func:`pixel_frame` of these.
     lens : (4,) float64
         See :func:`lens_of`.
 

@@ -92,10 +92,11 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
     """Return the table of the cells and which of them are planar."""
     moments, mean, slope, sparsity = cells
     table, is_planar = np.zeros((len(usable), 8)), np.zeros(len(usable), np.bool_)
-    of_plane = 0.0
+    of_plane, filled = 0.0, 0
     for i in range(len(usable)):
         of_plane += mean[i, 2] ** 4
-    of_plane *= squares[3] / len(usable) ** 2
+        filled += moments[i, N] > 0
+    of_plane *= squares[3] / max(filled, 1) ** 2
     for i in range(len(usable)):
         if moments[i, N] == 0:
             continue

@@ -24,8 +24,7 @@ from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 
-def label_pixels(frame: Frame, graph: RegionGraph,
-                 others: tuple[np.ndarray, int] | None = None) -> np.ndarray:
+def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
     """
     Label every pixel.
 
@@ -37,9 +36,6 @@ def label_pixels(frame: Frame, graph: RegionGraph,
     frame : Frame
     graph : RegionGraph
         Of its cells, none of its regions merged.
-    others : ((H, W) int32, int), optional
-        Labels of other planes on the pixels that are not valid here, and their number. The planes
-        follow them and do not grow.
 
     Returns
     -------
@@ -47,21 +43,34 @@ def label_pixels(frame: Frame, graph: RegionGraph,
         Index into the planes, -1 for none and where invalid.
 
     """
-    grid, image, noise = frame.grid, frame.image, frame.noise
-    found, first, sweeps = np.full(image.valid.shape, np.int32(-1)), 0, 1
-    if others is not None:
-        found, first = others[0].copy(), others[1]
-    elif sees_creases(grid, noise, frame.threshold):
-        sweeps = sum(grid.shape)  # a border moves by one cell per sweep
-    disparity = image.values
-    # In other depth neighbouring pixels share their error, and small planes gain nothing.
-    if others is None and frame.kind is DepthKind.MEASURED:
-        disparity = _smooth(disparity, image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
-    _label((found, first), (disparity, image.valid, grid.size_px),
+    noise, disparity = frame.noise, frame.image.values
+    found = np.full(disparity.shape, np.int32(-1))
+    sees = sees_creases(frame.grid, noise, frame.threshold)
+    # In other depth neighbouring pixels share their error.
+    if frame.kind is DepthKind.MEASURED:
+        disparity = _smooth(disparity, frame.image.valid, MAX_DEVIATIONS * noise.pixel_sigma)
+    # A border moves by one cell per sweep.
+    _label_cells(frame, graph, (found, 0), disparity, sum(frame.grid.shape) if sees else 1)
+    return found
+
+
+def label_more_pixels(frame: Frame, graph: RegionGraph, labels: np.ndarray, first: int) -> None:
+    """
+    Label every valid pixel, the planes of the graph from ``first`` on; the others keep theirs.
+
+    Small planes gain nothing from growing, nor from a mean over neighbours.
+    """
+    _label_cells(frame, graph, (labels, first), frame.image.values, 1)
+
+
+def _label_cells(frame: Frame, graph: RegionGraph, output: tuple[np.ndarray, int],
+                 disparity: np.ndarray, sweeps: int) -> None:
+    """Write labels of pixels, counted from the given number on."""
+    grid = frame.grid
+    _label(output, (disparity, frame.image.valid, grid.size_px),
            (graph.labels, at_borders(graph.labels, 1)),
            (grid.planes_in_pixels(graph.planes), graph.intersections()), pixel_tolerance(frame),
            sweeps)
-    return found
 
 
 def pixel_tolerance(frame: Frame) -> tuple[float, float]:

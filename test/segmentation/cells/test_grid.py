@@ -101,21 +101,19 @@ def test_one_plane_is_fitted_as_many_are(seed):
 def test_the_cells_of_a_part_are_those_of_the_whole_image():
     disparity, valid = disparity_image(np.random.default_rng(3))
     whole = cells.build_cell_grid(cells.DisparityImage(disparity, valid), 10)
-    part = np.s_[40:130, 200:340]
-    image = cells.DisparityImage(*(np.ascontiguousarray(one[part]) for one in (disparity, valid)))
-    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame(SHAPE, part))
-    assert grid.shape == (9, 14)
+    image = cells.DisparityImage(disparity[40:130], valid[40:130])
+    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame(SHAPE, 40))
+    assert grid.shape == (9, whole.shape[1])
     assert grid.width_px == whole.width_px
     for name in ('moments', 'mean', 'slope', 'residual_rms', 'usable'):
-        values = getattr(whole, name).reshape(*whole.shape, -1)[4:13, 20:34]
+        values = getattr(whole, name).reshape(*whole.shape, -1)[4:13]
         np.testing.assert_allclose(getattr(grid, name).reshape(values.shape), values, atol=1e-9)
 
 
 def test_planes_in_pixels_have_the_disparity_of_the_same_planes_in_cells():
-    part, shape = np.s_[40:100, 200:280], (480, 640)
-    image = cells.DisparityImage(np.ones((60, 80), np.float32), np.ones((60, 80), bool))
-    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame(shape, part))
-    u, v = 7, 12  # in the part
-    x, y = (200 + u - 319.5) / 640, (40 + v - 239.5) / 640
+    image = cells.DisparityImage(np.ones((60, 640), np.float32), np.ones((60, 640), bool))
+    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame((480, 640), 40))
+    u, v = 207, 12  # in these rows
+    x, y = (u - 319.5) / 640, (40 + v - 239.5) / 640
     (a, b, c), = grid.planes_in_pixels(np.array([[0.3, -0.2, 0.5]]))
     assert a * u + b * v + c == pytest.approx(0.3 * x - 0.2 * y + 0.5)
