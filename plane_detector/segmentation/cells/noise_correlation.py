@@ -80,7 +80,7 @@ class Correlation:
         labels, planes = np.ascontiguousarray(regions.labels), regions.coefficients
         is_used = in_large_regions(labels, len(planes)) & model.is_planar
         square, *at_lags = _covariances(labels, planes, model.table, is_used).tolist()
-        if square <= 0:
+        if square <= 0 or noise.pixel_sigma < noise.disparity_floor:
             return None
         own = square * _bounded((noise.pixel_sigma / model.grid.size_px) ** 2 / square)
         smooth = square - own
