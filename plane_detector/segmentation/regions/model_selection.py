@@ -61,7 +61,7 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     cell, is_first = _cells_about(np.ascontiguousarray(labels), cells.is_planar, pair)
     if min(np.count_nonzero(is_first), np.count_nonzero(~is_first)) <= PLANE_TERMS:
         return False
-    gain = _gain(cells.table, cell, is_first, correlation.table)
+    gain = _gain(cells.table, cell, is_first, correlation.of_neighbours)
     return bool(gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power)
 
 

@@ -54,9 +54,10 @@ def test_rounding_does_not_make_planes_of_curved_things(content, step):
     """A sensor with steps in disparity is a sensor, not a network that bends planes."""
     kind, radius_m = content
     scene = curved_scene(CURVED.index((radius_m, (0, -15, 4), kind)))
-    labels = segment_planes(rounded(scene.depth_m, step), scene.intrinsics).labels
+    depth_m = with_disparity_noise(scene.depth_m, 0.001, np.random.default_rng(0))
+    labels = segment_planes(rounded(depth_m, step), scene.intrinsics).labels
     labelled, least_iou = judge_curved(labels, scene)
-    assert labelled < 0.3
+    assert labelled < 0.1
     assert least_iou > 0.9
 
 
