@@ -153,7 +153,7 @@ def _measured(frame: Frame, regions: PlaneRegions,
         regions = split_at_depth_steps(frame, regions, correlation)
         regions = reassign_cells(frame, regions, correlation)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    density = correlation.density if correlation else np.inf
+    density = (correlation or frame.noise).density
     return _label_flat_ones(frame, graph, correlation, density,
                             frame.config.segmentation.flatness_angle)
 

@@ -64,7 +64,7 @@ class DepthKind(Enum):
 
     EXACT: the errors are below the noise floor. MEASURED: pixel noise and smooth noise, as of a
     sensor. NETWORK: the noise level is specified for the source, and the errors contain bends and
-    steps, as those of networks and of quantised disparity do.
+    steps, as those of networks do.
     """
 
     EXACT = 'exact'
@@ -260,7 +260,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
     # The quantisation error is uniform over one step.
     step = _even_step(values)
     if step / 2 >= 2 * noise_floor.variance_floor(median(values)) ** 0.5:
-        return replace(noise_floor, source_sigma=max(noise_floor.source_sigma, step / 2),
+        return replace(noise_floor,
                        disparity_floor=max(noise_floor.disparity_floor, step / 12**0.5))
     return replace(noise_floor, depth_floor_m=max(noise_floor.depth_floor_m,
                                                   _even_step(1 / values[::-1]) / 12**0.5))

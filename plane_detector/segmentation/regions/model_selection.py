@@ -64,7 +64,7 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
     if correlation is None:
         return False
     gain = log_likelihood_gain(np.ascontiguousarray(labels), cells.table, cells.is_planar,
-                               correlation.table, (first, second))
+                               correlation.of_neighbours, (first, second))
     return gain > MIN_LOG_LIKELIHOOD_GAIN / correlation.power
 
 

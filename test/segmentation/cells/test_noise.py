@@ -7,6 +7,7 @@ import pytest
 from cell_helpers import disparity_image
 
 from plane_detector import segment_planes
+from plane_detector.evaluation.benchmark.rooms import CURVED, curved_scene, judge_curved
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -24,15 +25,16 @@ def rounded(depth_m, step):
     return (1 / (np.rint(1 / depth_m / step) * step)).astype(np.float32)
 
 
-def source_sigma(depth_m, noise_floor=FLOOR):
-    return with_quantisation(noise_floor, disparity_image(depth_m)).source_sigma
+def step_of(depth_m):
+    """Return the step between disparities whose uniform error is the floor."""
+    return with_quantisation(FLOOR, disparity_image(depth_m)).disparity_floor * 12**0.5
 
 
 @pytest.mark.parametrize('step', [0.001, 0.003, 0.01])
 @pytest.mark.parametrize('yaw_deg', [10, 40])
 def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
     depth_m = rounded(single_wall(yaw_deg=yaw_deg).depth_m, step)
-    assert source_sigma(depth_m) == pytest.approx(step / 2, rel=0.01)
+    assert step_of(depth_m) == pytest.approx(step, rel=0.01)
     assert len(segment_planes(depth_m, VGA).planes) == 1
 
 
@@ -46,6 +48,19 @@ def test_rounded_rooms_do_not_fall_into_stripes(seed):
     assert result.precision > 0.9
 
 
+@pytest.mark.parametrize('content', [('column', 0.4), ('ball', 0.7), ('pipe', 0.25)])
+@pytest.mark.parametrize('step', [0.003, 0.01])
+def test_rounding_does_not_make_planes_of_curved_things(content, step):
+    """A sensor with steps in disparity is a sensor, not a network that bends planes."""
+    kind, radius_m = content
+    scene = curved_scene(CURVED.index((radius_m, (0, -15, 4), kind)))
+    depth_m = with_disparity_noise(scene.depth_m, 0.001, np.random.default_rng(0))
+    labels = segment_planes(rounded(depth_m, step), scene.intrinsics).labels
+    labelled, least_iou = judge_curved(labels, scene)
+    assert labelled < 0.1
+    assert least_iou > 0.9
+
+
 @pytest.mark.parametrize('yaw_deg', [0, 5])
 @pytest.mark.parametrize('distance_m', [1.0, 6.0])
 @pytest.mark.parametrize('in_millimetres', [False, True])
@@ -53,7 +68,7 @@ def test_exact_walls_are_not_rounded(yaw_deg, distance_m, in_millimetres):
     depth_m = single_wall(yaw_deg=yaw_deg, distance_m=distance_m).depth_m
     if in_millimetres:
         depth_m = (np.rint(1000 * depth_m) / 1000).astype(np.float32)
-    assert source_sigma(depth_m) == 0
+    assert step_of(depth_m) == 0
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -62,7 +77,7 @@ def test_rooms_are_not_rounded(seed, sigma):
     depth_m = random_room(np.random.default_rng(seed)).depth_m
     if sigma:
         depth_m = with_disparity_noise(depth_m, sigma, np.random.default_rng(seed))
-    assert source_sigma(depth_m) == 0
+    assert step_of(depth_m) == 0
 
 
 def test_cells_of_few_pixels_are_known_to_be_noisier():

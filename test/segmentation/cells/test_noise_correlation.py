@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The correlation of the errors is found as it was made, and its inverse undoes it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cell_helpers import bare_wall, cells_and_noise, noisy, one_patch, rough_wall
@@ -53,3 +55,22 @@ def test_the_covariance_goes_by_rows_and_columns():
     assert matrix[1, 3] == table[1, 1] < table[0, 1]
     assert matrix[0, 4] == table[59, 79]
     np.testing.assert_allclose(matrix[0, 0], correlation.smooth + correlation.own, rtol=0.01)
+
+
+def test_the_bend_of_planes_is_less_between_neighbours():
+    """It enlarges the variance by its square, the variance of differences by itself."""
+    straight = Correlation(1.0, 0.0, 0.01, 1.0, (3, 4))
+    bent = Correlation(4.0, 0.0, 0.01, 1.0, (3, 4), bending=2.0)
+    np.testing.assert_array_equal(straight.of_neighbours, straight.table)
+    assert bent.of_neighbours[0, 0] == bent.table[0, 0] == 4
+    differences = [table[0, 0] - table for table in (straight.table, bent.of_neighbours)]
+    np.testing.assert_allclose(differences[1], 2 * differences[0], rtol=0.03)
+
+
+def test_steps_without_pixel_noise_have_no_correlation():
+    """Such errors jump from cell to cell, as no smooth noise does."""
+    model, noise = cells_and_noise(noisy(bare_wall(), 0))
+    regions = one_patch(model)
+    assert Correlation.of(model, regions, replace(noise, disparity_floor=noise.pixel_sigma))
+    steps = replace(noise, disparity_floor=1.01 * noise.pixel_sigma)
+    assert Correlation.of(model, regions, steps) is None
