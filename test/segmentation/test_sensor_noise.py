@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
+from plane_detector.evaluation.benchmark.samples import noisy_depth, room
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.geometry.disparity import to_disparity

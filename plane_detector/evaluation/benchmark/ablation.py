@@ -26,14 +26,8 @@ from plane_detector.evaluation.benchmark.accuracy import (
     means,
     noise_text,
 )
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.samples import (
-    COUNTS,
-    Sample,
-    plan,
-    run_jobs,
-)
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.samples import COUNTS, Sample, plan, run_jobs
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.metrics import known_mean
 from plane_detector.evaluation.peers import Ours
