@@ -4,13 +4,12 @@
 
 import numpy as np
 import pytest
-from cell_helpers import disparity_image
+from cell_helpers import disparity_image, millimetres, noisy, scored
 
 from plane_detector import segment_planes
-from plane_detector.evaluation.metrics import score
-from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import VGA, random_room, single_wall
+from plane_detector.evaluation.scenes.rendering import VGA
+from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.model import weigh_cells
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise, with_quantisation
@@ -24,8 +23,8 @@ def rounded(depth_m, step):
     return (1 / (np.rint(1 / depth_m / step) * step)).astype(np.float32)
 
 
-def source_sigma(depth_m, noise_floor=FLOOR):
-    return with_quantisation(noise_floor, disparity_image(depth_m)).source_sigma
+def source_sigma(depth_m):
+    return with_quantisation(FLOOR, disparity_image(depth_m)).source_sigma
 
 
 @pytest.mark.parametrize('step', [0.001, 0.003, 0.01])
@@ -37,32 +36,24 @@ def test_the_step_of_rounded_disparities_is_found(step, yaw_deg):
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_rounded_rooms_do_not_fall_into_stripes(seed):
-    scene = random_room(np.random.default_rng(seed))
-    found = segment_planes(rounded(scene.depth_m, 0.003), scene.intrinsics)
-    result = score(scene.labels, scene.planes, found.labels, plane_array(found),
-                   np.isfinite(scene.depth_m))
+def test_rounded_rooms_do_not_fall_into_stripes(room, seed):
+    scene = room(seed)
+    result = scored(scene, segment_planes(rounded(scene.depth_m, 0.003), scene.intrinsics))
     assert result.segmentation_covering > 0.95
     assert result.precision > 0.9
 
 
 @pytest.mark.parametrize('yaw_deg', [0, 5])
 @pytest.mark.parametrize('distance_m', [1.0, 6.0])
-@pytest.mark.parametrize('in_millimetres', [False, True])
-def test_exact_walls_are_not_rounded(yaw_deg, distance_m, in_millimetres):
+def test_exact_walls_and_those_in_millimetres_are_not_rounded(yaw_deg, distance_m):
     depth_m = single_wall(yaw_deg=yaw_deg, distance_m=distance_m).depth_m
-    if in_millimetres:
-        depth_m = (np.rint(1000 * depth_m) / 1000).astype(np.float32)
-    assert source_sigma(depth_m) == 0
+    assert source_sigma(depth_m) == source_sigma(millimetres(depth_m)) == 0
 
 
 @pytest.mark.parametrize('seed', range(3))
 @pytest.mark.parametrize('sigma', [0.0, 0.004])
-def test_rooms_are_not_rounded(seed, sigma):
-    depth_m = random_room(np.random.default_rng(seed)).depth_m
-    if sigma:
-        depth_m = with_disparity_noise(depth_m, sigma, np.random.default_rng(seed))
-    assert source_sigma(depth_m) == 0
+def test_rooms_are_not_rounded(room, seed, sigma):
+    assert source_sigma(noisy(room(seed), seed, sigma)) == 0
 
 
 def test_cells_of_few_pixels_are_known_to_be_noisier():
