@@ -2,19 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tests of drawings of planes and depth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from plane_detector.directions.drawing import draw_directions
-from plane_detector.drawing import (
-    PALETTE,
-    colour_depth,
-    figure,
-    overlay,
-    tint,
-)
+from plane_detector.drawing import PALETTE, colour_depth, figure, overlay, tint
 from plane_detector.types import CameraIntrinsics
 
 GREY = np.full((120, 160, 3), 128, np.uint8)
@@ -45,14 +37,9 @@ def test_tint_colours_only_planes(dtype):
                                                    (np.sum(labels == label), 3)), atol=1)
 
 
-def test_overlay_draws_white_borders():
-    drawn = overlay(GREY, two_planes())
-    assert (drawn[:40, 59] == 255).all()  # the number is in the middle
-    assert (drawn[:40, 99] == 255).all()
-
-
-def test_overlay_writes_a_number_inside_each_plane():
+def test_overlay_draws_white_borders_and_a_number_inside_each_plane():
     drawn, labels = overlay(GREY, two_planes()), two_planes()
+    assert (drawn[:40, [59, 99]] == 255).all()  # the number is in the middle
     for label in (1, 2):
         assert (drawn[labels == label] == 0).all(axis=-1).any()  # the black box
     assert not (drawn[labels == 0] == 0).all(axis=-1).any()
@@ -60,21 +47,18 @@ def test_overlay_writes_a_number_inside_each_plane():
 
 def test_depth_is_red_near_blue_far_and_black_where_invalid():
     depth_m = np.linspace(1, 10, 120 * 160, dtype=np.float32).reshape(120, 160)
-    depth_m[0, 0], depth_m[0, 1], depth_m[0, 2], depth_m[0, 3] = np.nan, np.inf, 0, -1
+    depth_m[0, :4] = np.nan, np.inf, 0, -1
     coloured = colour_depth(depth_m).astype(int)
     assert (coloured[0, :4] == 0).all()
     near, far = coloured[1, 0], coloured[-10, 0]
-    assert near[0] > 2 * near[2]
-    assert far[2] > 2 * far[0]
-    assert far.max() > 100
+    assert near[0] > 2 * near[2] and far[2] > 2 * far[0] and far.max() > 100
 
 
 def test_figure_sets_panels_in_rows_and_fills_the_last():
     panels = [(f'panel {k}', np.full((60, 80, 3), 10 * k, np.uint8)) for k in range(1, 4)]
     drawn = figure(panels)
     height, width = drawn.shape[0] // 2, drawn.shape[1] // 2
-    assert width >= 80
-    assert height > 60
+    assert width >= 80 and height > 60
     for k, (row, column) in enumerate([(0, 0), (0, 1), (1, 0)], start=1):
         panel = drawn[row * height:(row + 1) * height, column * width:(column + 1) * width]
         assert (panel == 10 * k).all(axis=-1).sum() >= 60 * 80

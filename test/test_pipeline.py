@@ -54,21 +54,15 @@ def test_metric_depth_is_segmented_unchanged():
     np.testing.assert_array_equal(found.depth_m, SCENE.depth_m)
 
 
-def test_metric_disparity_gives_the_planes_of_the_depth():
-    found, expected = detect(network('disparity')), detect(network('metric_depth'))
-    assert found.scale_method == 'metric'
-    np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-4)
-    assert len(found.planes) == pytest.approx(len(expected.planes), abs=1)
-    np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
-
-
-def test_relative_disparity_with_known_scale_and_shift_is_metric():
-    config = Config(scale=ScaleConfig(method='fixed', disparity_scale=SCALE,
-                                      disparity_shift=SHIFT))
-    found = detect(network('relative_disparity'), config)
-    assert found.scale_method == 'fixed'
+@pytest.mark.parametrize(('output', 'scale', 'method'), [
+    ('disparity', ScaleConfig(), 'metric'),
+    ('relative_disparity', ScaleConfig(method='fixed', disparity_scale=SCALE,
+                                       disparity_shift=SHIFT), 'fixed')])
+def test_disparity_of_known_scale_gives_the_planes_of_the_depth(output, scale, method):
+    found, expected = detect(network(output), Config(scale=scale)), detect(network('metric_depth'))
+    assert found.scale_method == method
     np.testing.assert_allclose(found.depth_m, SCENE.depth_m, rtol=1e-3)
-    expected = detect(network('metric_depth'))
+    assert len(found.planes) == pytest.approx(len(expected.planes), abs=1)
     np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
 
 
@@ -147,16 +141,19 @@ CAMERA = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
 RGB = np.zeros((120, 160, 3), np.uint8)
 
 
+def depth_of(rgb):
+    return np.full(rgb.shape[:2], 2.0, np.float32)
+
+
 def test_no_stage_starts_after_a_stop():
     stop = Stop()
 
     def estimate(rgb):
         stop.set()
-        return np.full(rgb.shape[:2], 2.0, np.float32)
+        return depth_of(rgb)
 
-    detector = PlaneDetector(Config(), estimate)
     with pytest.raises(Stopped), stop.applies():
-        detector.detect(RGB, CAMERA)
+        PlaneDetector(Config(), estimate).detect(RGB, CAMERA)
 
 
 def test_the_search_looks_at_the_stop_before_every_pass(monkeypatch):
@@ -182,10 +179,6 @@ def test_the_search_looks_at_the_stop_before_every_pass(monkeypatch):
 # Valid values of settings whose type and range say too little.
 VALUES = {'scale.gravity': (0.0, 1.0, 0.0), 'shapes.types': 'sphere',
           'scale.imu_to_camera': (1.0, 0.0, 0.0, 0.0)}
-
-
-def depth_of(rgb):
-    return np.full(rgb.shape[:2], 2.0)
 
 
 def live_settings():

@@ -72,8 +72,6 @@ class Score:
     segmentation_covering: float
     recall: float
     precision: float
-    true_planes: int
-    predicted_planes: int
     normal_error_deg: float
     offset_error_m: float
 
@@ -96,85 +94,52 @@ def score(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
     return Score(
         rand_index(shared.counts), variation_of_information(shared.counts),
         segmentation_covering(shared.counts),
-        _share(matches[large].any(1)), _share(matches.any(0)), int(large.sum()), len(planes),
-        _median(np.degrees(np.arccos(cosine))), _median(offset_error_m))
+        known_mean(matches[large].any(1)), known_mean(matches.any(0)),
+        *(float(np.median(errors)) if errors.size else float('nan')
+          for errors in (np.degrees(np.arccos(cosine)), offset_error_m)))
 
 
-def _share(hits: np.ndarray) -> float:
-    return float(hits.mean()) if hits.size else float('nan')
+RECALL_DEPTHS_M, RECALL_ANGLES_DEG = (0.05, 0.1, 0.2, 0.3, 0.6), (5.0, 10.0, 30.0)
 
 
-def _median(values: np.ndarray) -> float:
-    return float(np.median(values)) if values.size else float('nan')
-
-
-RECALL_DEPTHS_M = (0.05, 0.1, 0.2, 0.3, 0.6)
-RECALL_ANGLES_DEG = (5.0, 10.0, 30.0)
-
-
-def depth_recall(true_labels: np.ndarray, true_depth_m: np.ndarray, labels: np.ndarray,
-                 depth_m: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def recall_by_error(true_labels: np.ndarray, true_planes: np.ndarray, true_depth_m: np.ndarray,
+                    labels: np.ndarray, planes: np.ndarray, depth_m: np.ndarray,
+                    mask: np.ndarray) -> np.ndarray:
     """
-    Return plane recall and pixel recall at each of RECALL_DEPTHS_M.
+    Return the recall of planes and of pixels, (2, 8), at RECALL_DEPTHS_M and RECALL_ANGLES_DEG.
 
-    A true plane is found at a depth if some predicted plane has IoU > 0.5 with it and the mean
-    difference of their depths over the intersection is at most that depth.
+    A true plane is found at a limit if a predicted plane has IoU > 0.5 with it and the mean
+    difference of their depths (H, W) over the intersection, or the angle between their normals,
+    is at most that.
     """
     shared = overlap(true_labels, labels, mask)
-    planes_found = np.zeros((len(shared.iou), len(RECALL_DEPTHS_M)), bool)
-    pixels_found = np.zeros(planes_found.shape)
+    off_m = np.full(shared.iou.shape, np.inf)
     for i, j in zip(*np.nonzero(shared.iou > 0.5), strict=True):
         both = mask & (true_labels == i) & (labels == j)
-        error_m = np.abs(true_depth_m[both] - depth_m[both]).mean()
-        planes_found[i] = error_m <= np.array(RECALL_DEPTHS_M)
-        pixels_found[i] = planes_found[i] * shared.counts[i, j]
-    true_pixels = max(shared.counts[:-1].sum(), 1)
-    return planes_found.mean(0), pixels_found.sum(0) / true_pixels
-
-
-def normal_recall(true_labels: np.ndarray, true_planes: np.ndarray, labels: np.ndarray,
-                  planes: np.ndarray, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """
-    Return plane recall and pixel recall at each of RECALL_ANGLES_DEG.
-
-    A true plane is found at an angle if some predicted plane has IoU > 0.5 with it and the angle
-    between their normals is at most that angle.
-    """
-    shared = overlap(true_labels, labels, mask)
+        off_m[i, j] = np.abs(true_depth_m[both] - depth_m[both]).mean()
     cosine = np.abs(true_planes[:, :3] @ planes[:, :3].T).clip(0, 1)
-    angle_deg = np.where(shared.iou > 0.5, np.degrees(np.arccos(cosine)), np.inf)
-    within = angle_deg[..., None] <= np.array(RECALL_ANGLES_DEG)
+    off_deg = np.where(shared.iou > 0.5, np.degrees(np.arccos(cosine)), np.inf)
+    within = np.concatenate([off_m[..., None] <= RECALL_DEPTHS_M,
+                             off_deg[..., None] <= RECALL_ANGLES_DEG], axis=-1)
     pixels_found = (shared.counts[:-1, :-1, None] * within).max(axis=1, initial=0)
-    true_pixels = max(shared.counts[:-1].sum(), 1)
-    return within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0) / true_pixels
+    return np.stack([within.any(axis=1).mean(axis=0), pixels_found.sum(axis=0)
+                     / max(shared.counts[:-1].sum(), 1)])
 
 
 PIECE_SHARE = 0.1
 """A predicted plane that covers this share of a true plane is one of its pieces."""
 
 
-@dataclass(frozen=True)
-class LabelledScore:
-    """
-    A segmentation against planes labelled by hand; unlabelled pixels do not count.
-
-    True planes up to MIN_PIXELS do not count in recall and pieces.
-    """
-
-    segmentation_covering: float
-    recall: float  # share of true planes that a predicted one matches with IoU > 0.5
-    pieces: float  # mean number of predicted planes with over PIECE_SHARE of a true plane's pixels
-    merged: float  # of the predicted planes with over half of a true plane, those with several
-    unlabelled: float  # share of the true planes' pixels without a predicted plane
-
-
 def labelled_score(true_labels: np.ndarray, labels: np.ndarray,
-                   mask: np.ndarray) -> LabelledScore:
+                   mask: np.ndarray) -> dict[str, float]:
     """
     Compare a segmentation with planes labelled by hand, where the mask says that they are known.
 
     A predicted plane with most of its pixels where there is no true plane, on an object for
-    example, counts as no plane.
+    example, counts as no plane. Recall (IoU > 0.5) and pieces, the mean number of predicted planes
+    with over PIECE_SHARE of a true plane's pixels, are of true planes over MIN_PIXELS. Merged: of
+    the predicted planes with over half of a true plane, those with several; unlabelled: share of
+    the true planes' pixels without a predicted plane.
     """
     counts = overlap(true_labels, labels, mask).counts
     elsewhere = np.append(2 * counts[-1, :-1] > counts[:, :-1].sum(axis=0), False)
@@ -184,28 +149,17 @@ def labelled_score(true_labels: np.ndarray, labels: np.ndarray,
     union = pixels[:, None] + kept[:, :-1].sum(axis=0) - both
     halves = (2 * both > pixels[:, None]).sum(axis=0)
     large = pixels > MIN_PIXELS
-    return LabelledScore(
-        segmentation_covering(kept), _share((2 * both > union).any(axis=1)[large]),
-        float((both > PIECE_SHARE * pixels[:, None]).sum(axis=1)[large].mean()),
-        _share(halves[halves > 0] > 1), float(kept[:-1, -1].sum() / pixels.sum()))
-
-
-@dataclass(frozen=True)
-class HooverScore:
-    """Numbers of true regions by kind, and of predicted ones that are none: noise."""
-
-    true: int
-    correct: int
-    over_segmented: int
-    under_segmented: int
-    missed: int
-    noise: int
+    return {'SC': segmentation_covering(kept),
+            'recall': known_mean((2 * both > union).any(axis=1)[large]),
+            'pieces': float((both > PIECE_SHARE * pixels[:, None]).sum(axis=1)[large].mean()),
+            'merged': known_mean(halves[halves > 0] > 1),
+            'unlabelled': float(kept[:-1, -1].sum() / pixels.sum())}
 
 
 def hoover_score(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray,
-                 tolerance: float = 0.8) -> HooverScore:
+                 tolerance: float = 0.8) -> dict[str, int]:
     """
-    Classify the regions of a segmentation.
+    Return the numbers of true regions by kind, and of predicted ones that are none: noise.
 
     A pair is correct if its common pixels are at least ``tolerance``, above 0.5, of both regions.
     A true region is over-segmented if two or more predicted ones lie in it, each with that share
@@ -231,9 +185,10 @@ def hoover_score(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray,
     parts = (of_true >= tolerance) & true_left[:, None] & predicted_left
     wide = (parts.sum(axis=0) > 1) & ((of_predicted * parts).sum(axis=0) >= tolerance)
     under = parts[:, wide].any(axis=1)
-    missed = true_left & ~under
-    return HooverScore(*(int(np.count_nonzero(found)) for found in (
-        np.ones(len(both)), same, over, under, missed, predicted_left & ~wide)))
+    return {'true': len(both), 'correct': np.count_nonzero(same),
+            'over-segmented': np.count_nonzero(over), 'under-segmented': np.count_nonzero(under),
+            'missed': np.count_nonzero(true_left & ~under),
+            'noise': np.count_nonzero(predicted_left & ~wide)}
 
 
 def known_mean(values: np.ndarray) -> float:

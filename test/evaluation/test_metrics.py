@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from plane_detector.evaluation.metrics import (
-    depth_recall,
     hoover_score,
     labelled_score,
-    normal_recall,
     overlap,
     rand_index,
+    recall_by_error,
     score,
     segmentation_covering,
     variation_of_information,
@@ -24,15 +23,11 @@ ALL = np.ones((1, 8), bool)
 PLANES = np.array([[0, 0, -1, 2.0], [0, -1, 0, 1.0]])
 
 
-def test_counts_by_hand():
-    shared = overlap(TRUTH, FOUND, ALL)
-    np.testing.assert_array_equal(shared.counts, [[3, 1, 0], [0, 2, 0], [0, 0, 2]])
-    np.testing.assert_allclose(shared.iou, [[3 / 4, 1 / 6], [0, 2 / 3]])
-
-
 def test_segmentation_metrics_by_hand():
-    counts = overlap(TRUTH, FOUND, ALL).counts
-    pairs = 8 * 7 / 2
+    shared = overlap(TRUTH, FOUND, ALL)
+    counts, pairs = shared.counts, 8 * 7 / 2
+    np.testing.assert_array_equal(counts, [[3, 1, 0], [0, 2, 0], [0, 0, 2]])
+    np.testing.assert_allclose(shared.iou, [[3 / 4, 1 / 6], [0, 2 / 3]])
     assert rand_index(counts) == pytest.approx(1 - ((9 + 9 + 4 + 16 + 4 + 4) / 2 - 18) / pairs)
     covering = (4 * 3 / 4 + 2 * 2 / 3 + 2 + 3 * 3 / 4 + 3 * 2 / 3 + 2) / 16
     assert segmentation_covering(counts) == pytest.approx(covering)
@@ -44,28 +39,25 @@ def test_segmentation_metrics_by_hand():
 
 
 def test_equal_segmentations_are_perfect_whatever_their_numbers():
-    renamed = np.where(TRUTH < 0, -1, 1 - TRUTH)
-    counts = overlap(TRUTH, renamed, ALL).counts
-    assert rand_index(counts) == 1
-    assert segmentation_covering(counts) == 1
+    counts = overlap(TRUTH, np.where(TRUTH < 0, -1, 1 - TRUTH), ALL).counts
+    assert rand_index(counts) == segmentation_covering(counts) == 1
     assert variation_of_information(counts) == pytest.approx(0, abs=1e-12)
 
 
-def test_score_by_hand():
-    result = score(TRUTH, PLANES, FOUND, PLANES, ALL, min_pixels=1)
+@pytest.mark.parametrize(('found', 'recall'), [([0, 0, -1, -1], 0), ([0, 0, 0, -1], 1)])
+def test_an_iou_of_one_half_is_no_match(found, recall):
+    truth = np.zeros((1, 4), int)
+    result = score(truth, PLANES[:1], np.array([found]), PLANES[:1], ALL[:, :4], min_pixels=1)
+    assert result.recall == recall
+
+
+def test_errors_are_those_of_the_matched_planes():
+    tilted = np.radians(10)
+    found = np.array([[0, np.sin(tilted), -np.cos(tilted), 2.1], [0, -1, 0, 1.3]])
+    result = score(TRUTH, PLANES, FOUND, found, ALL, min_pixels=1)
     assert (result.recall, result.precision) == (1, 1)
-    assert (result.true_planes, result.predicted_planes) == (2, 2)
-    assert result.normal_error_deg == pytest.approx(0)
-    assert result.offset_error_m == 0
-
-
-def test_an_iou_of_one_half_is_no_match():
-    truth, found = np.array([[0, 0, 0, 0]]), np.array([[0, 0, -1, -1]])
-    mask = np.ones((1, 4), bool)
-    assert overlap(truth, found, mask).iou[0, 0] == 0.5
-    assert score(truth, PLANES[:1], found, PLANES[:1], mask, min_pixels=1).recall == 0
-    found[0, 2] = 0
-    assert score(truth, PLANES[:1], found, PLANES[:1], mask, min_pixels=1).recall == 1
+    assert result.normal_error_deg == pytest.approx(5)
+    assert result.offset_error_m == pytest.approx(0.2)
 
 
 def test_without_planes_recall_and_precision_are_unknown():
@@ -75,32 +67,16 @@ def test_without_planes_recall_and_precision_are_unknown():
     assert result.segmentation_covering == 1
 
 
-def test_errors_are_those_of_the_matched_planes():
-    tilted = np.radians(10)
-    found = np.array([[0, np.sin(tilted), -np.cos(tilted), 2.1], [0, -1, 0, 1.3]])
-    result = score(TRUTH, PLANES, FOUND, found, ALL, min_pixels=1)
-    assert result.normal_error_deg == pytest.approx(5)
-    assert result.offset_error_m == pytest.approx(0.2)
-
-
-def test_depth_recall_includes_its_bounds():
-    true_m = np.full((1, 8), 2.0)
-    found_m = true_m + np.array([[0.25, 0.25, 0.25, 9, 0, 0.625, 9, 9]])
-    planes, pixels = depth_recall(TRUTH, true_m, FOUND, found_m, ALL)
+def test_recall_by_depth_and_angle_includes_its_bounds():
+    tilted, true_m = np.radians(8), np.full((1, 8), 2.0)
     # Plane 0 is 0.25 m off over its 3 shared pixels, plane 1 0.3125 m over its 2.
-    np.testing.assert_allclose(planes, [0, 0, 0, 0.5, 1])
-    np.testing.assert_allclose(pixels, [0, 0, 0, 0.5, 5 / 6])
-
-
-def test_normal_recall_by_hand():
-    tilted = np.radians(8)
+    found_m = true_m + np.array([[0.25, 0.25, 0.25, 9, 0, 0.625, 9, 9]])
     found = np.array([[0, 0, -1, 9.0], [0, -np.cos(tilted), np.sin(tilted), 9.0]])
-    planes, pixels = normal_recall(TRUTH, PLANES, FOUND, found, ALL)
-    np.testing.assert_allclose(planes, [0.5, 1, 1])
-    np.testing.assert_allclose(pixels, [3 / 6, 5 / 6, 5 / 6])
-    planes, pixels = normal_recall(TRUTH, PLANES, FOUND, found[::-1], ALL)
-    np.testing.assert_allclose(planes, [0, 0, 0])
-    np.testing.assert_allclose(pixels, [0, 0, 0])
+    planes, pixels = recall_by_error(TRUTH, PLANES, true_m, FOUND, found, found_m, ALL)
+    np.testing.assert_allclose(planes, [0, 0, 0, 0.5, 1, 0.5, 1, 1])
+    np.testing.assert_allclose(pixels, [0, 0, 0, 0.5, 5 / 6, 3 / 6, 5 / 6, 5 / 6])
+    exchanged = recall_by_error(TRUTH, PLANES, true_m, FOUND, found[::-1], found_m, ALL)
+    assert not exchanged[:, 5:].any()
 
 
 def test_labelled_planes_in_pieces_merged_and_not_found():
@@ -111,13 +87,12 @@ def test_labelled_planes_in_pieces_merged_and_not_found():
     found[:90, 40:120] = 1          # planes 1 and 2 merged, a tenth without a label
     found[90:, 40:120] = -1
     found[50:, 120:] = 5            # a plane on the object counts as none
-    one = labelled_score(truth, found, np.ones(truth.shape, bool))
-    assert one.recall == pytest.approx(1 / 3)  # plane 0 by its piece of 70 %
-    assert one.pieces == pytest.approx(4 / 3)
-    assert one.merged == pytest.approx(1 / 2)
-    assert one.unlabelled == pytest.approx(800 / 12000)
-    assert one.segmentation_covering == segmentation_covering(
-        overlap(truth, np.where(truth < 0, -1, found), np.ones(truth.shape, bool)).counts)
+    everything = np.ones(truth.shape, bool)
+    covering = segmentation_covering(
+        overlap(truth, np.where(truth < 0, -1, found), everything).counts)
+    assert labelled_score(truth, found, everything) == pytest.approx({
+        'SC': covering, 'recall': 1 / 3,  # plane 0 by its piece of 70 %
+        'pieces': 4 / 3, 'merged': 1 / 2, 'unlabelled': 800 / 12000})
 
 
 def test_regions_by_kind_after_hoover():
@@ -126,12 +101,12 @@ def test_regions_by_kind_after_hoover():
     found = np.repeat([[0, 0, 1, 2, 3, 3, 4, 4, -1, 5, -1, 6]], 5, axis=1)
     found[0, 9] = -1                # 90 % of region 0 are enough
     everything = np.ones(truth.shape, bool)
-    one = hoover_score(truth, found, everything)
-    assert (one.true, one.correct, one.over_segmented, one.missed) == (5, 3, 1, 1)
-    assert (one.under_segmented, one.noise) == (0, 2)
+    assert hoover_score(truth, found, everything) == {
+        'true': 5, 'correct': 3, 'over-segmented': 1, 'under-segmented': 0, 'missed': 1,
+        'noise': 2}
     found[0, 20:40] = 3             # one plane on both regions 2 and 3
-    one = hoover_score(truth, found, everything)
-    assert (one.correct, one.over_segmented, one.under_segmented) == (1, 1, 2)
-    assert (one.missed, one.noise) == (1, 2)
+    assert hoover_score(truth, found, everything) == {
+        'true': 5, 'correct': 1, 'over-segmented': 1, 'under-segmented': 2, 'missed': 1,
+        'noise': 2}
     found[0, 2:10] = -1             # 20 % of region 0 are not
-    assert hoover_score(truth, found, everything).correct == 0
+    assert hoover_score(truth, found, everything)['correct'] == 0

@@ -7,9 +7,10 @@ from functools import cache
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.evaluation.metrics import overlap
+from plane_detector.evaluation.metrics import overlap, score
+from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, camera_rotation, render
+from plane_detector.evaluation.scenes.rendering import VGA, camera_rotation, rectangle, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
 from plane_detector.geometry.disparity import to_disparity, zero_filled
 from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid
@@ -21,10 +22,6 @@ from plane_detector.segmentation.segment import segment, unitless_noise_floor
 
 EXACT = Noise(Config().ransac.noise_floor)
 """No noise but the floor."""
-
-
-def rectangle(corner, edge_u, edge_v):
-    return Rectangle(*(np.array(vector, float) for vector in (corner, edge_u, edge_v)))
 
 
 def view(rectangles, curved=(), intrinsics=VGA, angles_deg=(0, 0, 0)):
@@ -74,6 +71,8 @@ def frame_of(image, cells, noise=EXACT, min_pixels=600):
 
 def noisy(scene, seed, sigma=0.01, **kind):
     """Return the depth of a view under noise, half of whose variance is smooth by default."""
+    if sigma == 0:
+        return scene.depth_m
     return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), **kind)
 
 
@@ -120,3 +119,9 @@ def one_patch(model):
 def best_iou(scene, labels):
     """Return for each true plane the IoU with the label that it shares most with."""
     return overlap(scene.labels, labels, np.isfinite(scene.depth_m)).iou.max(axis=1, initial=0)
+
+
+def scored(scene, found, **options):
+    """Return the metrics of a segmentation of a scene."""
+    return score(scene.labels, scene.planes, found.labels, plane_array(found),
+                 np.isfinite(scene.depth_m), **options)

@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from plane_detector.evaluation.nyu_depth import COLUMNS, INTRINSICS, ROWS
+from plane_detector.evaluation.benchmark.nyu import COLUMNS, INTRINSICS, ROWS
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import Scene, random_room
 
 HEADER = b'MATLAB 7.3 MAT-file, Platform: GLNXA64, Created on: Wed May 16 18:59:13 2012 HDF5 '
 KINECT_NOISE = 0.0015
+TYPES = {'images': np.uint8, 'depths': np.float32, 'rawDepths': np.float32, 'labels': np.uint16,
+         'instances': np.uint8}
 
 
 def nyu_room(seed: int) -> Scene:
@@ -22,30 +24,18 @@ def nyu_room(seed: int) -> Scene:
     return random_room(np.random.default_rng(seed), INTRINSICS)
 
 
-def write_nyu(path: Path, seeds: Sequence[int], annotated: bool = True) -> None:
+def write_nyu(path: Path, seeds: Sequence[int]) -> None:
     """
-    Write rooms with the names, the axes, the types and the chunks of the real file.
+    Write rooms with the names, the axes and the types of the real file.
 
     Every true plane is an annotated instance: category 1 + k modulo 3, instance 1 + k // 3.
     ``depths`` is exact; ``rawDepths`` has noise and a hole of 40 x 40 pixels.
     """
     import h5py
-    count = len(seeds)
-    width, height = INTRINSICS.width, INTRINSICS.height
+    images = [_images(nyu_room(seed), seed) for seed in seeds]
     with h5py.File(path, 'w', userblock_size=512) as file:
-        kinds = {'images': ((count, 3, width, height), np.uint8),
-                 'depths': ((count, width, height), np.float32),
-                 'rawDepths': ((count, width, height), np.float32)}
-        if annotated:
-            kinds |= {'labels': ((count, width, height), np.uint16),
-                      'instances': ((count, width, height), np.uint8)}
-        for name, (shape, dtype) in kinds.items():
-            file.create_dataset(name, shape, dtype, chunks=(1, *shape[1:-2], width // 4, height),
-                                compression='gzip', compression_opts=3)
-        for k, seed in enumerate(seeds):
-            for name, image in _images(nyu_room(seed), seed).items():
-                if name in file:
-                    file[name][k] = image.T
+        for name, dtype in TYPES.items():
+            file[name] = np.array([one[name].T for one in images]).astype(dtype)
     with path.open('r+b') as file:
         file.write(HEADER.ljust(124) + b'\x00\x02IM')
 

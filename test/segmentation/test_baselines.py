@@ -6,20 +6,14 @@ import sys
 
 import numpy as np
 import pytest
+from cell_helpers import scored
 from sklearn.cluster import DBSCAN
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
 from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.evaluation.metrics import score
-from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.rooms import (
-    Rectangle,
-    camera_rotation,
-    render,
-    single_wall,
-)
-from plane_detector.evaluation.scenes.rooms import box as upright_box
+from plane_detector.evaluation.scenes.rendering import box, camera_rotation, rectangle, render
+from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.baselines import paper_labels, point_clusters, ransac_alone
 from plane_detector.stopping import Background, Stop, Stopped
 
@@ -34,18 +28,16 @@ def _pyransac3d():
 
 def corner():
     """Return a floor and a wall with a box before it."""
-    floor = Rectangle(np.array([-4.0, 0.5, 0]), np.array([8.0, 0, 0]), np.array([0, 3.5, 0]))
-    wall = Rectangle(np.array([-4.0, 4.0, 0]), np.array([8.0, 0, 0]), np.array([0, 0, 4.0]))
-    faces = [floor, wall, *upright_box(np.array([0, 2.5, 0.4]), np.array([1.0, 0.6, 0.8]))]
+    faces = [rectangle([-4, 0.5, 0], [8, 0, 0], [0, 3.5, 0]),
+             rectangle([-4, 4, 0], [8, 0, 0], [0, 0, 4]),
+             *box(np.array([0, 2.5, 0.4]), np.array([1.0, 0.6, 0.8]))]
     return render(faces, camera_rotation(0, -15, 0), np.array([0, 0, 1.5]), SMALL,
                   np.random.default_rng(0))
 
 
 def test_large_planes_are_found_behind_the_same_interface():
     scene = corner()
-    found = segment_planes(scene.depth_m, SMALL, PAPER)
-    result = score(scene.labels, scene.planes, found.labels, plane_array(found),
-                   np.isfinite(scene.depth_m), min_pixels=1000)
+    result = scored(scene, segment_planes(scene.depth_m, SMALL, PAPER), min_pixels=1000)
     assert result.recall >= 0.66
     assert result.segmentation_covering > 0.7
     assert result.normal_error_deg < 2
@@ -60,16 +52,14 @@ def test_a_wall_is_one_plane_and_its_pixels_are_near_it():
     assert (labels[40:45, 60:70] == -1).all(), 'off the plane by more than the threshold'
 
 
-@pytest.mark.parametrize('depth_m', [
-    np.full((120, 160), np.nan, np.float32), np.zeros((120, 160), np.float32)])
+@pytest.mark.parametrize('depth_m', [np.nan, 0.0])
 def test_without_depth_there_is_no_plane(depth_m):
-    found = segment_planes(depth_m, SMALL, PAPER)
-    assert found.planes == ()
-    assert (found.labels == -1).all()
+    found = segment_planes(np.full((120, 160), depth_m, np.float32), SMALL, PAPER)
+    assert found.planes == () and (found.labels == -1).all()
 
 
 def test_a_plane_without_clustering_takes_its_inliers_wherever_they_are():
-    left, right = (upright_box(np.array([x, 3.0, 0]), np.array([1.0, 0.5, 1.0]))
+    left, right = (box(np.array([x, 3.0, 0]), np.array([1.0, 0.5, 1.0]))
                    for x in (-0.9, 0.9))
     scene = render(left + right, camera_rotation(0, 0, 0), np.zeros(3), SMALL,
                    np.random.default_rng(0))
@@ -109,11 +99,8 @@ def test_the_radius_is_inclusive_and_the_point_itself_counts():
     np.testing.assert_array_equal(point_clusters(points_m, 0.5, 3), [0, 0, 0])
     np.testing.assert_array_equal(point_clusters(points_m, 0.499, 2), [-1, -1, -1])
     np.testing.assert_array_equal(point_clusters(points_m, 0.499, 1), [0, 1, 2])
-
-
-@pytest.mark.parametrize('count', [0, 1])
-def test_hardly_any_points(count):
-    assert (point_clusters(np.zeros((count, 3)), 0.1, 2) == -1).all()
+    np.testing.assert_array_equal(point_clusters(points_m[:1], 0.5, 2), [-1])
+    assert point_clusters(points_m[:0], 0.5, 2).shape == (0,)
 
 
 @pytest.mark.parametrize('seed', range(4))

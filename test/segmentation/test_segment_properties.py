@@ -4,22 +4,14 @@
 
 import numpy as np
 import pytest
-from cell_helpers import relative_labels
+from cell_helpers import noisy, rectangle, relative_labels
 
 from plane_detector import CameraIntrinsics, segment_planes
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
-from plane_detector.evaluation.scenes.rooms import VGA, Rectangle, box, camera_rotation, render
+from plane_detector.evaluation.scenes.rendering import VGA, box, camera_rotation, render
 
-SEEDS = (3, 7)
 SIGMAS = (0.0, 0.004)
-
-
-def noisy(scene, sigma, seed):
-    if sigma == 0:
-        return scene.depth_m
-    return with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed))
 
 
 def assert_follows(before, after, labels, planes, sigma, covering=0.9):
@@ -43,62 +35,48 @@ def assert_follows(before, after, labels, planes, sigma, covering=0.9):
             1, planes[i, 3])
 
 
-FLIPS = {'mirrored': (np.s_[:, ::-1], (-1, 1, 1)), 'upside down': (np.s_[::-1], (1, -1, 1)),
-         'turned by 180 degrees': (np.s_[::-1, ::-1], (-1, -1, 1))}
+UPRIGHT = CameraIntrinsics(VGA.fy, VGA.fx, VGA.cy, VGA.width - 1 - VGA.cx, VGA.height, VGA.width)
+# The depth changed, its camera, the labels brought back, and the axes of the normals with the
+# signs of the planes. Turned to the left, what was right is up and what was down is right.
+CHANGES = {
+    'mirrored': (lambda d: d[:, ::-1], VGA, lambda k: k[:, ::-1], [0, 1, 2, 3], [-1, 1, 1, 1]),
+    'upside down': (lambda d: d[::-1], VGA, lambda k: k[::-1], [0, 1, 2, 3], [1, -1, 1, 1]),
+    'turned by 180 degrees': (lambda d: d[::-1, ::-1], VGA, lambda k: k[::-1, ::-1],
+                              [0, 1, 2, 3], [-1, -1, 1, 1]),
+    'turned by 90 degrees': (np.rot90, UPRIGHT, lambda k: np.rot90(k, -1), [1, 0, 2, 3],
+                             [1, -1, 1, 1]),
+    'half as large': (lambda d: d * np.float32(0.5), VGA, np.array, [0, 1, 2, 3], [1, 1, 1, 0.5]),
+    'three times as large': (lambda d: d * np.float32(3), VGA, np.array, [0, 1, 2, 3],
+                             [1, 1, 1, 3])}
 
 
 @pytest.mark.parametrize(('seed', 'sigma'), [(3, 0.0), (7, 0.004)])
-@pytest.mark.parametrize('flip', FLIPS)
-def test_a_flipped_image_has_the_planes_flipped(room, flip, seed, sigma):
-    index, signs = FLIPS[flip]
-    depth_m = noisy(room(seed), sigma, seed)
-    before = segment_planes(depth_m, VGA)
-    after = segment_planes(depth_m[index], VGA)
-    assert_follows(before, after, after.labels[index], plane_array(before) * [*signs, 1], sigma)
-
-
-@pytest.mark.parametrize(('seed', 'sigma'), [(3, 0.0), (7, 0.004)])
-def test_an_image_turned_by_90_degrees_has_the_planes_turned(room, seed, sigma):
-    depth_m = noisy(room(seed), sigma, seed)
-    upright = CameraIntrinsics(VGA.fy, VGA.fx, VGA.cy, VGA.width - 1 - VGA.cx, VGA.height,
-                               VGA.width)
-    before = segment_planes(depth_m, VGA)
-    after = segment_planes(np.rot90(depth_m), upright)
-    # Turned to the left, what was right is up and what was down is right.
-    turned = plane_array(before)[:, [1, 0, 2, 3]] * [1, -1, 1, 1]
-    assert_follows(before, after, np.rot90(after.labels, -1), turned, sigma)
-
-
-@pytest.mark.parametrize('factor', [0.5, 3.0])
-@pytest.mark.parametrize('seed', SEEDS)
-def test_a_scene_of_another_size_has_the_planes_at_that_distance(room, seed, factor):
-    depth_m = room(seed).depth_m
-    before = segment_planes(depth_m, VGA)
-    after = segment_planes(depth_m * np.float32(factor), VGA)
-    assert_follows(before, after, after.labels, plane_array(before) * [1, 1, 1, factor], 0.0)
-
-
-def furnished(rotation, position, far_wall=False):
-    """Return an open space of simple furniture; behind it nothing, or a wall 40 m away."""
-    faces = [Rectangle(np.array([-2.0, 0.5, 0]), np.array([4.0, 0, 0]), np.array([0, 4.5, 0])),
-             *box(np.array([-0.9, 3.0, 0.4]), np.array([0.9, 0.7, 0.8]), 20.0),
-             *box(np.array([0.8, 3.6, 0.6]), np.array([0.8, 0.8, 1.2]), -30.0)]
-    if far_wall:
-        faces.append(Rectangle(np.array([-90.0, 40, -60]), np.array([180.0, 0, 0]),
-                               np.array([0, 0, 120.0])))
-    return render(faces, rotation, position, VGA, np.random.default_rng(0))
+@pytest.mark.parametrize('change', CHANGES)
+def test_planes_follow_the_image(room, change, seed, sigma):
+    changed, camera, brought_back, axes, factors = CHANGES[change]
+    if 'large' in change:
+        sigma = 0.0  # the noise would grow too
+    depth_m = noisy(room(seed), seed, sigma)
+    before, after = segment_planes(depth_m, VGA), segment_planes(changed(depth_m), camera)
+    assert_follows(before, after, brought_back(after.labels),
+                   plane_array(before)[:, axes] * factors, sigma)
 
 
 @pytest.mark.parametrize('sigma', SIGMAS)
 def test_a_plane_far_away_changes_none_of_the_others(sigma):
-    rotation, position = camera_rotation(0, -10, 0), np.array([0, 0, 1.5])
-    near, both = (furnished(rotation, position, far) for far in (False, True))
-    seen = np.isfinite(near.depth_m)
-    noisy_m = noisy(both, sigma, 5)
+    """Behind an open space of simple furniture there is nothing, or a wall 40 m away."""
+    faces = [rectangle([-2, 0.5, 0], [4, 0, 0], [0, 4.5, 0]),
+             *box(np.array([-0.9, 3.0, 0.4]), np.array([0.9, 0.7, 0.8]), 20.0),
+             *box(np.array([0.8, 3.6, 0.6]), np.array([0.8, 0.8, 1.2]), -30.0)]
+    near, both = (render(one, camera_rotation(0, -10, 0), np.array([0, 0, 1.5]), VGA,
+                         np.random.default_rng(0))
+                  for one in (faces, [*faces, rectangle([-90, 40, -60], [180, 0, 0],
+                                                        [0, 0, 120])]))
+    seen, noisy_m = np.isfinite(near.depth_m), noisy(both, 5, sigma)
     before = segment_planes(np.where(seen, noisy_m, np.nan), VGA)
     after = segment_planes(noisy_m, VGA)
-    labels = np.where(seen, after.labels, -1)
-    assert_follows(before, after, labels, plane_array(before), sigma, covering=0.95)
+    assert_follows(before, after, np.where(seen, after.labels, -1), plane_array(before), sigma,
+                   covering=0.95)
     assert len(after.planes) == len(before.planes) + 1
 
 
@@ -106,17 +84,17 @@ def test_a_plane_far_away_changes_none_of_the_others(sigma):
 @pytest.mark.parametrize(('factor', 'shift'), [(1.0, 0.3), (37.0, -5.0), (0.013, 0.002)])
 def test_scale_and_shift_of_disparity_change_hardly_a_label(room, factor, shift, sigma):
     """Only the rounding of float32 may decide otherwise."""
-    disparity = 1 / noisy(room(SEEDS[1]), sigma, 0)
+    disparity = 1 / noisy(room(7), 0, sigma)
     before = relative_labels(disparity)
     after = relative_labels((factor * disparity + shift).astype(np.float32))
     # Labels may have other numbers: each is compared with the one it shares most pixels with.
-    pairs = np.bincount((before + 1).ravel() * 300 + after.ravel() + 1, minlength=300**2)
-    assert pairs.reshape(300, 300).max(axis=1).sum() > 0.99 * before.size
+    shared = overlap(before, after, np.ones(before.shape, bool)).counts
+    assert shared.max(axis=1).sum() > 0.99 * before.size
 
 
 @pytest.mark.parametrize('sigma', SIGMAS)
 def test_the_same_seed_gives_the_same_planes(room, sigma):
-    depth_m = noisy(room(SEEDS[0]), sigma, 0)
+    depth_m = noisy(room(3), 0, sigma)
     first, again, handed = (
         segment_planes(depth_m, VGA, rng=rng) for rng in (None, None, np.random.default_rng(0)))
     for other in (again, handed):

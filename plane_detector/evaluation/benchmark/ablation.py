@@ -26,14 +26,8 @@ from plane_detector.evaluation.benchmark.accuracy import (
     means,
     noise_text,
 )
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.samples import (
-    COUNTS,
-    Sample,
-    plan,
-    run_jobs,
-)
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.samples import COUNTS, Sample, plan, run_jobs
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.metrics import known_mean
 from plane_detector.evaluation.peers import Ours
@@ -61,10 +55,10 @@ STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
         f'{_REGIONS}.region_graph.RegionGraph.intersections',
         lambda graph: np.zeros((len(graph.planes), len(graph.planes)), np.int8)),
     'small planes': (f'{_SEGMENT}.add_small_planes',
-                     lambda frame, labels, graph, min_turn_deg: (labels, graph.planes)),
+                     lambda frame, labels, graph, min_turn_deg: graph.planes),
     'curved regions': (f'{_SEGMENT}.find_curved',
                        lambda graph, *limits: np.zeros(0, np.int64)),
-    'narrow gaps': (f'{_SEGMENT}.close_gaps', lambda labels, *others: labels),
+    'narrow gaps': (f'{_SEGMENT}.close_gaps', lambda labels, *others: None),
     'nearly flat regions': (
         f'{_SEGMENT}.join_nearly_flat',
         lambda cells, graph, removed, correlation, config: (graph.owner, graph.planes)),

@@ -4,7 +4,7 @@
 Accuracy and time on all kinds of scenes, in one run of a few minutes.
 
 Rendered rooms of boxes, lived-in rooms and curved surfaces, with our method and others, on seeds
-that were not used for tuning. --plots also draws the same numbers.
+that were not used for tuning. --plots also draws the same numbers, which needs matplotlib.
 """
 
 from __future__ import annotations
@@ -13,23 +13,21 @@ import argparse
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.samples import (
-    COUNTS,
-    Noise,
-    Sample,
-    plan,
-    run_jobs,
-)
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.samples import COUNTS, Noise, Sample, plan, run_jobs
 from plane_detector.evaluation.metrics import MIN_PIXELS, known_mean
 from plane_detector.evaluation.peers import Ours, all_methods
 from plane_detector.evaluation.scenes.sensors import SENSORS
 
 EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
+SIZE_EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 1.0)
+"""Of the planes in the figure, as shares of the image."""
+RECALL_SIGMA = 0.004
+_MARKERS = 'osD^vPX<>'
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,21 +51,17 @@ def run(options: argparse.Namespace) -> None:
     report(samples)
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
     if options.plots:
-        from plane_detector.evaluation.benchmark.plots import write_figure
         emit(f'Figure: `{write_figure(samples, options.plots)}`')
 
 
 def report(samples: Sequence[Sample]) -> None:
     """Print the comparison of all methods, then details of ours and of curved scenes."""
-    for kind in EXACT_TRUTH:
-        own = [one for one in samples if one.kind == kind]
+    for kind, (by, is_sensor) in product(EXACT_TRUTH, (('noise (1/m)', False),
+                                                       ('simulated sensor', True))):
+        own = [one for one in samples
+               if one.kind == kind and isinstance(one.noise, str) is is_sensor]
         if own:
-            title = f'### {kind[0].upper()}{kind[1:]}: SC / recall / precision by'
-            for by, is_sensor in (('noise (1/m)', False), ('simulated sensor', True)):
-                seen = [one for one in own if isinstance(one.noise, str) is is_sensor]
-                if seen:
-                    emit(f'{title} {by}', comparison(seen))
-    groups = grouped(samples)
+            emit(f'### {kind.capitalize()}: SC / recall / precision by {by}', comparison(own))
     first = samples[0].method if samples else ''
     for title, header, cells, wanted in (
             (f'{first} in detail', ('SC', 'worst SC (seed)', 'recall', 'precision', 'unlabelled'),
@@ -75,8 +69,9 @@ def report(samples: Sequence[Sample]) -> None:
             ('Columns, pipes and balls',
              ('taken for planes', 'worst', 'least IoU of a plane'), _curved_cells,
              lambda kind, _: kind == CURVED)):
-        rows = [[kind, noise_text(noise), method, str(len(group)), *cells(group), *_times(group)]
-                for (kind, noise, method), group in groups.items() if wanted(kind, method)]
+        rows = [[kind, noise_text(noise), method, len(group), *cells(group), *_times(group)]
+                for (kind, noise, method), group in grouped(samples).items()
+                if wanted(kind, method)]
         if rows:
             emit(f'### {title}', table(('scenes', 'noise (1/m)', 'method', 'n', *header,
                                         'CPU ms, median', 'worst'), rows))
@@ -93,7 +88,7 @@ def comparison(samples: Sequence[Sample]) -> str:
     lines = []
     for method in dict.fromkeys(one.method for one in samples):
         own = [group for (_, _, name), group in groups.items() if name == method]
-        lines.append([method, str(len(own[0])), *(
+        lines.append([method, len(own[0]), *(
             means(group, ('SC', 'recall', 'precision')) for group in own),
             f'{np.median([one.cpu_ms for group in own for one in group]):.0f}'])
     return table(('method', 'n', *map(noise_text, noises), 'CPU ms'), lines)
@@ -141,3 +136,68 @@ def _curved_cells(group: Sequence[Sample]) -> list[str]:
 def _times(group: Sequence[Sample]) -> list[str]:
     cpu_ms = np.array([one.cpu_ms for one in group])
     return [f'{np.median(cpu_ms):.1f}', f'{cpu_ms.max():.1f}']
+
+
+def write_figure(samples: Sequence[Sample], folder: Path) -> Path:
+    """
+    Draw SC over noise, time over SC and recall over size of the rooms of boxes.
+
+    Returns the path of ``accuracy.svg`` in the folder, which is created; ImportError says what to
+    install without matplotlib.
+    """
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
+    matplotlib.use('Agg')
+    # Without date and random ids, so that equal samples give equal files.
+    matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
+    folder.mkdir(parents=True, exist_ok=True)
+    methods: dict[str, list[Sample]] = {}
+    for one in samples:
+        if one.kind == 'rooms':
+            methods.setdefault(one.method, []).append(one)
+    figure = Figure(figsize=(12.6, 3.8), layout='constrained')
+    for axes, draw in zip(figure.subplots(1, 3), (_draw_noise, _draw_time, _draw_size),
+                          strict=True):
+        for marker, (name, own) in zip(_MARKERS, methods.items(), strict=False):
+            draw(axes, own, marker=marker, label=name)
+        axes.set_title('rooms')
+        axes.grid(alpha=0.3)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc='outside lower center', ncols=min(3, len(names)))
+    path = folder / 'accuracy.svg'
+    figure.savefig(path, metadata={'Date': None})
+    return path
+
+
+def _draw_noise(axes: Any, own: Sequence[Sample], **style: str) -> None:
+    """Draw SC over noise as a line."""
+    sigmas = sorted({one.noise for one in own if not isinstance(one.noise, str)})
+    covering = [column([one for one in own if one.noise == sigma], 'SC').mean()
+                for sigma in sigmas]
+    axes.plot(range(len(sigmas)), covering, **style)
+    axes.set(xlabel='noise of 1/depth (1/m)', ylabel='segmentation covering', ylim=(0, 1.02),
+             xticks=range(len(sigmas)), xticklabels=[f'{sigma:g}' for sigma in sigmas])
+
+
+def _draw_time(axes: Any, own: Sequence[Sample], **style: str) -> None:
+    """Draw time over accuracy as a point: means over all noises."""
+    axes.plot(column(own, 'SC').mean(), np.median([one.cpu_ms for one in own]), **style)
+    axes.set(xlabel='segmentation covering, mean over all noises',
+             ylabel='time on one core (ms)', xlim=(0, 1.02), yscale='log')
+
+
+def _draw_size(axes: Any, own: Sequence[Sample], **style: str) -> None:
+    """Draw the share of true planes that were found over their size as a line."""
+    noisy = [one for one in own if one.noise == RECALL_SIGMA]
+    shares = np.concatenate([np.zeros(0), *(one.plane_shares for one in noisy)])
+    found = np.concatenate([np.zeros(0, bool), *(one.found for one in noisy)])
+    counts, hits = (np.histogram(values, SIZE_EDGES)[0] for values in (shares, shares[found]))
+    recall = np.divide(hits, counts, out=np.full(len(counts), np.nan), where=counts > 0)
+    axes.plot(range(len(recall)), recall, **style)
+    axes.set(xlabel=f'share of the image (%), at a noise of {RECALL_SIGMA:g} per metre',
+             ylabel='recall', ylim=(0, 1.02), xticks=range(len(SIZE_EDGES) - 1),
+             xticklabels=[f'{100 * low:g}-{100 * high:g}' for low, high in
+                          zip(SIZE_EDGES[:-1], SIZE_EDGES[1:], strict=True)])

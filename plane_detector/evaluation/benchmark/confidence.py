@@ -11,8 +11,7 @@ import numpy as np
 from sklearn.linear_model import LogisticRegression
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.options import HELD_OUT
-from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.report import HELD_OUT, emit, table
 from plane_detector.evaluation.metrics import known_mean, overlap
 from plane_detector.evaluation.scenes.living_rooms import living_room
 from plane_detector.evaluation.scenes.noise import with_disparity_noise

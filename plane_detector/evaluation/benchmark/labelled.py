@@ -5,8 +5,8 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
 
@@ -16,9 +16,7 @@ from skimage.measure import label
 
 from plane_detector.config import Config
 from plane_detector.drawing import figure, overlay
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.parallel import mapping
-from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.report import add_shared, emit, mapping, table
 from plane_detector.evaluation.benchmark.samples import labelled_numbers
 from plane_detector.evaluation.datasets import (
     ABW,
@@ -40,8 +38,6 @@ APART = ('correct', 'missed', 'noise')
 """Of the Hoover scores, those also counted with the connected pieces, as ABW's labels are."""
 _PANEL_WIDTH_PX = 640
 
-Numbers = dict[str, float]
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -60,7 +56,7 @@ def run(options: argparse.Namespace) -> None:
                         for scan in (False, True))
     paper = [Paper()] if options.slow else []
     report('Planes labelled by hand', by_hand, [Ours(), OpenCv(0.03), OpenCv(0.05), *paper],
-           labelled_numbers, options)
+           labelled_numbers, 3, options)
     emit('Only labelled pixels count. Recall: true planes that a predicted one matches with '
          'IoU > 0.5. Pieces: predicted planes with over a tenth of a true plane\'s pixels, per '
          f'true plane. Both are of true planes over {MIN_PIXELS} pixels. Merged: of the '
@@ -72,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
         fine.name = f'plane_detector, min_plane_share {ABW_MIN_SHARE:g}'
         peer.name += f', min_size {ABW_MIN_SHARE:g} of the image'
         report('ABW structured light scanner, regions per image at 80 % mutual overlap', scanned,
-               [Ours(), fine, peer, *paper], hoover_numbers, options)
+               [Ours(), fine, peer, *paper], hoover_numbers, 1, options)
         emit('The true labels of ABW have a region for each connected piece: a floor between '
              'shadows is several. Apart: each connected piece of a plane counts as a region.')
     if options.pictures:
@@ -85,27 +81,21 @@ def _with_min_share(share: float) -> Config:
     return replace(config, segmentation=replace(config.segmentation, min_plane_share=share))
 
 
-def hoover_numbers(frame: LabelledFrame, labels: np.ndarray) -> Numbers:
+def hoover_numbers(frame: LabelledFrame, labels: np.ndarray) -> dict[str, float]:
     """Return the Hoover scores of predicted labels (H, W), and those APART for its pieces."""
-    whole, apart = (
-        {name.replace('_', '-'): float(count) for name, count in asdict(hoover_score(
-            np.maximum(frame.labels, -1), one, np.isfinite(frame.depth_m))).items()}
-        for one in (labels, _connected_pieces(labels)))
+    pieces = label(labels, background=-1, connectivity=1) - 1
+    is_large = np.bincount(pieces[pieces >= 0]) >= ABW_MIN_SHARE * labels.size
+    pieces = np.where(np.append(is_large, False)[pieces], pieces, -1)
+    whole, apart = (hoover_score(np.maximum(frame.labels, -1), one, np.isfinite(frame.depth_m))
+                    for one in (labels, pieces))
     return whole | {f'{name}, apart': apart[name] for name in APART}
 
 
-def _connected_pieces(labels: np.ndarray) -> np.ndarray:
-    """Return labels (H, W) of the connected pieces, without those below ABW_MIN_SHARE."""
-    pieces = label(labels, background=-1, connectivity=1) - 1
-    is_large = np.bincount(pieces[pieces >= 0]) >= ABW_MIN_SHARE * labels.size
-    return np.where(np.append(is_large, False)[pieces], pieces, -1)
-
-
-def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method], numbers_of,
+def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method],
+           numbers_of: Callable[[LabelledFrame, np.ndarray], dict[str, float]], digits: int,
            options: argparse.Namespace) -> None:
     """Print the means over each set and, if requested, the numbers of each frame."""
     rows, lines = [], []
-    digits = 1 if numbers_of is hoover_numbers else 3
     for method in methods:
         if method.absent:
             emit(f'{method.name}: absent, {method.absent}.')
@@ -113,31 +103,22 @@ def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method]
             continue
         with mapping(options.processes) as apply:
             labels = list(apply(_labels, [method] * len(found), found))
-        pairs = [(frame, numbers_of(frame, one))
-                 for frame, one in zip(found, labels, strict=True)]
-        lines += [[f'{frame.set_name}/{frame.name}', method.name, *_cells(numbers, digits)]
-                  for frame, numbers in pairs]
-        for name, group in groupby(pairs, lambda pair: pair[0].set_name):
-            members = [numbers for _, numbers in group]
-            rows.append([name, method.name, len(members), *_cells({
-                key: known_mean(np.array([one[key] for one in members])) for key in members[0]},
-                digits)])
-    names = list(pairs[0][1])
-    emit(f'### {title}', table(('set', 'method', 'n', *names), sorted(rows, key=_first)))
+        for name, group in groupby(zip(found, labels, strict=True), lambda one: one[0].set_name):
+            members = [(frame.name, numbers_of(frame, one)) for frame, one in group]
+            names = list(members[0][1])
+            values = np.array([list(numbers.values()) for _, numbers in members], float)
+            lines += [[f'{name}/{frame}', method.name, *(f'{one:.{digits}f}' for one in own)]
+                      for (frame, _), own in zip(members, values, strict=True)]
+            rows.append([name, method.name, len(members), *(
+                f'{known_mean(one):.{digits}f}' for one in values.T)])
+    emit(f'### {title}', table(('set', 'method', 'n', *names),
+                               sorted(rows, key=lambda row: row[0])))
     if options.frames:
-        emit(table(('frame', 'method', *names), sorted(lines, key=_first)))
-
-
-def _first(row: Sequence[object]) -> object:
-    return row[0]
+        emit(table(('frame', 'method', *names), sorted(lines, key=lambda line: line[0])))
 
 
 def _labels(method: Method, frame: Frame) -> np.ndarray:
     return method(frame.depth_m, frame.intrinsics)[0]
-
-
-def _cells(numbers: Mapping[str, float], digits: int) -> list[str]:
-    return [f'{value:.{digits}f}' for value in numbers.values()]
 
 
 def write_pictures(data: Path, found: Sequence[LabelledFrame], folder: Path) -> Iterator[Path]:

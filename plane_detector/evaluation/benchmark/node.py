@@ -39,9 +39,8 @@ from tqdm import tqdm
 from plane_detector.config import DepthConfig
 from plane_detector.depth.model_zoo import fetch
 from plane_detector.evaluation.benchmark.node_transport import report_transport, use_private_domain
-from plane_detector.evaluation.benchmark.options import HELD_OUT, add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.rooms import room
+from plane_detector.evaluation.benchmark.report import HELD_OUT, add_shared, emit, table
+from plane_detector.evaluation.benchmark.samples import room
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.process import retain_freed_memory
 from plane_detector.ros.calibration import camera_info_to_msg

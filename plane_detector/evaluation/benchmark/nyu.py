@@ -4,13 +4,20 @@
 Planes of NYU Depth V2: our method, the paper's method, RANSAC alone and findPlanes.
 
 Each is run on the depth of the sensor and of the network; the truth is the flat parts of annotated
-instances.
+instances. The file ``nyu_depth_v2_labeled.mat`` is MATLAB 7.3, which is HDF5 with reversed axes:
+H x W x 3 x N is N x 3 x W x H. Frames are counted from 1, as in the split file. Needs h5py.
+
+References
+----------
+N. Silberman, D. Hoiem, P. Kohli, R. Fergus: Indoor Segmentation and Support Inference from RGBD
+Images, ECCV 2012; calibration and border are from the toolbox of the data set.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 
@@ -19,23 +26,28 @@ from tqdm import tqdm
 
 from plane_detector.config import Config, DepthConfig, ScaleConfig, TrackingConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.parallel import mapping
-from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.report import add_shared, emit, mapping, table
 from plane_detector.evaluation.benchmark.samples import timed
 from plane_detector.evaluation.metrics import (
     RECALL_ANGLES_DEG,
     RECALL_DEPTHS_M,
-    depth_recall,
     known_mean,
-    normal_recall,
+    recall_by_error,
     score,
 )
-from plane_detector.evaluation.nyu_depth import DEPTHS, NyuDepth, NyuFrame, read_split
 from plane_detector.evaluation.peers import OpenCv, Ours, Paper, PlainRansac, Segments, plane_array
 from plane_detector.evaluation.reference_planes import annotated_planes, plane_depth
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.types import CameraIntrinsics
 
+# The toolbox counts pixels from 1, CameraIntrinsics from 0.
+INTRINSICS = CameraIntrinsics(518.85790117450188, 519.46961112127485, 325.58244941119034 - 1,
+                              253.73616633400465 - 1, 640, 480)
+# Rows and columns that both cameras see; outside of them the images are white.
+ROWS, COLUMNS = slice(44, 471), slice(40, 601)
+# The toolbox limits larger depths to this.
+MAX_DEPTH_M = 10.0
+DEPTHS = {'raw': 'rawDepths', 'filled': 'depths'}
 NO_MODEL, OURS = 'none', 'ours'
 METHODS = {OURS: Ours, 'paper': Paper, 'ransac': PlainRansac, 'opencv': lambda: OpenCv(0.03)}
 LIMITS = [*(f'{depth_m:g} m' for depth_m in RECALL_DEPTHS_M),
@@ -44,6 +56,76 @@ Numbers = dict[str, float]
 """Metric to value; NaN where it is undefined."""
 Rows = Mapping[str, Mapping[int, Numbers]]
 """Numbers by method and frame."""
+
+
+@dataclass(frozen=True)
+class NyuFrame:
+    """A frame without its border."""
+
+    rgb: np.ndarray  # (H, W, 3) uint8
+    depth_m: np.ndarray  # (H, W) float32: naN where not measured
+    # (H, W) int32: index of each annotated instance, 0 for pixels without annotation
+    segments: np.ndarray
+    intrinsics: CameraIntrinsics
+
+
+class NyuDepth:
+    """The opened file; an error says what is missing."""
+
+    def __init__(self, path: Path) -> None:
+        try:
+            import h5py
+        except ImportError as error:
+            raise ImportError('reading MATLAB 7.3 files needs h5py: pip install h5py, or the '
+                              'extra plane_detector[benchmark]') from error
+        if not path.is_file():
+            raise FileNotFoundError(f'there is no file {path}; nyu_depth_v2_labeled.mat is on the '
+                                    'page of NYU Depth V2')
+        try:
+            self._file = h5py.File(path, 'r')
+        except OSError as error:
+            raise ValueError(f'{path} is not a MATLAB 7.3 (HDF5) file: {error}') from error
+        missing = [name for name in ('images', *DEPTHS.values(), 'labels', 'instances')
+                   if name not in self._file]
+        if missing:
+            raise ValueError(f'{path} has no data set {", ".join(missing)}')
+
+    def __len__(self) -> int:
+        return self._file['images'].shape[0]
+
+    def frame(self, number: int, depth: str = 'raw') -> NyuFrame:
+        """Read a frame, counted from 1, with ``raw`` depth of the sensor or ``filled`` depth."""
+        if not 1 <= number <= len(self):
+            raise ValueError(f'there is no frame {number}; there are 1 to {len(self)}')
+        rgb, depth_m, category, instance = (
+            np.ascontiguousarray(self._file[name][number - 1].T[ROWS, COLUMNS])
+            for name in ('images', DEPTHS[depth], 'labels', 'instances'))
+        depth_m = depth_m.astype(np.float32)
+        depth_m[~((depth_m > 0) & (depth_m < MAX_DEPTH_M))] = np.nan
+        segments, known = np.zeros(depth_m.shape, np.int32), category > 0
+        segments[known] = 1 + np.unique((category.astype(np.int64) * 1000 + instance)[known],
+                                        return_inverse=True)[1]
+        return NyuFrame(rgb, depth_m, segments,
+                        replace(INTRINSICS, cx=INTRINSICS.cx - COLUMNS.start,
+                                cy=INTRINSICS.cy - ROWS.start, width=COLUMNS.stop - COLUMNS.start,
+                                height=ROWS.stop - ROWS.start))
+
+
+def read_split(path: Path) -> tuple[int, ...]:
+    """Return the numbers, from 1, of the test frames of splits.mat, or those in a text file."""
+    from scipy.io import loadmat
+    if not path.is_file():
+        raise FileNotFoundError(f'there is no file {path}')
+    try:
+        if path.suffix == '.mat':
+            numbers = np.ravel(loadmat(path)['testNdxs']).astype(int)
+        else:
+            numbers = np.array(path.read_text().replace(',', ' ').split(), int)
+    except (KeyError, ValueError, NotImplementedError) as error:
+        raise ValueError(f'{path} is not a list of frame numbers: {error}') from error
+    if not numbers.size:
+        raise ValueError(f'{path} is empty')
+    return tuple(numbers.tolist())
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -61,8 +143,6 @@ def run(options: argparse.Namespace) -> None:
     """Evaluate the frames, print the tables."""
     path = options.file.resolve()
     file = opened(path)
-    if not file.has_annotations:
-        raise ValueError(f'{path} has no labels and instances')
     numbers = read_split(options.split) if options.split else range(1, len(file) + 1)
     each = partial(evaluate, path, options.depth, options.methods,
                    '' if options.model == NO_MODEL else options.model)
@@ -139,13 +219,11 @@ def numbers_of(frame: NyuFrame, truth: Segments, found: Segments) -> Numbers:
                'true pixels': float(np.count_nonzero(mask & (true_labels >= 0)))}
     recalls = np.full((2, len(LIMITS)), np.nan)
     if len(true_planes):
-        depth_m = plane_depth(labels, planes, frame.intrinsics)
-        recalls = np.hstack([depth_recall(true_labels, frame.depth_m, labels, depth_m, mask),
-                             normal_recall(true_labels, true_planes, labels, planes, mask)])
-    for kind, values in zip(('planes', 'pixels'), recalls, strict=True):
-        numbers |= {f'{kind} {limit}': float(value)
-                    for limit, value in zip(LIMITS, values, strict=True)}
-    return numbers
+        recalls = recall_by_error(true_labels, true_planes, frame.depth_m, labels, planes,
+                                  plane_depth(labels, planes, frame.intrinsics), mask)
+    return numbers | {f'{kind} {limit}': float(value)
+                      for kind, values in zip(('planes', 'pixels'), recalls, strict=True)
+                      for limit, value in zip(LIMITS, values, strict=True)}
 
 
 def segmentation_table(rows: Rows) -> str:

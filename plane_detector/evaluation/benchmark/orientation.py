@@ -24,8 +24,7 @@ from plane_detector.depth.model_zoo import NetworkUnavailableError
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.posterior import CLOSE_DEG
 from plane_detector.directions.vanishing import SceneDirections
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array

@@ -1,21 +1,96 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands print: Markdown tables, below their command, machine and commit."""
+"""What the subcommands share: options, processes, and tables below command, machine and commit."""
 
 from __future__ import annotations
 
+import argparse
 import importlib.metadata
+import multiprocessing
 import os
 import platform
 import shlex
+import signal
 import subprocess
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 
+from plane_detector.process import one_thread, use_one_thread
+
 PROGRAM = 'python3 -m plane_detector.evaluation.benchmark'
-_PACKAGES = ('numpy', 'scikit-learn', 'onnxruntime', 'pyransac3d')
+HELD_OUT = 9000
+"""Scenes from this seed on are for reporting only; they must not be used for tuning."""
+
+
+def at_least_one(text: str) -> int:
+    """Parse an integer argument that must be 1 or more."""
+    number = int(text)
+    if number < 1:
+        raise argparse.ArgumentTypeError(f'{number} must be at least 1')
+    return number
+
+
+SHARED: dict[str, dict[str, Any]] = {
+    '--data': {'type': Path,
+               'default': Path(os.environ.get('PLANE_DETECTOR_DATA', '../shared/data')),
+               'help': 'folder of real images, see evaluation/datasets.py; default: '
+                       'PLANE_DETECTOR_DATA or %(default)s'},
+    '--model': {'default': 'fastdepth', 'help': 'network, as depth.model'},
+    '--processes': {'type': at_least_one, 'default': os.cpu_count() or 1},
+    '--only-ours': {'action': 'store_true', 'help': 'no other methods'},
+    '--scenes': {'type': at_least_one, 'help': 'rendered scenes of each kind'},
+    '--rooms': {'type': at_least_one, 'help': 'rooms of boxes'},
+    '--living': {'type': at_least_one, 'help': 'lived-in rooms'},
+    '--curved': {'type': at_least_one, 'default': 36, 'help': 'curved scenes'},
+    '--first-seed': {'type': int, 'default': HELD_OUT,
+                     'help': f'of the rendered scenes; those from {HELD_OUT} on were not used for '
+                             'tuning'}}
+
+
+def add_shared(parser: argparse.ArgumentParser, *names: str, **defaults: int) -> None:
+    """Declare some of SHARED, with other defaults for some."""
+    for name in names:
+        parser.add_argument(name, **SHARED[name])
+    parser.set_defaults(**defaults)
+
+
+@contextmanager
+def mapping(processes: int) -> Iterator[Callable]:
+    """
+    Yield a ``map`` over processes of one thread each; with one process, over the current one.
+
+    Function, arguments and results must be picklable. The results come in order.
+    """
+    if processes == 1:
+        with one_thread():
+            yield map
+        return
+    # Spawned, not forked: the threads of OpenCV and ONNX Runtime do not survive a fork.
+    context = multiprocessing.get_context('spawn')
+    with ProcessPoolExecutor(processes, context, _prepare_worker) as pool:
+        try:
+            yield pool.map
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _prepare_worker() -> None:
+    # Ctrl-C is handled by the main process, which ends the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_the_first_process, daemon=True).start()
+    use_one_thread()
+
+
+def _end_with_the_first_process() -> None:
+    # If the main process is killed, the others would wait forever.
+    multiprocessing.parent_process().join()
+    os._exit(1)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -32,9 +107,14 @@ def emit(*blocks: str) -> None:
 
 def provenance(arguments: Sequence[str]) -> str:
     """Return the command, the machine, the versions and the commit, as Markdown."""
-    versions = ', '.join(f'{name} {_version(name)}' for name in _PACKAGES)
+    versions = []
+    for name in ('numpy', 'scikit-learn', 'onnxruntime', 'pyransac3d'):
+        try:
+            versions.append(f'{name} {importlib.metadata.version(name)}')
+        except importlib.metadata.PackageNotFoundError:
+            versions.append(f'{name} not installed')
     return (f'`{PROGRAM} {shlex.join(arguments)}`\n\n{machine()}, OpenCV {cv2.__version__}, '
-            f'{versions}; commit {commit()}')
+            f'{", ".join(versions)}; commit {commit()}')
 
 
 def machine() -> str:
@@ -50,20 +130,12 @@ def machine() -> str:
 
 def commit() -> str:
     """Return the commit of the working tree, and whether there are uncommitted changes."""
-    folder = Path(__file__).resolve().parent
     try:
         name, changes = (
-            subprocess.run(['git', '-C', str(folder), *arguments], capture_output=True, text=True,
-                           check=True).stdout.strip()
+            subprocess.run(['git', '-C', str(Path(__file__).resolve().parent), *arguments],
+                           capture_output=True, text=True, check=True).stdout.strip()
             for arguments in (('rev-parse', '--short', 'HEAD'),
                               ('status', '--porcelain', '--untracked-files=no')))
     except (OSError, subprocess.CalledProcessError):
         return 'unknown (not a git checkout)'
     return f'{name} with uncommitted changes' if changes else name
-
-
-def _version(package: str) -> str:
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return 'not installed'

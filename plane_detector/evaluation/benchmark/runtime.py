@@ -17,9 +17,13 @@ from collections.abc import Sequence
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.options import HELD_OUT, add_shared, at_least_one
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.rooms import room
+from plane_detector.evaluation.benchmark.report import (
+    HELD_OUT,
+    add_shared,
+    at_least_one,
+    emit,
+    table,
+)
 from plane_detector.evaluation.datasets import frames
 from plane_detector.evaluation.peers import Method, OpenCv, Ours, all_methods
 from plane_detector.evaluation.scenes.rooms import random_room
@@ -28,7 +32,6 @@ from plane_detector.types import CameraIntrinsics
 
 SIZES = ((320, 240), (640, 480), (1280, 720))
 SLOW_REPEATS = 3
-
 Case = tuple[np.ndarray, CameraIntrinsics]
 """Depth in metres and camera."""
 
@@ -42,8 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables of times; with real frames one more."""
-    scene = room(HELD_OUT)
-    clean = {f'room {HELD_OUT}': [(scene.depth_m, scene.intrinsics)]}
     real: dict[str, list[Case]] = {}
     for frame in frames(options.data) if options.data.is_dir() else ():
         real.setdefault(frame.set_name, []).append((frame.depth_m, frame.intrinsics))
@@ -53,24 +54,20 @@ def run(options: argparse.Namespace) -> None:
     quick: list[Method] = [Ours(), OpenCv(0.03)]
     with one_thread():
         for title, methods, groups in (
-                (f'Time at 640 x 480, clean room {HELD_OUT}', all_methods(), clean),
+                (f'Time at 640 x 480, clean room {HELD_OUT}', all_methods(),
+                 {f'room {HELD_OUT}': sizes['640 x 480'][:1]}),
                 ('Time on real frames, depth of the sensor', quick, real),
                 ('Time by resolution, clean rooms', quick, sizes)):
-            rows = [row for name, cases in groups.items() for row in _rows(
-                name, cases, [one for one in methods if not one.absent], options.repeats)]
+            present, rows = [one for one in methods if not one.absent], []
+            for name, cases in groups.items():
+                ms = median_ms(present, cases, options.repeats)
+                rows += [[name, len(cases), method.name, f'{np.median(own):.1f}',
+                          f'{own.max():.1f}', f'{1e6 * np.median(own) / cases[0][0].size:.0f}',
+                          f'{np.median(own) / np.median(ms[0]):.2f}']
+                         for method, own in zip(present, ms, strict=True)]
             if rows:
                 emit(f'### {title}', table(('images', 'n', 'method', 'median (ms)', 'worst',
                                             'ns a pixel', 'times ours'), rows))
-
-
-def _rows(name: str, cases: Sequence[Case], methods: Sequence[Method],
-          repeats: int) -> list[list[str]]:
-    """Return a row of cells for each method, the first of which is ours."""
-    ms = median_ms(methods, cases, repeats)
-    return [[name, str(len(cases)), method.name, f'{np.median(own):.1f}', f'{own.max():.1f}',
-             f'{1e6 * np.median(own) / cases[0][0].size:.0f}',
-             f'{np.median(own) / np.median(ms[0]):.2f}']
-            for method, own in zip(methods, ms, strict=True)]
 
 
 def median_ms(methods: Sequence[Method], cases: Sequence[Case], repeats: int) -> np.ndarray:
@@ -81,11 +78,11 @@ def median_ms(methods: Sequence[Method], cases: Sequence[Case], repeats: int) ->
     """
     taken = [[[] for _ in cases] for _ in methods]
     for turn in tqdm(range(repeats + 1), 'times', leave=False):
-        for k, (depth_m, intrinsics) in enumerate(cases):
+        for k, case in enumerate(cases):
             for m, method in enumerate(methods):
                 if method.slow and turn >= SLOW_REPEATS:
                     continue
-                prepared = method.prepare(depth_m, intrinsics)
+                prepared = method.prepare(*case)
                 start = time.perf_counter()
                 method.run(prepared)
                 elapsed = time.perf_counter() - start

@@ -1,40 +1,82 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy and time of one method on one scene with one noise. Scenes run in parallel."""
+"""Accuracy and time of methods on scenes given by their seeds, at each noise. Runs in parallel."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import product
 
 import numpy as np
 from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.parallel import mapping
-from plane_detector.evaluation.benchmark.rooms import (
-    CURVED,
-    curved_scene,
-    furnished,
-    judge_curved,
-    noisy_depth,
-    room,
-)
+from plane_detector.evaluation.benchmark.report import mapping
 from plane_detector.evaluation.datasets import UNKNOWN, LabelledFrame
 from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
-from plane_detector.evaluation.scenes.rooms import Scene
+from plane_detector.evaluation.scenes.living_rooms import living_room
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
+from plane_detector.evaluation.scenes.rendering import (
+    VGA,
+    Scene,
+    camera_rotation,
+    rectangle,
+    render,
+)
+from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.evaluation.scenes.sensors import SENSORS
+from plane_detector.evaluation.scenes.surfaces import bar, cone, ellipsoid
 from plane_detector.types import CameraIntrinsics
 
-SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01)
+SIGMAS, CURVED_SIGMAS = (0.0, 0.0003, 0.001, 0.004, 0.01), (0.0, 0.004, 0.01)
 """Standard deviations of the disparity noise, 1/m."""
-CURVED_SIGMAS = (0.0, 0.004, 0.01)
 Noise = float | str
 """Standard deviation of the disparity noise, 1/m, or a name of SENSORS."""
 COUNTS = ('--rooms', '--living', '--curved')
 """Options of the numbers of scenes."""
-_SCENES: dict[str, Callable[[int], Scene]] = {
+CURVED = tuple(product((0.25, 0.4, 0.7, 1.2), ((0, 0, 0), (0, -15, 4), (10, 10, 0)),
+                       ('column', 'pipe', 'ball')))
+"""Each curved scene: radius in metres; yaw, pitch, roll of the camera; what stands there."""
+
+
+@lru_cache(maxsize=64)
+def room(seed: int) -> Scene:
+    """Return one room of boxes."""
+    return random_room(np.random.default_rng(seed))
+
+
+@lru_cache(maxsize=64)
+def furnished(seed: int) -> Scene:
+    """Return one lived-in room."""
+    return living_room(np.random.default_rng(seed))
+
+
+def curved_scene(index: int) -> Scene:
+    """Return a wall and a floor with one of CURVED in front of them."""
+    radius_m, angles_deg, kind = CURVED[index]
+    away_m = 2.0 + radius_m
+    thing = {'column': cone(radius_m, radius_m, -3, 3).at(0, away_m),
+             'pipe': bar((-4, away_m, -0.3), (4, away_m, -0.3), radius_m),
+             'ball': ellipsoid(radius_m, radius_m).at(0, away_m)}[kind]
+    return render([rectangle([-50, 4, -50], [100, 0, 0], [0, 0, 100]),
+                   rectangle([-9, -1, -1.2], [18, 0, 0], [0, 9, 0])],
+                  camera_rotation(*angles_deg), np.zeros(3), VGA, np.random.default_rng(0),
+                  thing.curved_pieces())
+
+
+SCENES: dict[str, Callable[[int], Scene]] = {
     'rooms': room, 'lived-in rooms': furnished, 'curved': curved_scene}
+
+
+def noisy_depth(scene: Scene, noise: Noise, seed: int) -> np.ndarray:
+    """Return a scene's depth with disparity noise or as a sensor sees it, the same for a seed."""
+    rng = np.random.default_rng([seed, 1])
+    if isinstance(noise, str):
+        return SENSORS[noise](scene.depth_m, scene.intrinsics, rng)
+    return with_disparity_noise(scene.depth_m, noise, rng) if noise else scene.depth_m
 
 
 @dataclass(frozen=True)
@@ -42,7 +84,7 @@ class Sample:
     """One method on one scene with one noise."""
 
     method: str
-    kind: str  # rooms, lived-in rooms, curved or the name of a set of labelled frames
+    kind: str  # one of SCENES or the name of a set of labelled frames
     scene: str  # seed or name of the frame
     noise: Noise
     cpu_ms: float  # time on one core; for a quick method the faster of two runs
@@ -76,30 +118,26 @@ def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slo
     quick = [method for method in present if not method.slow]
     noises, curved = ((*(sigmas if rendered else ()), *sensors)
                       for sigmas in (SIGMAS, CURVED_SIGMAS))
-    jobs = []
-    for kind, count in (('rooms', counts['rooms']), ('lived-in rooms', counts['living'])):
-        jobs += [Job(kind, first_seed + k, noises, present if k < slow else quick)
-                 for k in range(count)]
-    count = min(counts['curved'], len(CURVED))
-    jobs += [Job('curved', int(k), curved, quick)
-             for k in np.linspace(0, len(CURVED) - 1, count).round()]
-    return jobs + [Job(frame.set_name, frame, (0.0,), quick) for frame in frames]
+    jobs = [Job(kind, first_seed + k, noises, present if k < slow else quick)
+            for kind, name in (('rooms', 'rooms'), ('lived-in rooms', 'living'))
+            for k in range(counts[name])]
+    spread = np.linspace(0, len(CURVED) - 1, min(counts['curved'], len(CURVED))).round()
+    return [*jobs, *(Job('curved', int(k), curved, quick) for k in spread),
+            *(Job(frame.set_name, frame, (0.0,), quick) for frame in frames)]
 
 
 def run_jobs(jobs: Sequence[Job], processes: int) -> list[Sample]:
     """Run all jobs on several processes with one thread each; results are in order."""
-    found: list[Sample] = []
     with mapping(processes) as apply:
-        for samples in tqdm(apply(run_job, jobs), 'scenes', total=len(jobs), leave=False):
-            found += samples
-    return found
+        found = tqdm(apply(run_job, jobs), 'scenes', total=len(jobs), leave=False)
+        return [sample for samples in found for sample in samples]
 
 
 def run_job(job: Job) -> list[Sample]:
     """Run all methods of a job with all its noises."""
     if isinstance(job.scene, LabelledFrame):
         return [_on_labels(method, job.scene) for method in job.methods]
-    scene = _SCENES[job.kind](job.scene)
+    scene = SCENES[job.kind](job.scene)
     return [_on_scene(method, job.kind, scene, job.scene, noise)
             for noise in job.noises for method in job.methods]
 
@@ -120,15 +158,15 @@ def _on_scene(method: Method, kind: str, scene: Scene, seed: int, noise: Noise) 
     (labels, planes), cpu_ms = timed(method, noisy_depth(scene, noise, seed), scene.intrinsics)
     seen = np.isfinite(scene.depth_m)
     result = score(scene.labels, scene.planes, labels, planes, seen)
-    on_planes = seen & (scene.labels >= 0)
     numbers = {'SC': result.segmentation_covering, 'recall': result.recall,
                'precision': result.precision,
-               'unlabelled': float((labels[on_planes] < 0).mean())}
-    if kind == 'curved':
-        numbers['curved'], numbers['IoU'] = judge_curved(labels, scene)
+               'unlabelled': float((labels[seen & (scene.labels >= 0)] < 0).mean())}
     shared = overlap(scene.labels, labels, seen)
     pixels = shared.counts[:-1].sum(axis=1)
     large = pixels > MIN_PIXELS
+    if kind == 'curved':
+        numbers['curved'] = float((labels[seen & (scene.labels < 0)] >= 0).mean())
+        numbers['IoU'] = float(shared.iou[large].max(axis=1, initial=0).min(initial=1))
     return Sample(method.name, kind, str(seed), noise, cpu_ms, numbers,
                   pixels[large] / labels.size, (shared.iou[large] > 0.5).any(axis=1))
 
@@ -142,6 +180,4 @@ def _on_labels(method: Method, frame: LabelledFrame) -> Sample:
 def labelled_numbers(frame: LabelledFrame, labels: np.ndarray) -> dict[str, float]:
     """Return the metrics of predicted labels (H, W) on planes labelled by hand."""
     known = (frame.labels != UNKNOWN) & np.isfinite(frame.depth_m)
-    score = labelled_score(np.maximum(frame.labels, -1), labels, known)
-    return {'SC': score.segmentation_covering, 'recall': score.recall, 'pieces': score.pieces,
-            'merged': score.merged, 'unlabelled': score.unlabelled}
+    return labelled_score(np.maximum(frame.labels, -1), labels, known)

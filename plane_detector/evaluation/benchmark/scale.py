@@ -22,8 +22,7 @@ import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
 from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.labelled_regions import labelled_regions
 from plane_detector.evaluation.reference_planes import true_floor

@@ -16,9 +16,8 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.rooms import noisy_depth, room
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.samples import noisy_depth, room
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.scenes.sensors import SENSORS
 

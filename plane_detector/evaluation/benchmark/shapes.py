@@ -13,9 +13,8 @@ from tqdm import tqdm
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, ShapesConfig
-from plane_detector.evaluation.benchmark.options import add_shared
-from plane_detector.evaluation.benchmark.report import emit, table
-from plane_detector.evaluation.benchmark.rooms import noisy_depth
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.samples import noisy_depth
 from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
 from plane_detector.process import one_thread
 from plane_detector.types import ShapeType

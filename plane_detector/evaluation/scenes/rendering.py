@@ -99,6 +99,12 @@ class Rectangle:
                 *(world_from_camera.T @ edge for edge in (self.edge_u, self.edge_v))]
 
 
+def rectangle(corner: Sequence[float], edge_u: Sequence[float], edge_v: Sequence[float],
+              mask: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None) -> Rectangle:
+    """Return the rectangle of three vectors given as any numbers."""
+    return Rectangle(*(np.array(vector, float) for vector in (corner, edge_u, edge_v)), mask)
+
+
 def camera_rotation(yaw_deg: float, pitch_deg: float, roll_deg: float) -> np.ndarray:
     """Return world_from_camera (3, 3); positive yaw turns left, positive pitch looks up."""
     yaw, pitch, roll = np.radians([yaw_deg, pitch_deg, roll_deg])
@@ -155,8 +161,8 @@ def render(rectangles: Sequence[Rectangle], world_from_camera: np.ndarray, posit
 
 def _window(hull_camera_m: np.ndarray, intrinsics: CameraIntrinsics) -> tuple[slice, slice]:
     """Return the rows and columns whose rays can meet the hull."""
-    before, behind = (hull_camera_m[side] for side in (hull_camera_m[:, 2] > NEAREST_M,
-                                                       hull_camera_m[:, 2] <= NEAREST_M))
+    is_before = hull_camera_m[:, 2] > NEAREST_M
+    before, behind = hull_camera_m[is_before], hull_camera_m[~is_before]
     if not len(before):
         return slice(0), slice(0)
     # Points where lines from vertices before to vertices behind cross the nearest depth.

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rendered scenes with exact depth, labels and plane coefficients."""
+"""Rendered rooms and other simple scenes with exact depth, labels and plane coefficients."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from plane_detector.evaluation.scenes.rendering import (
     box,
     camera_rotation,
     colour,
+    rectangle,
     render,
 )
 from plane_detector.types import CameraIntrinsics
@@ -56,8 +57,7 @@ def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -
 def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
     """Return stairs seen from the front: treads 0.3 m deep and risers 0.18 m high."""
     rise, run, width = np.array([0, 0, 0.18]), np.array([0, 0.3, 0]), np.array([4.0, 0, 0])
-    floor = Rectangle(np.array([-2.0, -3.0, 0.0]), width, np.array([0, 5.0, 0]))
-    faces = [floor]
+    faces = [rectangle([-2, -3, 0], width, [0, 5, 0])]
     for k in range(steps):
         foot = np.array([-2.0, 2.0, 0.0]) + k * (rise + run)
         faces += [Rectangle(foot, width, rise), Rectangle(foot + rise, width, run)]
@@ -68,9 +68,8 @@ def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
 def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
                 distance_m: float = 3.0) -> Scene:
     """Return one wall that fills the image, rotated by the yaw."""
-    wall = Rectangle(np.array([-500.0, distance_m, -500.0]), np.array([1000.0, 0, 0]),
-                     np.array([0, 0, 1000.0]))
-    return render([wall], camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
+    return render([rectangle([-500, distance_m, -500], [1000, 0, 0], [0, 0, 1000])],
+                  camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
                   np.random.default_rng(0))
 
 
@@ -86,14 +85,13 @@ def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
 
 def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:
     """Return the empty space under a gable roof: a floor and two slopes of 30 to 55 degrees."""
-    half_width, length = rng.uniform(2.0, 3.5), rng.uniform(4.0, 8.0)
-    ridge = half_width * np.tan(np.radians(rng.uniform(30.0, 55.0)))
-    along, up = np.array([0.0, length, 0.0]), np.array([0.0, 0.0, ridge])
-    width = np.array([2 * half_width, 0.0, 0.0])
-    faces = [Rectangle(np.zeros(3), width, along), Rectangle(np.zeros(3), width, up),
-             Rectangle(along, width, up), Rectangle(np.zeros(3), along, width / 2 + up),
-             Rectangle(width, along, up - width / 2)]
-    position = np.array([rng.uniform(0.7, 1.3) * half_width, rng.uniform(0.15, 0.5) * length,
+    half, length = rng.uniform(2.0, 3.5), rng.uniform(4.0, 8.0)
+    ridge = half * np.tan(np.radians(rng.uniform(30.0, 55.0)))
+    across, along, up = [2 * half, 0, 0], [0, length, 0], [0, 0, ridge]
+    faces = [rectangle(*vectors) for vectors in (
+        ([0, 0, 0], across, along), ([0, 0, 0], across, up), (along, across, up),
+        ([0, 0, 0], along, [half, 0, ridge]), (across, along, [-half, 0, ridge]))]
+    position = np.array([rng.uniform(0.7, 1.3) * half, rng.uniform(0.15, 0.5) * length,
                          rng.uniform(0.3, 0.6) * ridge])
     rotation = camera_rotation(rng.uniform(-180, 180), rng.uniform(-15, 15), rng.uniform(-4, 4))
     return render(faces, rotation, position, intrinsics, rng)
@@ -105,8 +103,8 @@ def hexagon_room(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -
     angles = np.radians(60.0 * np.arange(7))
     corners = radius * np.stack([np.cos(angles), np.sin(angles), np.zeros(7)], axis=1)
     faces = [Rectangle(corners[k], corners[k + 1] - corners[k], height) for k in range(6)]
-    floor = (np.array([-radius, -radius, 0]), 2 * radius * np.eye(3)[0], 2 * radius * np.eye(3)[1])
-    faces += [Rectangle(*floor), Rectangle(floor[0] + height, *floor[1:])]
+    faces += [rectangle([-radius, -radius, z], [2 * radius, 0, 0], [0, 2 * radius, 0])
+              for z in (0.0, height[2])]
     position = np.append(rng.uniform(-0.4, 0.4, 2) * radius, rng.uniform(0.3, 1.8))
     rotation = camera_rotation(rng.uniform(-180, 180), rng.uniform(-25, 5), rng.uniform(-4, 4))
     return render(faces, rotation, position, intrinsics, rng)

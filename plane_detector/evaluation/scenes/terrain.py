@@ -7,6 +7,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import partial
+from itertools import product
 
 import numpy as np
 
@@ -17,9 +19,10 @@ from plane_detector.evaluation.scenes.rendering import (
     Scene,
     box,
     camera_rotation,
+    rectangle,
     render,
 )
-from plane_detector.evaluation.scenes.surfaces import Revolution, Thing, bar, outside
+from plane_detector.evaluation.scenes.surfaces import Revolution, bar, outside
 from plane_detector.geometry.projection import depth_to_points
 
 BEHIND_M, FAR_M, OUTDOORS_M = -3.0, 9.0, 12.0
@@ -77,14 +80,12 @@ class Course:
     # low x, high x, low y, high y of a part of the floor without depth
     patch: tuple[float, float, float, float] | None = None
 
-    def on(self, y: float, z: float, kind: Kind,
-           mask: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None) -> None:
+    def on(self, y: float, z: float, kind: Kind) -> None:
         """Continue the ground to a point; straight down leaves an edge."""
         (y0, z0), w = self.profile[-1], self.half_width_m
         if y == y0 and z < z0:
             self.edges.append((np.array([-w, y, z0]), np.array([w, y, z0]), z0 - z))
-        self.add([Rectangle(np.array([-w, y0, z0]), np.array([2 * w, 0, 0]),
-                            np.array([0, y - y0, z - z0]), mask)], kind)
+        self.add([rectangle([-w, y0, z0], [2 * w, 0, 0], [0, y - y0, z - z0])], kind)
         self.profile.append((y, z))
 
     def add(self, rectangles: list[Rectangle], kind: Kind) -> None:
@@ -97,14 +98,12 @@ class Course:
         """Add an obstacle that stands on a height."""
         self.add(box(np.array([x, y, z + size[2] / 2]), size, yaw_deg), Kind.OBSTACLE)
 
-    def add_walls(self, with_end: bool) -> None:
-        """Add walls on both sides, and at the end."""
-        w, up = self.half_width_m, np.array([0, 0, 6.0])
-        walls = [Rectangle(np.array([x, BEHIND_M, -3.0]), np.array([0, FAR_M - BEHIND_M, 0]), up)
-                 for x in (-w, w)]
-        if with_end:
-            walls.append(Rectangle(np.array([-w, FAR_M, -3.0]), np.array([2 * w, 0, 0]), up))
-        self.add(walls, Kind.OBSTACLE)
+    def add_walls(self) -> None:
+        """Add walls on both sides and at the end."""
+        w = self.half_width_m
+        self.add([*(rectangle([x, BEHIND_M, -3], [0, FAR_M - BEHIND_M, 0], [0, 0, 6])
+                    for x in (-w, w)), rectangle([-w, FAR_M, -3], [2 * w, 0, 0], [0, 0, 6])],
+                 Kind.OBSTACLE)
 
     def ground_z(self, y: np.ndarray) -> np.ndarray:
         """Return the height of the ground at y."""
@@ -128,6 +127,10 @@ class Terrain:
     to_world: np.ndarray  # (3, 3): rotation of the camera
     position_m: np.ndarray  # (3,): of the camera
 
+    def in_world(self, points_m: np.ndarray) -> np.ndarray:
+        """Return points (N, 3) of the camera frame in the world."""
+        return points_m @ self.to_world.T + self.position_m
+
 
 def flat(rng: np.random.Generator, start_m: float) -> Course:
     """Return a level floor, with walls or outdoors."""
@@ -136,7 +139,7 @@ def flat(rng: np.random.Generator, start_m: float) -> Course:
         course.half_width_m = OUTDOORS_M
     course.on(FAR_M, 0.0, Kind.FLOOR)
     if course.half_width_m < OUTDOORS_M:
-        course.add_walls(True)
+        course.add_walls()
     return course
 
 
@@ -155,25 +158,21 @@ def clutter(rng: np.random.Generator, start_m: float) -> Course:
             course.add_box(x + dx, y + dy, np.array([0.05, 0.05, TABLE_HEIGHT_M - thick]))
     else:
         radius, y = rng.uniform(0.004, 0.01), start_m + rng.uniform(0, 1.0)
-        course.curved += Thing.curved_pieces(bar((-1.5, y, radius), (1.5, y + 0.5, radius),
-                                                 radius))
+        course.curved += bar((-1.5, y, radius), (1.5, y + 0.5, radius), radius).curved_pieces()
     return course
 
 
 def doorstep(rng: np.random.Generator, start_m: float) -> Course:
     """Return a sill of 2 cm, on which a robot may roll, in a door."""
     course, sill = Course(rng.uniform(1.5, 3.0)), start_m + 0.12
-    course.on(start_m, 0.0, Kind.FLOOR)
-    course.on(start_m, 0.02, Kind.FLOOR)
-    course.on(sill, 0.02, Kind.FLOOR)
-    course.on(sill, 0.0, Kind.FLOOR)
-    course.on(FAR_M, 0.0, Kind.FLOOR)
+    for y, z in ((start_m, 0.0), (start_m, 0.02), (sill, 0.02), (sill, 0.0), (FAR_M, 0.0)):
+        course.on(y, z, Kind.FLOOR)
     course.edges.clear()
+    width = course.half_width_m - 0.5
     for side in (-1, 1):
-        width = course.half_width_m - 0.5
         course.add_box(side * (0.5 + width / 2), (start_m + sill) / 2,
                        np.array([width, 0.12, 2.1]))
-    course.add_walls(True)
+    course.add_walls()
     return course
 
 
@@ -186,24 +185,22 @@ def ramp(rng: np.random.Generator, start_m: float, sign: int) -> Course:
     course.on(foot, rise, Kind.RAMP)
     course.on(FAR_M, rise, Kind.LANDING)
     if rng.random() < 0.5 or sign < 0:
-        course.add_walls(True)
-    else:  # it stands free on a wider floor
-        w, wide = course.half_width_m, 4.0
-        for side in (-1, 1):
-            course.add([Rectangle(np.array([min(side * w, side * (w + wide)), BEHIND_M, 0.0]),
-                                  np.array([wide, 0, 0]), np.array([0, FAR_M - BEHIND_M, 0]))],
-                       Kind.FLOOR)
-            top = np.array([side * w, foot, rise])
-            course.edges.append((np.array([side * w, start_m, 0.0]), top, rise))
-            course.edges.append((top, np.array([side * w, FAR_M, rise]), rise))
-            # The flanks in strips: a rectangle is all that can be rendered.
-            for part in np.arange(0, 1, 0.05):
-                low = np.array([side * w, start_m + part * length * np.cos(angle), 0.0])
-                course.add([Rectangle(low, np.array([0, 0.05 * length * np.cos(angle), 0]),
-                                      np.array([0, 0, (part + 0.05) * rise]))], Kind.OBSTACLE)
-            course.add([Rectangle(np.array([side * w, foot, 0.0]),
-                                  np.array([0, FAR_M - foot, 0]), np.array([0, 0, rise]))],
-                       Kind.OBSTACLE)
+        course.add_walls()
+        return course
+    # It stands free on a wider floor.
+    w, wide = course.half_width_m, 4.0
+    for side in (-1, 1):
+        course.add([rectangle([min(side * w, side * (w + wide)), BEHIND_M, 0], [wide, 0, 0],
+                              [0, FAR_M - BEHIND_M, 0])], Kind.FLOOR)
+        top = np.array([side * w, foot, rise])
+        course.edges += [(np.array([side * w, start_m, 0.0]), top, rise),
+                         (top, np.array([side * w, FAR_M, rise]), rise)]
+        # The flanks in strips: a rectangle is all that can be rendered.
+        course.add([*(rectangle([side * w, start_m + part * length * np.cos(angle), 0],
+                                [0, 0.05 * length * np.cos(angle), 0],
+                                [0, 0, (part + 0.05) * rise]) for part in np.arange(0, 1, 0.05)),
+                    rectangle([side * w, foot, 0], [0, FAR_M - foot, 0], [0, 0, rise])],
+                   Kind.OBSTACLE)
     return course
 
 
@@ -216,7 +213,7 @@ def kerb(rng: np.random.Generator, start_m: float, sign: int,
     course.on(start_m, sign * height_m, Kind.OBSTACLE)
     course.on(FAR_M, sign * height_m, Kind.UPPER if sign > 0 else Kind.LOWER)
     if course.half_width_m < OUTDOORS_M:
-        course.add_walls(True)
+        course.add_walls()
     return course
 
 
@@ -229,7 +226,7 @@ def stairs(rng: np.random.Generator, start_m: float, sign: int) -> Course:
     for k in range(1, count + 1):
         course.on(start_m + (k - 1) * run, k * rise, Kind.OBSTACLE)
         course.on(FAR_M if k == count else start_m + k * run, k * rise, kind)
-    course.add_walls(True)
+    course.add_walls()
     return course
 
 
@@ -241,12 +238,12 @@ def hole(rng: np.random.Generator, start_m: float) -> Course:
     w = course.half_width_m
     shares = [((corner - [-w, BEHIND_M]) / [2 * w, FAR_M - BEHIND_M]) for corner in (low, high)]
     course.rectangles[0] = replace(course.rectangles[0], mask=outside(*shares))
-    bottom = np.append(low, -depth)
-    x_axis, y_axis, up = np.array([wide, 0, 0]), np.array([0, long, 0]), np.array([0, 0, depth])
-    course.add([Rectangle(bottom, x_axis, y_axis)], Kind.LOWER)
-    course.add([Rectangle(bottom, x_axis, up), Rectangle(bottom + y_axis, x_axis, up),
-                Rectangle(bottom, y_axis, up), Rectangle(bottom + x_axis, y_axis, up)],
-               Kind.OBSTACLE)
+    (x, y), bottom, up = low, [*low, -depth], [0, 0, depth]
+    course.add([rectangle(bottom, [wide, 0, 0], [0, long, 0])], Kind.LOWER)
+    course.add([rectangle(bottom, [wide, 0, 0], up),
+                rectangle([x, y + long, -depth], [wide, 0, 0], up),
+                rectangle(bottom, [0, long, 0], up),
+                rectangle([x + wide, y, -depth], [0, long, 0], up)], Kind.OBSTACLE)
     corners = [np.append(corner, 0.0) for corner in (
         low, (high[0], low[1]), high, (low[0], high[1]), low)]
     course.edges += [(a, b, depth) for a, b in zip(corners, corners[1:], strict=False)]
@@ -271,10 +268,8 @@ def quay(rng: np.random.Generator, start_m: float) -> Course:
 
 COURSES: dict[str, Callable[[np.random.Generator, float], Course]] = {
     'flat': flat, 'boxes, tables, cables': clutter, 'doorstep': doorstep,
-    'ramp up': lambda rng, y: ramp(rng, y, 1), 'ramp down': lambda rng, y: ramp(rng, y, -1),
-    'kerb up': lambda rng, y: kerb(rng, y, 1), 'kerb down': lambda rng, y: kerb(rng, y, -1),
-    'stairs up': lambda rng, y: stairs(rng, y, 1),
-    'stairs down': lambda rng, y: stairs(rng, y, -1),
+    **{f'{make.__name__} {way}': partial(make, sign=sign) for make, (way, sign) in product(
+        (ramp, kerb, stairs), (('up', 1), ('down', -1)))},
     'hole': hole, 'patch without depth': patch, 'quay': quay}
 
 

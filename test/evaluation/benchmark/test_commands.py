@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""One program with subcommands: each has a help, and wrong input is explained in one line."""
+"""One program with subcommands: each has a help, runs on a scene or two, and explains errors."""
 
 import re
 import shlex
@@ -8,13 +8,69 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from frame_files import write_frame
 
 from plane_detector.evaluation.benchmark import __main__ as program
 from plane_detector.evaluation.benchmark.__main__ import COMMANDS, main
+from plane_detector.evaluation.peers import OpenCv, Ours
+from plane_detector.evaluation.scenes.rooms import random_room, single_wall
+from plane_detector.types import CameraIntrinsics
 
 MODULE = 'plane_detector.evaluation.benchmark'
+ONE_OF_EACH = '--rooms 1 --living 1 --curved 1 --processes 1'
+# What would take long replaced, and a row that must be printed.
+RUNS = {
+    f'accuracy --only-ours --rendered {ONE_OF_EACH}':
+        ({'samples.SIGMAS': (0.001,), 'samples.CURVED_SIGMAS': (0.0,)},
+         r'rooms \| 0.001 \| plane_detector \| 1 \| 0.9\d+ \| 0.\d+ \(9000\) \| 0.\d+ \| 1.0000'),
+    f'ablation --only small {ONE_OF_EACH}':
+        ({'samples.SIGMAS': (0.0,), 'samples.CURVED_SIGMAS': (0.0,), 'ablation.SENSORS': {}},
+         r'without small planes \| -0.\d+ \(0.000\) / -0.\d+ / \+?0?'),
+    'labelled --frames --only-ours':
+        ({}, r'office/7 \| plane_detector \| 1.000 \| 1.000 \| 1.000'),
+    'sensors --rooms 1':
+        ({'sensors.SENSORS': {'whole cm'}}, r'whole cm \| \d+ \| [23].\d+ \| 0.\d+'),
+    'time --repeats 1': ({'runtime.SIZES': ((640, 480),),
+                          'runtime.all_methods': lambda: [Ours(), OpenCv(0.03)]},
+                         r'office \| 1 \| plane_detector \| \d+.\d'),
+    'ground --only quay --views 1':
+        ({'ground.NOISES': (0.0,), 'ground.BOX_HEIGHTS_M': (0.03, 0.2),
+          'ground.KERB_DISTANCES_M': (2.0,)},
+         r'all \| 1.000, 1.000 \| - .* \| 1 of 1 \| 1.000 \| 0 of 1 \|[\s\S]*'
+         r'0.0 \| 20 cm \| 20 cm \| 20 cm \| 2 m'),
+    'shapes --scenes 1 --first-seed 0': ({'shapes.SIGMAS': (0.0,)}, r'0 \| 1 \| \d \| 1.00'),
+    'scale --rooms 1 --first-seed 2000': ({}, r'hexagon_room \| 1 \| 1 \| 0'),
+    'confidence': ({'confidence.SCENES': (random_room,), 'confidence.FIT_SEEDS': range(200, 206),
+                    'confidence.CHECK_SEEDS': range(1), 'confidence.NOISES': (0.01,)},
+                   r'0.95 to 1 \| \d+ \| 0.9\d \|')}
+
+
+@pytest.fixture(scope='module')
+def data(tmp_path_factory):
+    """Return a data folder with a wall, once without labels and once labelled by hand."""
+    folder = tmp_path_factory.mktemp('data')
+    wall = single_wall(CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120), 20.0, 2.0)
+    (folder / 'labelled').mkdir()
+    for path in (folder / 'office', folder / 'labelled' / 'office'):
+        write_frame(path, np.rint(1000 * wall.depth_m).astype(np.uint16))
+    cv2.imwrite(str(path / '7_labels.png'), np.full((120, 160), 3, np.uint8))
+    return folder
+
+
+@pytest.mark.parametrize('command', RUNS)
+def test_a_command_prints_its_tables(command, data, monkeypatch, capsys):
+    name, *options = command.split()
+    replaced, row = RUNS[command]
+    for place, value in replaced.items():
+        monkeypatch.setattr(f'{MODULE}.{place}', value)
+    takes_data = '--data' in program.subcommand(name)[1].format_usage()
+    main([name, *options, *(['--data', str(data)] if takes_data else [])])
+    printed = capsys.readouterr()
+    assert re.search(rf'^\| {row}', printed.out, re.MULTILINE), printed.out
+    assert name != 'scale' or 'kinect is not there' in printed.err
 
 
 @pytest.mark.parametrize('name', COMMANDS)
@@ -57,12 +113,8 @@ def test_wrong_input_ends_a_process_with_a_line():
     run = subprocess.run([sys.executable, '-m', MODULE, 'depth', 'no_such_network'],
                          capture_output=True, text=True, check=False)
     assert run.returncode == 1
-    assert 'Traceback' not in run.stderr
-    assert 'no_such_network' in run.stderr
-
-
-def test_the_provenance_of_a_result_is_stated():
-    text = program.provenance(['scale', 'with space'])
-    assert text.startswith(f"`python3 -m {MODULE} scale 'with space'`\n\n")
+    assert 'Traceback' not in run.stderr and 'no_such_network' in run.stderr
+    start = f'`python3 -m {MODULE} depth no_such_network`\n\n'
+    assert run.stdout.startswith(start), 'the provenance of a result is stated'
     for part in ('cores, Python 3.', f'numpy {np.__version__}', '; commit '):
-        assert part in text
+        assert part in run.stdout

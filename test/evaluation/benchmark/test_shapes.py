@@ -1,17 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of shapes: matching, and a run on one scene."""
-
-from __future__ import annotations
-
-from types import SimpleNamespace
+"""The benchmark of shapes: what is found is matched with the truth."""
 
 import numpy as np
 import pytest
 
 from plane_detector.evaluation.benchmark import shapes
 from plane_detector.evaluation.benchmark.shapes import ShapeGuess
-from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape, shape_scene
+from plane_detector.evaluation.scenes.shapes import ShapeScene, TrueShape
 from plane_detector.types import ShapeType
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -44,25 +40,3 @@ def test_matches_need_the_type_and_half_of_the_pixels():
     assert judged.wrong == 2
     assert judged.radius_errors == pytest.approx((0.1,))
     assert judged.axis_errors_deg == pytest.approx((np.degrees(0.1),))
-
-
-def test_scenes_hold_visible_shapes_with_their_geometry():
-    scene = shape_scene(np.random.default_rng(0))
-    assert 1 <= len(scene.shapes) <= 5
-    v, u = np.mgrid[:480, :640]
-    k = scene.scene.intrinsics
-    rays = np.stack([(u - k.cx) / k.fx, (v - k.cy) / k.fy, np.ones_like(u, float)], axis=-1)
-    points_m = rays * scene.scene.depth_m[..., None]
-    for shape in scene.shapes:
-        assert (scene.scene.labels[shape.mask] == -1).all()
-        offset = points_m[shape.mask] - shape.position_m
-        along = offset @ shape.axis
-        away = np.linalg.norm(offset - along[:, None] * shape.axis, axis=1)
-        expected = shape.radius_m or along * np.tan(shape.half_angle_rad)
-        np.testing.assert_allclose(away, expected, atol=2e-4)
-
-
-def test_a_run_finds_the_shapes_of_exact_depth(capsys):
-    shapes.run(SimpleNamespace(scenes=1, first_seed=0))
-    row = next(line for line in capsys.readouterr().out.splitlines() if line.startswith('| 0 | 1'))
-    assert row.split(' | ')[3] == '1.00'

@@ -5,34 +5,31 @@
 import numpy as np
 import pytest
 
-from plane_detector.segmentation.cells import grid as cells
-from plane_detector.segmentation.cells.plane_fit import (
-    fit_plane,
-    fit_planes,
-    squared_error,
-)
+from plane_detector.segmentation.cells.grid import DisparityImage, build_cell_grid, pixel_frame
+from plane_detector.segmentation.cells.plane_fit import fit_plane, fit_planes, squared_error
 
 SHAPE = (250, 333)
 
 
-def disparity_image(rng, holes=0.2):
+def bumpy(seed, holes=0.2):
     """Return a bumpy disparity with holes, whose sides are no multiples of the cells'."""
+    rng = np.random.default_rng(seed)
     v, u = np.mgrid[:SHAPE[0], :SHAPE[1]]
     disparity = 0.3 + 1e-3 * u - 5e-4 * v + rng.normal(0, 0.02, SHAPE)
     valid = rng.random(SHAPE) >= holes
     valid[40:60, 100:130] = False
-    return np.where(valid, disparity, 0).astype(np.float32), valid
+    return DisparityImage(np.where(valid, disparity, 0).astype(np.float32), valid)
 
 
-def brute_force(disparity, valid, size):
+def brute_force(image, size):
     """Return the moments of each cell and the cell's least-squares plane, by loops."""
     x, y = ((np.arange(side) - (side - 1) / 2) / SHAPE[1] for side in (SHAPE[1], SHAPE[0]))
     moments, planes = [], []
     for row in range(0, SHAPE[0], size):
         for column in range(0, SHAPE[1], size):
             part = np.s_[row:row + size, column:column + size]
-            v, u = np.nonzero(valid[part])
-            d = disparity[part][v, u].astype(float)
+            v, u = np.nonzero(image.valid[part])
+            d = image.values[part][v, u].astype(float)
             px, py, one = x[column + u], y[row + v], np.ones(len(u))
             columns = np.stack([one, px, py, px * px, px * py, py * py, d, px * d, py * d, d * d])
             moments.append(columns.sum(axis=1))
@@ -43,26 +40,21 @@ def brute_force(disparity, valid, size):
 
 @pytest.mark.parametrize('holes', [0.0, 0.2])
 def test_moments_equal_loops_over_pixels(holes):
-    disparity, valid = disparity_image(np.random.default_rng(1), holes)
-    grid = cells.build_cell_grid(cells.DisparityImage(disparity, valid))
+    image = bumpy(1, holes)
+    grid = build_cell_grid(image)
     assert grid.shape == (-(-SHAPE[0] // grid.size_px), -(-SHAPE[1] // grid.size_px))
-    moments, planes = brute_force(disparity, valid, grid.size_px)
+    moments, planes = brute_force(image, grid.size_px)
     np.testing.assert_allclose(grid.moments, moments, rtol=1e-5, atol=1e-6)
-    known = moments[:, 0] > 0
+    known, usable = moments[:, 0] > 0, grid.usable
     np.testing.assert_allclose(grid.mean[known],
                                moments[known][:, [1, 2, 6]] / moments[known, :1], atol=1e-6)
-    np.testing.assert_allclose(grid.slope[grid.usable], planes[grid.usable, :2], rtol=1e-3,
-                               atol=1e-3)
-
-
-def test_residual_rms_is_the_misfit_of_the_cells_own_plane():
-    disparity, valid = disparity_image(np.random.default_rng(2))
-    grid = cells.build_cell_grid(cells.DisparityImage(disparity, valid))
+    np.testing.assert_allclose(grid.slope[usable], planes[usable, :2], rtol=1e-3, atol=1e-3)
     own = fit_planes(grid.moments)
-    usable = np.flatnonzero(grid.usable)
-    squares = np.array([squared_error(*own[i], grid.moments[i]) for i in usable])
-    expected = np.sqrt(squares / grid.moments[usable, 0])
-    np.testing.assert_allclose(grid.residual_rms[usable], expected, rtol=1e-3, atol=1e-6)
+    for one, together in zip(grid.moments, own, strict=True):
+        np.testing.assert_allclose(fit_plane(one), together, rtol=1e-9)
+    misfit = [squared_error(*own[i], grid.moments[i]) for i in np.flatnonzero(usable)]
+    np.testing.assert_allclose(grid.residual_rms[usable],
+                               np.sqrt(misfit / grid.moments[usable, 0]), rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize(('lines', 'usable'), [([3], False), ([2, 5], True)])
@@ -70,9 +62,8 @@ def test_one_line_of_a_lidar_is_no_plane_two_are(lines, usable):
     valid = np.zeros((480, 640), bool)
     for line in lines:
         valid[line::8] = True
-    grid = cells.build_cell_grid(cells.DisparityImage(
-        np.where(valid, np.float32(0.2), np.float32(0)), valid))
-    assert (grid.usable == usable).all()
+    image = DisparityImage(np.where(valid, np.float32(0.2), np.float32(0)), valid)
+    assert (build_cell_grid(image).usable == usable).all()
 
 
 def test_fit_planes_equals_least_squares():
@@ -90,29 +81,20 @@ def test_fit_planes_equals_least_squares():
     assert squared_error(*other, moments) == pytest.approx(((design @ other - d)**2).sum())
 
 
-@pytest.mark.parametrize('seed', range(2))
-def test_one_plane_is_fitted_as_many_are(seed):
-    disparity, valid = disparity_image(np.random.default_rng(seed))
-    moments = cells.build_cell_grid(cells.DisparityImage(disparity, valid)).moments
-    for one, together in zip(moments, fit_planes(moments), strict=True):
-        np.testing.assert_allclose(fit_plane(one), together, rtol=1e-9)
-
-
 def test_the_cells_of_a_part_are_those_of_the_whole_image():
-    disparity, valid = disparity_image(np.random.default_rng(3))
-    whole = cells.build_cell_grid(cells.DisparityImage(disparity, valid), 10)
-    image = cells.DisparityImage(disparity[40:130], valid[40:130])
-    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame(SHAPE, 40))
-    assert grid.shape == (9, whole.shape[1])
-    assert grid.width_px == whole.width_px
+    image = bumpy(3)
+    whole = build_cell_grid(image, 10)
+    rows = DisparityImage(image.values[40:130], image.valid[40:130])
+    grid = build_cell_grid(rows, 10, frame=pixel_frame(SHAPE, 40))
+    assert grid.shape == (9, whole.shape[1]) and grid.width_px == whole.width_px
     for name in ('moments', 'mean', 'slope', 'residual_rms', 'usable'):
         values = getattr(whole, name).reshape(*whole.shape, -1)[4:13]
         np.testing.assert_allclose(getattr(grid, name).reshape(values.shape), values, atol=1e-9)
 
 
 def test_planes_in_pixels_have_the_disparity_of_the_same_planes_in_cells():
-    image = cells.DisparityImage(np.ones((60, 640), np.float32), np.ones((60, 640), bool))
-    grid = cells.build_cell_grid(image, 10, frame=cells.pixel_frame((480, 640), 40))
+    image = DisparityImage(np.ones((60, 640), np.float32), np.ones((60, 640), bool))
+    grid = build_cell_grid(image, 10, frame=pixel_frame((480, 640), 40))
     u, v = 207, 12  # in these rows
     x, y = (u - 319.5) / 640, (40 + v - 239.5) / 640
     (a, b, c), = grid.planes_in_pixels(np.array([[0.3, -0.2, 0.5]]))

@@ -24,33 +24,25 @@ def regions():
 
 
 @pytest.mark.parametrize(('scale', 'shift'), UNITS)
-def test_the_grid_is_that_of_the_rescaled_disparity(regions, scale, shift):
+def test_the_grid_and_the_planes_are_those_of_the_rescaled_disparity(regions, scale, shift):
     valid = regions.disparity > 0
     rescaled = np.where(valid, scale * regions.disparity.astype(float) + shift, 0)
     expected = build_cell_grid(DisparityImage(rescaled.astype(np.float32), valid))
-    found = regions.rescaled(scale, shift).grid
+    found = regions.rescaled(scale, shift)
     for name in ('moments', 'mean', 'slope', 'residual_rms'):
         values = getattr(expected, name)
         # The rms within a cell is a small difference of float32 sums.
-        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-4,
+        np.testing.assert_allclose(getattr(found.grid, name), values, rtol=1e-4,
                                    atol=2e-5 * np.abs(values).max(), err_msg=name)
-    np.testing.assert_array_equal(found.usable, expected.usable)
-    assert found.typical_disparity == pytest.approx(expected.typical_disparity, rel=1e-5)
-
-
-@pytest.mark.parametrize(('scale', 'shift'), UNITS)
-def test_the_planes_still_pass_through_their_pixels(regions, scale, shift):
-    found = regions.rescaled(scale, shift)
+    np.testing.assert_array_equal(found.grid.usable, expected.usable)
+    assert found.grid.typical_disparity == pytest.approx(expected.typical_disparity, rel=1e-5)
     v, u = np.nonzero(found.labels == 0)
     height, width = found.labels.shape
     x, y = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
     residual = found.disparity[v, u] - found.coefficients[0] @ [x, y, np.ones(len(x))]
     assert np.abs(residual).mean() < 0.01 * scale
     assert found.noise.mean_sigma == pytest.approx(scale * regions.noise.mean_sigma)
-
-
-def test_the_unit_that_it_has_changes_nothing(regions):
-    assert regions.rescaled(1.0, 0.0) is regions
+    assert (found is regions) == ((scale, shift) == (1.0, 0.0))
 
 
 def test_restricted_to_where_depth_is_valid(regions):

@@ -7,21 +7,14 @@ import pytest
 from sklearn.cluster import DBSCAN
 
 from plane_detector.config import DbscanConfig
-from plane_detector.segmentation.search import dbscan
+from plane_detector.segmentation.search.dbscan import label_clusters
 
 SHAPE = (23, 31)
 
 
-def label_clusters(labels, eps, min_samples):
-    """Return the clusters alone, without their number."""
-    clusters, count = dbscan.label_clusters(labels, DbscanConfig(eps, min_samples))
-    assert count == clusters.max() + 1
-    return clusters
-
-
-def random_labels(rng, kinds=4, share=0.75):
+def random_labels(rng, share):
     """Return labels in blotches, so that clusters have insides, with cells without label."""
-    coarse = rng.integers(0, kinds, (8, 11)).repeat(3, axis=0).repeat(3, axis=1)
+    coarse = rng.integers(0, 4, (8, 11)).repeat(3, axis=0).repeat(3, axis=1)
     labels = coarse[:SHAPE[0], :SHAPE[1]]
     return np.where(rng.random(SHAPE) < share, labels, -1).astype(np.int32)
 
@@ -39,9 +32,9 @@ def numbered(labels):
 @pytest.mark.parametrize('min_samples', [1, 3, 7])
 @pytest.mark.parametrize('share', [0.5, 0.75, 1.0])
 def test_every_label_is_clustered_as_scikit_learn_does(eps, min_samples, share):
-    labels = random_labels(np.random.default_rng(int(100 * share)), share=share)
-    clusters = label_clusters(labels, eps, min_samples)
-    assert clusters.shape == labels.shape
+    labels = random_labels(np.random.default_rng(int(100 * share)), share)
+    clusters, count = label_clusters(labels, DbscanConfig(eps, min_samples))
+    assert clusters.shape == labels.shape and count == clusters.max() + 1
     assert (clusters[labels < 0] == -1).all()
     used = []
     for label in range(4):
