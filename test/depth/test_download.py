@@ -5,7 +5,6 @@
 import dataclasses
 import hashlib
 import io
-import os
 import socket
 import stat
 import sys
@@ -13,26 +12,27 @@ import tarfile
 import time
 
 import pytest
-from zoo_helpers import CONTENT, SHA256, files_in, put, serving
+from zoo_helpers import CONTENT, SHA256, files_in, put
 
+from plane_detector.config import DepthConfig
 from plane_detector.depth import download
 from plane_detector.depth.download import NpmSource, UrlSource
-from plane_detector.depth.model_zoo import (
+from plane_detector.depth.networks import (
     AUTO_ORDER,
     NETWORKS,
     NetworkUnavailableError,
-    choose,
     default_cache_dir,
-    fetch,
+    resolve,
 )
 from plane_detector.stopping import Background, Stopped
 
 
-@pytest.fixture(name='server')
-def fixture_server(monkeypatch):
-    monkeypatch.setenv('no_proxy', '*')
-    with serving() as server:
-        yield server
+def fetch(name, cache_dir, output='auto'):
+    return resolve(DepthConfig(model=name, cache_dir=str(cache_dir), output=output))[1]
+
+
+def choose(cache_dir, output='auto'):
+    return resolve(DepthConfig(model='auto', cache_dir=str(cache_dir), output=output))
 
 
 @pytest.fixture(name='silent_url')
@@ -77,16 +77,6 @@ def test_a_damaged_file_in_the_cache_is_downloaded_again(server, tmp_path, monke
     (tmp_path / network.file_name).write_bytes(CONTENT[:-1])
     with pytest.raises(NetworkUnavailableError, match='the cached file is damaged, .*404'):
         fetch('fastdepth', tmp_path)
-
-
-def test_what_a_killed_download_left_is_removed_later(server, tmp_path, monkeypatch):
-    network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
-    old, running = tmp_path / '.a.onnx.1.part', tmp_path / '.a.onnx.2.part'
-    for part in (old, running):
-        part.write_bytes(b'abc')
-    os.utime(old, (time.time() - 7200,) * 2)
-    fetch('fastdepth', tmp_path)
-    assert files_in(tmp_path) == [running.name, network.file_name]
 
 
 def test_a_download_can_be_stopped(server, tmp_path, monkeypatch):

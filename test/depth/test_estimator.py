@@ -13,8 +13,7 @@ from slow_networks import HEIGHT, WIDTH, write_slow_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.model_zoo import default_cache_dir
-from plane_detector.depth.networks import NETWORKS
+from plane_detector.depth.networks import NETWORKS, default_cache_dir
 from plane_detector.depth.onnx_session import available_providers
 from plane_detector.stopping import Background, Stopped
 

@@ -22,8 +22,7 @@ from plane_detector.stopping import leave, quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import DepthConfig
-    from plane_detector.depth.model_zoo import resolve
-    from plane_detector.depth.networks import NETWORKS
+    from plane_detector.depth.networks import NETWORKS, resolve
     from plane_detector.ros.spinning import CannotRunError
     from plane_detector.tools.demo.photographs import (
         Lens,
