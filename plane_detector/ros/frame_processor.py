@@ -14,8 +14,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
-from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.depth.observation import ModelDepth, Observation
+from plane_detector.depth.observation import DepthFunction, ModelDepth, Observation
 from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
 from plane_detector.geometry.disparity import to_depth, to_disparity
 from plane_detector.geometry.rigid_transform import RigidTransform

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.far import find_sky, knowable
-from plane_detector.depth.observation import ModelDepth
+from plane_detector.depth.observation import DepthFunction, ModelDepth
 from plane_detector.types import CameraIntrinsics
 
 HEIGHT, WIDTH = 240, 320

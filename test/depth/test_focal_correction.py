@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config, DepthConfig, ScaleConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.depth.readers import OWN_FOCAL, lens_factor
 from plane_detector.evaluation.scenes.rooms import VGA, single_wall
 from plane_detector.pipeline import PlaneDetector

@@ -10,9 +10,9 @@ import pytest
 from onnx_models import write_depth_network
 
 from plane_detector.config import Config, DepthConfig
-from plane_detector.depth.depth_function import DepthFunction, wrapped
 from plane_detector.depth.estimator import BLUR_INPUT_PX, DepthEstimator
 from plane_detector.depth.observation import (
+    DepthFunction,
     ModelDepth,
     Observation,
     SensorDepth,
@@ -109,7 +109,7 @@ def test_flicker_of_a_large_still_image_is_averaged(output):
         noise = cv2.resize(rng.normal(0, 0.01, (60, 80)).astype(np.float32), size)
         return 1 / (true + noise) if output == 'metric_depth' else true + noise
 
-    source = make_source(Config(), wrapped(predict, output))
+    source = make_source(Config(depth=DepthConfig(output=output)), predict)
     camera = CameraIntrinsics.from_field_of_view(*size, 60.0)
     off = [np.nanstd(source.observe(rgb, camera, None, Config()).disparity - true)
            for _ in range(12)]

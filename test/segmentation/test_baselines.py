@@ -10,7 +10,7 @@ from sklearn.cluster import DBSCAN
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rooms import (
