@@ -11,12 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import Background, Stopped, leave, quiet_interrupt
+from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import NodeConfig
     from plane_detector.depth.networks import NETWORKS
     from plane_detector.ros.outputs.topics import OUTPUTS
+    from plane_detector.tools.program import FAILED, INTERRUPTED, run_program, until_signal
     from plane_detector.tools.replay import many_bags
     from plane_detector.tools.replay.bag_reader import bag_name
     from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
@@ -40,22 +41,13 @@ EXIT_CODES = """
 exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
 frames or damaged messages were skipped; 130 ended by a signal.
 """
-_FAILED, _INCOMPLETE, _INTERRUPTED = 1, 3, 130
-_LOOK_S = 0.1
-# derived: replay ends within 3 s of a signal; closing the bag takes under a second.
-_PATIENCE_S = 1.5
+_INCOMPLETE = 3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Replay one bag or many; return the exit code, see `--help`."""
     options = parse(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return leave(_run(options))
-    except (KeyboardInterrupt, Stopped):
-        return leave(_INTERRUPTED)
-    except (OSError, ValueError, ModuleNotFoundError) as error:
-        print(f'replay: {error}', file=sys.stderr)
-        return leave(_FAILED)
+    return run_program('replay', lambda: _run(options))
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -70,24 +62,11 @@ def _run(arguments: argparse.Namespace) -> int:
 
 
 def _run_one(options: ReplayOptions) -> int:
-    """Replay a bag; SIGINT or SIGTERM ends it after this frame, a second one at once."""
-    call = Background(lambda: replay(options), 'replay')
-
-    def stop(number: int, _: object) -> None:
-        signal.signal(number, signal.SIG_DFL)
-        call.stop.set()
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as SIGINT is under nohup
-            signal.signal(number, stop)
-    while not call.wait(_LOOK_S):
-        if call.stop.is_set and not call.wait(_PATIENCE_S):
-            raise Stopped
-    tally = call.result()
+    tally = until_signal(lambda: replay(options))
     print(tally.describe())
     if tally.interrupted:
         print(f'Interrupted: the planes of the frames so far are in {tally.target}')
-        return _INTERRUPTED
+        return INTERRUPTED
     print(f'The planes are in {tally.target}')
     if tally.is_clean:
         return 0
@@ -103,7 +82,7 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
     print(many_bags.describe(summaries))
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):
-        return _FAILED
+        return FAILED
     return _INCOMPLETE if any(one.skipped or one.damaged for one in summaries) else 0
 
 

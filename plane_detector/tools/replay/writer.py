@@ -33,7 +33,7 @@ from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.clouds import PLANE_DTYPE, SHAPE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.tools.ply import write_ply
+from plane_detector.tools.files import csv_row, depth_panel, write_ply
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
@@ -235,9 +235,8 @@ class ReplayFiles:
                           in_metres=result.detection.scale_method != RELATIVE)
         for name, (_, file) in self._tables.items():
             csv.writer(file).writerows(
-                [index, stamp_text(result), *(f'{value:.6g}' if isinstance(value, np.floating)
-                                              else value for value in point)]
-                for point in np.frombuffer(processed.messages[name].data, _ROWS[name]))
+                [index, stamp_text(result), *csv_row(fields)]
+                for fields in np.frombuffer(processed.messages[name].data, _ROWS[name]))
 
 
 @contextmanager
@@ -251,11 +250,9 @@ def _whole(path: Path) -> Iterator[Path]:
 def _figure(result: DetectedFrame) -> np.ndarray:
     """Return image, depth and planes side by side."""
     detection = result.detection
-    near, far = drawing.depth_range(detection.depth_m)
     unit = 'units' if detection.scale_method == RELATIVE else 'm'
     return drawing.figure([
         (f'image of {stamp_text(result)}', result.rgb),
-        (f'depth, red {near:.1f} {unit} to blue {far:.1f} {unit}',
-         drawing.colour_depth(detection.depth_m)),
+        depth_panel('depth', detection.depth_m, unit),
         (f'{len(detection.planes)} planes', drawing.overlay(result.rgb, result.labels)),
     ], columns=3)

@@ -20,7 +20,7 @@ from plane_detector.tools.demo.photographs import (
     folder_images,
     library_images,
 )
-from plane_detector.tools.ply import write_ply
+from plane_detector.tools.files import write_ply
 from plane_detector.types import CameraIntrinsics
 
 ROOT = Path(__file__).resolve().parents[3]
