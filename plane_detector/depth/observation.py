@@ -22,7 +22,7 @@ from plane_detector.geometry.disparity import (
     to_depth,
     to_disparity,
 )
-from plane_detector.geometry.reduction import Reduction
+from plane_detector.geometry.rectification import Reduction
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
 # Flicker is averaged in an image with sides up to this: a network sees no finer detail.

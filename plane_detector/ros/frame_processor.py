@@ -27,7 +27,7 @@ from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import rgb_to_msg
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stage_timer import StageTimer, median_seconds
-from plane_detector.tracking.merged_labels import merged_labels
+from plane_detector.tracking.tracker import merged_labels
 from plane_detector.types import Detection
 
 # Noise and blur of a network's depth, for timing the stages after it.
