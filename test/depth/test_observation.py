@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from onnx_models import write_depth_network
+from onnx_models import PLAIN, write_depth_network
 
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import BLUR_INPUT_PX, DepthEstimator
@@ -24,7 +24,6 @@ CAMERA = CameraIntrinsics(20.0, 20.0, 3.5, 2.5, 8, 6)
 RGB = np.zeros((6, 8, 3), np.uint8)
 VALUES = np.full((6, 8), 2.0, np.float32)
 VALUES[0, :4] = [0.0, np.nan, np.inf, 100.0]
-PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
 TOPIC = Config(depth=DepthConfig(source='topic'))
 
 
