@@ -47,10 +47,14 @@ def until_signal(function: Callable[[], Result]) -> Result:
         signal.signal(number, signal.SIG_DFL)
         call.stop.set()
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(number) is not signal.SIG_IGN:  # as SIGINT is under nohup
-            signal.signal(number, stop)
-    while not call.wait(_LOOK_S):
-        if call.stop.is_set and not call.wait(_PATIENCE_S):
-            raise Stopped
-    return call.result()
+    # An ignored signal, as SIGINT under nohup, stays ignored.
+    before = {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)
+              if signal.getsignal(number) is not signal.SIG_IGN}
+    try:
+        while not call.wait(_LOOK_S):
+            if call.stop.is_set and not call.wait(_PATIENCE_S):
+                raise Stopped
+        return call.result()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
