@@ -93,7 +93,7 @@ class DepthModel(Protocol):
     Interface of a depth model.
 
     :class:`~plane_detector.depth.estimator.DepthEstimator` runs networks; a plain function is
-    wrapped in a :class:`~plane_detector.depth.depth_function.DepthFunction`.
+    wrapped in a :class:`~plane_detector.depth.observation.DepthFunction`.
 
     Attributes
     ----------

@@ -58,6 +58,15 @@ def data_folder():
 
 
 @pytest.fixture
+def server(monkeypatch):
+    """Return a server on this machine that offers a network, whole or not."""
+    from zoo_helpers import serving
+    monkeypatch.setenv('no_proxy', '*')
+    with serving() as server:
+        yield server
+
+
+@pytest.fixture
 def robot(tmp_path, monkeypatch):
     """Return a camera and subscribers on a ROS domain of their own; diagnostics come often."""
     from ros_helpers import Robot

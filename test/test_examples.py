@@ -17,7 +17,7 @@ WITH_EXAMPLES = sorted(
 # What others call from their own code has an example.
 PUBLIC = {
     'plane_detector': (),
-    'plane_detector.depth.depth_function': ('DepthFunction',),
+    'plane_detector.depth.observation': ('DepthFunction',),
     'plane_detector.config': ('Config',),
     'plane_detector.drawing': ('colour_depth', 'figure', 'label_colours', 'overlay'),
     'plane_detector.geometry.disparity': ('to_depth', 'to_disparity', 'valid_depth'),

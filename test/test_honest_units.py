@@ -10,7 +10,7 @@ import pytest
 from rclpy.parameter import Parameter
 from ros_helpers import camera_info_msg, image_msg
 
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import attic, random_room
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.types import CameraIntrinsics

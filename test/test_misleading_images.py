@@ -10,7 +10,7 @@ from onnx_models import PLAIN, write_depth_network
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, DirectionsConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.scenes import rooms
 from plane_detector.evaluation.scenes.misleading import FALSE_COLOURS, KINDS, misleading_image

@@ -17,7 +17,7 @@ from plane_detector.config import (
     SegmentationConfig,
     TrackingConfig,
 )
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall

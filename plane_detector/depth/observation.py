@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config
-from plane_detector.depth.depth_function import wrapped
 from plane_detector.depth.far import knowable
 from plane_detector.depth.readers import lens_factor
 from plane_detector.depth.temporal_filter import FilteredDisparity, filter_disparity
@@ -23,10 +22,13 @@ from plane_detector.geometry.disparity import (
     to_depth,
     to_disparity,
 )
+from plane_detector.geometry.rectification import Reduction
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
 # Flicker is averaged in an image with sides up to this: a network sees no finer detail.
 _FILTER_SIDE_PX = 640
+_OF_MODELS = ('output', 'noise_share', 'focal_per_height', 'facts', 'edge_blur_px', 'fit_to_rate',
+              'advise', 'predict')
 
 
 @dataclass(frozen=True)
@@ -78,6 +80,58 @@ class Observation:
         """Return the observation, invalid where ``covered`` (H, W) bool is False."""
         values = np.where(covered, self.prediction.values, np.float32(np.nan))
         return replace(self.with_values(values), covered=covered)
+
+
+@dataclass(frozen=True)
+class DepthFunction:
+    """
+    A function as a depth model.
+
+    Attributes
+    ----------
+    function : callable
+        Takes rgb (H, W, 3) uint8, returns depth or disparity (H, W) floating, NaN invalid.
+    output : str
+        Its output: ``metric_depth``, ``disparity`` or ``relative_disparity``.
+    noise_share, focal_per_height
+        As in :class:`~plane_detector.types.DepthModel`.
+    blur_px : float
+        Largest error of depth edges, in pixels.
+
+    Examples
+    --------
+    >>> camera = CameraIntrinsics(3.0, 3.0, 1.0, 0.0, 3, 1)
+    >>> wall = DepthFunction(lambda rgb: np.full(rgb.shape[:2], 2.0))
+    >>> wall.predict(np.zeros((1, 3, 3), np.uint8), camera)
+    Prediction(output='metric_depth', values=array([[2., 2., 2.]]), ...)
+
+    """
+
+    function: Callable[[np.ndarray], np.ndarray]
+    output: str = 'metric_depth'
+    noise_share: float = 0.0
+    focal_per_height: float = 0.0
+    blur_px: float = 0.0
+
+    @property
+    def facts(self) -> Mapping[str, str]:
+        """Name of the function."""
+        return {'depth_model': getattr(self.function, '__name__', type(self.function).__name__)}
+
+    def edge_blur_px(self, width: int, height: int) -> float:
+        """Return the largest error of depth edges."""
+        return self.blur_px
+
+    def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
+        """Do nothing: a function has only one speed."""
+
+    def advise(self, share: float) -> str:
+        """Return no advice."""
+        return ''
+
+    def predict(self, rgb: np.ndarray, intrinsics: CameraIntrinsics) -> Prediction:
+        """Call the function; the intrinsics are not used."""
+        return Prediction(self.output, self.function(rgb))
 
 
 class SensorDepth:
@@ -164,18 +218,17 @@ class ModelDepth:
             self._average = None
             return seen
         height, width = seen.disparity.shape
-        factor = min(1.0, _FILTER_SIDE_PX / max(height, width))
-        size = max(round(factor * width), 1), max(round(factor * height), 1)
-        disparity, rgb = seen.disparity, seen.rgb
-        if factor < 1:
-            disparity = cv2.resize(disparity, size, interpolation=cv2.INTER_NEAREST)
-            rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+        reduction = Reduction.to_side((width, height), _FILTER_SIDE_PX)
+        disparity, rgb = seen.disparity, reduction.image(seen.rgb)
+        if not reduction.is_none:
+            disparity = cv2.resize(disparity, reduction.new_size,
+                                   interpolation=cv2.INTER_NEAREST)
         self._average = filter_disparity(self._average, disparity, rgb, keep,
                                          same_scale=seen.output != 'relative_disparity')
         if self._average.image_count == 1:
             return seen
         values = self._average.disparity
-        if factor < 1:
+        if not reduction.is_none:
             change = np.nan_to_num(values - disparity, copy=False)
             values = seen.disparity + cv2.resize(change, (width, height))
         return replace(seen.with_values(
@@ -200,8 +253,8 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
     Raises
     ------
     ValueError
-        As raised by :func:`~plane_detector.depth.depth_function.wrapped` or
-        :class:`~plane_detector.depth.estimator.DepthEstimator`.
+        The model has only some of the attributes of :class:`~plane_detector.types.DepthModel`, or
+        as raised by :class:`~plane_detector.depth.estimator.DepthEstimator`.
 
     """
     if model is None and config.depth.source == 'topic':
@@ -209,6 +262,12 @@ def make_source(config: Config, model: ModelOrFunction | None) -> DepthSource:
     if model is None:
         from plane_detector.depth.estimator import DepthEstimator  # imports ONNX Runtime
         return ModelDepth(DepthEstimator(config.depth))
-    if not isinstance(model, DepthModel):
-        model = wrapped(model, config.depth.output)
-    return ModelDepth(model)
+    if isinstance(model, DepthModel):
+        return ModelDepth(model)
+    there = [name for name in _OF_MODELS if hasattr(model, name)]
+    if there:
+        raise ValueError(f'the depth model has {", ".join(there)}, but not '
+                         f'{", ".join(name for name in _OF_MODELS if name not in there)}: see '
+                         'plane_detector.types.DepthModel, or wrap it in a DepthFunction')
+    output = config.depth.output
+    return ModelDepth(DepthFunction(model, 'metric_depth' if output == 'auto' else output))

@@ -37,8 +37,6 @@ MOST_FIELDS = 5_000_000
 """More than any network has; a malicious file with more could take minutes."""
 _MEMORY_ADDRESS = '_ORT_MEM_ADDR_'  # of ONNX Runtime: the offset is an address in memory
 
-Field = tuple[int, int, int, int]
-
 
 def check_external_data(path: Path) -> None:
     """
@@ -83,27 +81,23 @@ def external_locations(path: Path) -> set[str]:
 
 
 def _locations(data: mmap.mmap) -> Iterator[str]:
+    """Yield what a reader may take for the location of a tensor's data."""
     budget = iter(range(MOST_FIELDS))
     waiting = [('ModelProto', 0, len(data))]
     while waiting:
         kind, start, end = waiting.pop()
-        fields = _fields(data, start, end, budget)
+        parts = [(number, begin, stop) for number, wire, begin, stop
+                 in _fields(data, start, end, budget) if wire == _BYTES]
+        waiting += [(MESSAGES[kind][number], begin, stop) for number, begin, stop in parts
+                    if number in MESSAGES[kind]]
         if kind == 'StringStringEntryProto':
-            yield from _location_values(data, list(fields))
-            continue
-        waiting += [(MESSAGES[kind][number], begin, stop) for number, wire, begin, stop in fields
-                    if wire == _BYTES and number in MESSAGES[kind]]
+            texts = [(number, data[begin:stop]) for number, begin, stop in parts]
+            if (_KEY, b'location') in texts:  # fields may repeat: readers differ in which counts
+                yield from (os.fsdecode(text) for number, text in texts if number == _VALUE)
 
 
-def _location_values(data: mmap.mmap, fields: list[Field]) -> list[str]:
-    """Return the values of an entry that a reader may interpret as a location."""
-    texts = [(number, data[start:end]) for number, wire, start, end in fields if wire == _BYTES]
-    if (_KEY, b'location') not in texts:  # repeated fields: readers differ in which one counts
-        return []
-    return [os.fsdecode(text) for number, text in texts if number == _VALUE]
-
-
-def _fields(data: mmap.mmap, start: int, end: int, budget: Iterator[int]) -> Iterator[Field]:
+def _fields(data: mmap.mmap, start: int, end: int,
+            budget: Iterator[int]) -> Iterator[tuple[int, int, int, int]]:
     """Yield number, wire type, start and end of each field of a message."""
     while start < end:
         if next(budget, None) is None:

@@ -19,9 +19,6 @@ _NUMBERS = {f'tensor({name})' for name in (
     'float16', 'float', 'double', 'bool', 'int8', 'uint8', 'int16', 'uint16', 'int32', 'uint32',
     'int64', 'uint64')}
 _INPUT_TYPES = {'tensor(float)': np.float32, 'tensor(float16)': np.float16}
-# Where a provider stores its inputs and outputs. Providers that are not listed use the memory of
-# the host.
-_DEVICES = {'CUDAExecutionProvider': 'cuda', 'TensorrtExecutionProvider': 'cuda'}
 # In smaller inputs a network cannot recognise anything, nor the checkerboard of the corridor.
 MIN_SIDE_PX = 64
 RUNTIME = f'ONNX Runtime {ort.__version__}'
@@ -56,8 +53,6 @@ class OnnxSession:
         self._session = _load(path, provider, threads)
         self._path = path
         self._network = network
-        self._device = _DEVICES.get(provider)
-        self._input_on_device: ort.OrtValue | None = None
         self._input = self._image_input()
         self._scalars = self._scalar_inputs()
         self._outputs = self._wanted_outputs()
@@ -92,7 +87,6 @@ class OnnxSession:
         """Return the same loaded network with another short side of its input."""
         other = copy(self)
         other._network = replace(self._network, short_side=short_side)
-        other._input_on_device = None
         return other
 
     def run(self, planes: np.ndarray) -> list[np.ndarray]:
@@ -116,27 +110,8 @@ class OnnxSession:
         options = ort.RunOptions()
         options.log_severity_level = 4  # the exception reports errors
         with current_stop().calling(lambda: setattr(options, 'terminate', True)):
-            if self._device:
-                return self._run_bound(tensor, options)
             return self._session.run(
                 self._outputs, {self._input.name: tensor, **self._scalars}, options)
-
-    def _run_bound(self, tensor: np.ndarray, options: ort.RunOptions) -> list[np.ndarray]:
-        """Run with image and outputs in the accelerator's memory, reusing that of the image."""
-        kept = self._input_on_device
-        if kept is not None and tuple(kept.shape()) == tensor.shape:
-            kept.update_inplace(tensor)
-        else:
-            kept = ort.OrtValue.ortvalue_from_numpy(tensor, self._device, 0)
-            self._input_on_device = kept
-        binding = self._session.io_binding()
-        binding.bind_ortvalue_input(self._input.name, kept)
-        for name, value in self._scalars.items():
-            binding.bind_cpu_input(name, value)
-        for name in self._outputs:
-            binding.bind_output(name, self._device, 0)
-        self._session.run_with_iobinding(binding, options)
-        return binding.copy_outputs_to_cpu()
 
     def _image_input(self) -> ort.NodeArg:
         """Return the input for the image."""

@@ -123,12 +123,10 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'tracking/camera_motion.py': (
         ('planes.offsets_m -', 'planes.offsets_m +', 'sign of the translation'),),
     'tracking/matching.py': (
-        ('after.normals.T +', 'after.normals.T -', 'sign of an offset'),),
-    'tracking/merged_labels.py': (
-        ('bincount(pixels + 1,', 'bincount(pixels + 2,', 'labels off by one'),),
-    'tracking/shape_tracker.py': (
-        ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten'),),
+        ('after.normals.T +', 'after.normals.T -', 'sign of an offset'),
+        ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten')),
     'tracking/tracker.py': (
+        ('bincount(pixels + 1,', 'bincount(pixels + 2,', 'labels off by one'),
         ('old_offset_m + (1 - share) * plane.offset_m',
          'plane.offset_m + (1 - share) * old_offset_m', 'smoothing of offsets inverted'),
         ('track.label for track in self._known.tracks[:len(planes)]',

@@ -14,8 +14,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
-from plane_detector.depth.depth_function import DepthFunction
-from plane_detector.depth.observation import ModelDepth, Observation
+from plane_detector.depth.observation import DepthFunction, ModelDepth, Observation
 from plane_detector.depth.plausibility import CORRIDOR_LENS, corridor
 from plane_detector.geometry.disparity import to_depth, to_disparity
 from plane_detector.geometry.rigid_transform import RigidTransform
@@ -28,7 +27,7 @@ from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.messages import rgb_to_msg
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stage_timer import StageTimer, median_seconds
-from plane_detector.tracking.merged_labels import merged_labels
+from plane_detector.tracking.tracker import merged_labels
 from plane_detector.types import Detection
 
 # Noise and blur of a network's depth, for timing the stages after it.

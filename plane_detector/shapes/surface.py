@@ -29,8 +29,6 @@ from plane_detector.types import ShapeType
 
 POSITION, AXIS, RADIUS, HALF_ANGLE = np.s_[..., 0:3], np.s_[..., 3:6], np.s_[..., 6], np.s_[..., 7]
 TINY = 1e-12
-# Values of ShapeType, which compiled code cannot look up.
-SPHERE, CYLINDER, CONE = (int(kind) for kind in ShapeType)
 FREEDOMS = {ShapeType.SPHERE: np.array([0, 1, 2, 5]),
             ShapeType.CYLINDER: np.array([0, 1, 3, 4, 5]),
             ShapeType.CONE: np.array([0, 1, 2, 3, 4, 6])}

@@ -13,8 +13,7 @@ from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     from plane_detector.config import DepthConfig
-    from plane_detector.depth.model_zoo import cached_path, resolve
-    from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network
+    from plane_detector.depth.networks import AUTO_ORDER, NETWORKS, Network, cached_path, resolve
 
 _HEADER = ('network', 'size', 'licence', 'here', 'gives')
 

@@ -39,23 +39,13 @@ def with_frame(config: str, frame: str, node_name: str) -> str:
 
 
 def wait_for_frame(node: Node, timeout_s: float) -> str:
-    """
-    Return the frame of the camera from its CameraInfo.
-
-    Raises
-    ------
-    TimeoutError
-        There is no CameraInfo within this time.
-    KeyboardInterrupt
-        A signal ended ROS.
-
-    """
+    """Return the frame of the camera; TimeoutError without CameraInfo within this time."""
     topic = input_topics(node, 'raw')['camera_info']
     is_there, msg = wait_for_message(
         CameraInfo, node, topic, qos_profile=qos_profile_sensor_data, time_to_wait=timeout_s)
     if is_there:
         return msg.header.frame_id
-    if not node.context.ok():
+    if not node.context.ok():  # by a signal
         raise KeyboardInterrupt
     raise TimeoutError(f'nothing on {topic} within {timeout_s:g} s: remap image, or give the '
                        'frame by --frame')
@@ -83,27 +73,24 @@ def main(args: list[str] | None = None) -> int:
     if program is None:
         print('rviz2 is not installed: apt install ros-jazzy-rviz2', file=sys.stderr)
         return 1
-    try:
-        frame = options.frame or _frame_of_camera(of_ros, options.timeout)
-    except TimeoutError as error:
-        print(error, file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return _INTERRUPTED
+    frame = options.frame
+    if not frame:
+        rclpy.init(args=of_ros)
+        node = Node('plane_detector_rviz')
+        try:
+            frame = wait_for_frame(node, options.timeout)
+        except TimeoutError as error:
+            print(error, file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            return _INTERRUPTED
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()
     folder = Path(tempfile.mkdtemp(prefix='plane_detector_'))
     file = folder / _FILE
     file.write_text(with_frame(find_config().read_text('utf-8'), frame, options.node), 'utf-8')
     return os.execv(program, [program, '-d', str(file), *of_ros])
-
-
-def _frame_of_camera(of_ros: list[str], timeout_s: float) -> str:
-    rclpy.init(args=of_ros)
-    node = Node('plane_detector_rviz')
-    try:
-        return wait_for_frame(node, timeout_s)
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
 
 
 if __name__ == '__main__':

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import TextIO
 
 from plane_detector.dependencies import explained_imports
@@ -20,7 +20,7 @@ with quiet_interrupt(), explained_imports():
     import numpy as np
     import rclpy
     from diagnostic_msgs.msg import DiagnosticArray
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException
     from rclpy.node import Node
     from sensor_msgs.msg import PointCloud2
 
@@ -71,17 +71,15 @@ class PlanePrinter(Node):
     """
     Prints every message of ``~/planes``, clearing a terminal before each. Logs why none arrives.
 
-    ``detector`` is the name of the node, with its namespace; ``on_table`` is called after each.
+    ``detector`` is the name of the node, with its namespace.
     """
 
-    def __init__(self, detector: str, stream: TextIO, on_table: Callable[[], None] = lambda: None,
-                 **node_options: object):
+    def __init__(self, detector: str, stream: TextIO, **node_options: object):
         super().__init__('plane_printer', **node_options)
-        self._name, self._stream, self._on_table = detector.strip('/'), stream, on_table
-        self._is_metric, self._camera = True, ''
+        self._name, self._stream, self.has_printed = detector.strip('/'), stream, False
+        self._is_metric, self._camera, self._told = True, '', ''
         self.create_subscription(PointCloud2, f'/{self._name}/planes', self._print, 1)
         self.create_subscription(DiagnosticArray, '/diagnostics', self._note_facts, 10)
-        self._told = ''
         self._silence = self.create_timer(GRACE_S, self._tell_silence)
 
     def _note_facts(self, msg: DiagnosticArray) -> None:
@@ -111,7 +109,7 @@ class PlanePrinter(Node):
         self._silence.cancel()
         clear = _CLEAR if self._stream.isatty() else ''
         print(clear + table_of(msg, self._is_metric, self._camera), file=self._stream, flush=True)
-        self._on_table()
+        self.has_printed = True
 
 
 def main(args: list[str] | None = None) -> int:
@@ -124,14 +122,11 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--once', action='store_true', help='end after the first table')
     options = parser.parse_args(not_of_ros(arguments))
     rclpy.init(args=arguments)
-    done: list[bool] = []
-    executor = SingleThreadedExecutor()
-    node = PlanePrinter(options.node, sys.stdout, lambda: done.append(options.once))
-    executor.add_node(node)
+    node = PlanePrinter(options.node, sys.stdout)
     print(f'waiting for /{options.node.strip("/")}/planes', file=sys.stderr)
     try:
-        while rclpy.ok() and not any(done):
-            executor.spin_once(timeout_sec=0.2)
+        while rclpy.ok() and not (options.once and node.has_printed):
+            rclpy.spin_once(node, timeout_sec=0.2)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

@@ -1,17 +1,23 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Similarity of planes in two images: by their pixels, position and coefficients."""
+"""
+Similarity of planes in two images, by their pixels, position and coefficients, and their pairs.
+
+The pairs are found by the Hungarian method [Kuhn 1955]; scipy's takes 46 MB.
+"""
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import count
+from typing import Any
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.types import Plane
 
 # Standard deviations of one plane in two images, apart from the motion of the camera: of the angle
@@ -150,6 +156,83 @@ def _nearness(before: PlaneArrays, after: PlaneArrays) -> np.ndarray:
     return np.exp(-(apart_m ** 2).sum(axis=2) / smaller_m2) * np.sqrt(smaller_m2 / larger_m2)
 
 
-def free_labels(taken: Collection[int]) -> Iterator[int]:
-    """Yield the smallest labels above 0 that are not taken."""
-    return (label for label in count(1) if label not in taken)
+def labels_of_found(tracks: Sequence[Any], match: Mapping[int, int], count: int,
+                    keep_frames: int) -> tuple[list[int], list[int]]:
+    """
+    Return the label of each thing found in an image, and the indices of tracks that are missing.
+
+    ``match`` gives the track of those of ``count`` things that have one; others get the smallest
+    free labels above 0. Tracks that were missing for ``keep_frames`` images are dropped.
+    """
+    matched = set(match.values())
+    gone = [index for index, track in enumerate(tracks)
+            if index not in matched and track.missed < keep_frames]
+    taken = {tracks[index].label for index in (*gone, *matched)}
+    free = (label for label in itertools.count(1) if label not in taken)
+    return [tracks[match[k]].label if k in match else next(free) for k in range(count)], gone
+
+
+def best_pairs(score: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return rows and columns, one to one, with the largest sum of scores.
+
+    Parameters
+    ----------
+    score : (N, M) float64
+        Finite.
+
+    Returns
+    -------
+    rows, columns : (min(N, M),) int64
+        Ordered by the rows.
+
+    Examples
+    --------
+    >>> rows, columns = best_pairs(np.array([[0.9, 0.8], [0.7, 0.1]]))
+    >>> rows.tolist(), columns.tolist()
+    ([0, 1], [1, 0])
+
+    """
+    if score.shape[0] > score.shape[1]:
+        columns, rows = best_pairs(score.T)
+        order = np.argsort(rows)
+        return rows[order], columns[order]
+    return np.arange(score.shape[0]), _columns(np.ascontiguousarray(-score, float))
+
+
+@kernel('int64[::1](float64[:, ::1])', is_short=True)
+def _columns(cost):
+    """Return the column of each row; rows and columns count from 1, 0 is that of no partner."""
+    height, width = cost.shape
+    row_price, column_price = np.zeros(height + 1), np.zeros(width + 1)
+    row_of, column_before = np.zeros(width + 1, np.int64), np.zeros(width + 1, np.int64)
+    for row in range(1, height + 1):
+        # The cheapest way from this row to a free column, over columns that change their row.
+        row_of[0], column = row, 0
+        distance, is_visited = np.full(width + 1, np.inf), np.zeros(width + 1, np.bool_)
+        while row_of[column]:
+            is_visited[column] = True
+            here, nearest, step = row_of[column], 0, np.inf
+            for other in range(1, width + 1):
+                if is_visited[other]:
+                    continue
+                way = cost[here - 1, other - 1] - row_price[here] - column_price[other]
+                if way < distance[other]:
+                    distance[other], column_before[other] = way, column
+                if distance[other] < step:
+                    step, nearest = distance[other], other
+            for other in range(width + 1):
+                if is_visited[other]:
+                    row_price[row_of[other]] += step
+                    column_price[other] -= step
+                else:
+                    distance[other] -= step
+            column = nearest
+        while column:
+            row_of[column] = row_of[column_before[column]]
+            column = column_before[column]
+    found = np.empty(height, np.int64)
+    for column in range(1, width + 1):
+        if row_of[column]:
+            found[row_of[column] - 1] = column - 1
+    return found

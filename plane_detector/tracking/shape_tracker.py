@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from plane_detector.tracking.assignment import best_pairs
-from plane_detector.tracking.matching import free_labels, measure_overlap
+from plane_detector.tracking.matching import best_pairs, labels_of_found, measure_overlap
 from plane_detector.types import Shape
 
 # Shapes are small and move far relative to their size, so a small overlap suffices, or a motion by
@@ -54,13 +53,10 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     thinned = labels[::step, ::step].ravel()
     pixels = [np.flatnonzero(thinned == first_label + k) for k in range(len(shapes))]
     match = _match(tracks, shapes, pixels)
-    kept = set(match.values())
-    gone = [replace(track, missed=track.missed + 1) for index, track in enumerate(tracks)
-            if index not in kept and track.missed < keep_frames]
-    free = free_labels({track.label for track in gone} | {tracks[index].label for index in kept})
-    seen = [ShapeTrack(tracks[match[k]].label if k in match else next(free), shape, pixels[k])
-            for k, shape in enumerate(shapes)]
-    return (*seen, *gone), tuple(track.label for track in seen)
+    names, gone = labels_of_found(tracks, match, len(shapes), keep_frames)
+    seen = [ShapeTrack(*one) for one in zip(names, shapes, pixels, strict=True)]
+    missing = [replace(tracks[k], missed=tracks[k].missed + 1) for k in gone]
+    return (*seen, *missing), tuple(names)
 
 
 def _match(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape],

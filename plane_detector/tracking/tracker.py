@@ -14,23 +14,23 @@ A label is reused only after its plane has been dropped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from plane_detector.config import TrackingConfig
-from plane_detector.tracking.assignment import best_pairs
 from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
     PlaneArrays,
-    free_labels,
+    best_pairs,
+    labels_of_found,
     likeness,
     measure_overlap,
     squared_deviation,
 )
-from plane_detector.types import Plane, PlaneSegmentation
+from plane_detector.types import Detection, Plane, PlaneSegmentation
 
 # The overlap is measured on about this many rows.
 _ROWS = 120
@@ -41,6 +41,9 @@ _MISSED = 0.3
 _YOUTH = 0.9
 _MOTION_MIN_OVERLAP = 0.3
 _MOTION_MAX_TURN_RAD = np.radians(30.0)
+# derived: a plane is merged into the one with more than half of its pixels, if both are one plane
+# within three standard deviations, as for other decisions on coefficients.
+_MERGED_SHARE, _MOST_DEVIATIONS = 0.5, 3.0
 # Larger changes of the coefficients are not noise and are not smoothed.
 _NOISE_DEVIATIONS, _NOISE_ANGLE_DEG, _NOISE_OFFSET = 3.0, 0.3, 0.003
 
@@ -117,29 +120,20 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     overlap = measure_overlap([track.pixels for track in known.tracks], pixels)
     moved = _moved_along(known, after, pixels, overlap)
     match = _match(known.tracks, moved, after, overlap)
-    matched = set(match.values())
-    gone = [index for index, track in enumerate(known.tracks)
-            if index not in matched and track.missed < config.keep_frames]
-    tracks = (*_seen_tracks(known.tracks, match, gone, pixels),
-              *(replace(known.tracks[index], missed=known.tracks[index].missed + 1)
-                for index in gone))
+    labels, gone = labels_of_found(known.tracks, match, len(pixels), config.keep_frames)
+    tracks = [Track(label, where, _streak(known.tracks, match.get(k)))
+              for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
+    tracks += [replace(known.tracks[k], missed=known.tracks[k].missed + 1) for k in gone]
     planes = found.planes
     if config.smoothing > 0:
         planes = _smoothed(planes, known, after, match, config.smoothing)
         after = PlaneArrays.of(planes)
-    return KnownPlanes(tracks, after.followed_by(moved.picked(gone))), planes
+    return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone))), planes
 
 
-def _seen_tracks(tracks: Sequence[Track], match: Mapping[int, int], gone: Sequence[int],
-                 pixels: Sequence[np.ndarray]) -> Iterator[Track]:
-    """Yield the track of each found plane, new ones with the smallest free labels."""
-    new_labels = free_labels({tracks[index].label for index in (*gone, *match.values())})
-    for index, where in enumerate(pixels):
-        if index in match:
-            old = tracks[match[index]]
-            yield Track(old.label, where, 1 if old.missed else old.streak + 1)
-        else:
-            yield Track(next(new_labels), where)
+def _streak(tracks: Sequence[Track], index: int | None) -> int:
+    """Return the number of consecutive images with a plane, by its track before this image."""
+    return 1 if index is None or tracks[index].missed else tracks[index].streak + 1
 
 
 def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
@@ -208,3 +202,37 @@ def _averaged(plane: Plane, old_normal: np.ndarray, old_offset_m: float, share: 
     offset_m = float(share * old_offset_m + (1 - share) * plane.offset_m)
     centroid_m = plane.centroid_m - (plane.centroid_m @ normal + offset_m) * normal
     return replace(plane, normal=normal, offset_m=offset_m, centroid_m=centroid_m)
+
+
+def merged_labels(before: Detection | None, after: Detection) -> tuple[int, ...]:
+    """
+    Return, for each plane of an image, the label that was merged into it since the last image.
+
+    A label that has disappeared was merged into a plane that existed before, now covers most of
+    its pixels, and is coplanar with it. 0: none; the largest plane if there are several.
+    """
+    taken = np.zeros(len(after.planes), int)
+    if (before is None or not before.track_labels or not after.track_labels
+            or before.labels.shape != after.labels.shape):
+        return tuple(taken.tolist())
+    most = np.zeros(len(after.planes), int)
+    for old, label in enumerate(before.track_labels):
+        if label in after.track_labels:
+            continue
+        pixels = after.labels[before.labels == old]
+        # Entry 0 counts the pixels without a plane; entries after the planes are of shapes.
+        counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:len(after.planes) + 1]
+        new = int(np.argmax(counts))
+        if (counts[new] > max(_MERGED_SHARE * pixels.size, most[new])
+                and _is_taken(before, old, after, new)):
+            taken[new], most[new] = label, counts[new]
+    return tuple(taken.tolist())
+
+
+def _is_taken(before: Detection, old: int, after: Detection, new: int) -> bool:
+    """Return whether the other label existed before, and both are one plane."""
+    if after.track_labels[new] not in before.track_labels:
+        return False
+    deviation = squared_deviation(PlaneArrays.of([before.planes[old]]),
+                                  PlaneArrays.of([after.planes[new]]))
+    return bool(deviation.item() <= _MOST_DEVIATIONS**2)

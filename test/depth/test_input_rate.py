@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of a network input that keeps a rate: with simulated times, and on ONNX Runtime."""
+"""Choice of a network input, or of a number of views, that keeps a rate; simulated times."""
 
 import pytest
 from onnx_models import PLAIN, write_depth_network
@@ -64,9 +64,3 @@ def test_advice_names_a_size_that_keeps_up(free):
     assert free.advise(0.5) == ("depth.short_side 196 (now 280) would keep up, or "
                                 "depth.target_rate at the camera's rate")
     assert 'no input size that is small enough' in free.advise(0.01)
-
-
-def test_real_times_find_an_input(free):
-    free.fit_to_rate(1000.0, 0.0)
-    assert free.input_size(640, 480)[1] in range(70, 281, 14)
-    assert 'depth.target_rate 1000 Hz' in free.facts['network_input_reason']

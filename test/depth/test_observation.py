@@ -7,12 +7,12 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from onnx_models import write_depth_network
+from onnx_models import PLAIN, write_depth_network
 
 from plane_detector.config import Config, DepthConfig
-from plane_detector.depth.depth_function import DepthFunction, wrapped
 from plane_detector.depth.estimator import BLUR_INPUT_PX, DepthEstimator
 from plane_detector.depth.observation import (
+    DepthFunction,
     ModelDepth,
     Observation,
     SensorDepth,
@@ -24,7 +24,6 @@ CAMERA = CameraIntrinsics(20.0, 20.0, 3.5, 2.5, 8, 6)
 RGB = np.zeros((6, 8, 3), np.uint8)
 VALUES = np.full((6, 8), 2.0, np.float32)
 VALUES[0, :4] = [0.0, np.nan, np.inf, 100.0]
-PLAIN = {'input_scale': 1.0, 'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
 TOPIC = Config(depth=DepthConfig(source='topic'))
 
 
@@ -109,7 +108,7 @@ def test_flicker_of_a_large_still_image_is_averaged(output):
         noise = cv2.resize(rng.normal(0, 0.01, (60, 80)).astype(np.float32), size)
         return 1 / (true + noise) if output == 'metric_depth' else true + noise
 
-    source = make_source(Config(), wrapped(predict, output))
+    source = make_source(Config(depth=DepthConfig(output=output)), predict)
     camera = CameraIntrinsics.from_field_of_view(*size, 60.0)
     off = [np.nanstd(source.observe(rgb, camera, None, Config()).disparity - true)
            for _ in range(12)]

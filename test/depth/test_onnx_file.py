@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from onnx_models import PLAIN, write_depth_network, write_network
+from onnx_models import PLAIN, write_depth_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import onnx_file
@@ -44,14 +44,10 @@ def depth_of_white(path):
     return estimate(np.full((4, 4, 3), 255, np.uint8))
 
 
-def test_weights_beside_the_file_are_read(tmp_path):
+def test_weights_beside_the_file_or_beside_the_target_of_a_link_are_read(tmp_path):
     kernel(tmp_path)
     np.testing.assert_allclose(depth_of_white(write_with(tmp_path / 'n.onnx', 'weights.bin')), 7)
-
-
-def test_weights_next_to_the_target_of_a_link_are_read(tmp_path):
-    # As the cache of Hugging Face lays its files out.
-    for folder in ('blobs', 'snapshot'):
+    for folder in ('blobs', 'snapshot'):  # as the cache of Hugging Face lays its files out
         (tmp_path / folder).mkdir()
     kernel(tmp_path / 'blobs', 'ab12')
     write_with(tmp_path / 'blobs' / 'cd34', 'weights.bin')
@@ -139,8 +135,6 @@ def test_a_file_cut_anywhere_is_refused_or_names_nothing_new(tmp_path):
 
 
 def test_another_format_than_onnx_is_refused(tmp_path):
-    (tmp_path / 'n.ort').write_bytes(write_network(
-        tmp_path / 'n.onnx', [helper.make_node('Identity', ['a'], ['b'])],
-        [('a', FLOAT, [1])], [('b', FLOAT, [1])]).read_bytes())
+    write_depth_network(tmp_path / 'n.onnx').rename(tmp_path / 'n.ort')
     with pytest.raises(ValueError, match='in the format of ONNX Runtime'):
         check_external_data(tmp_path / 'n.ort')

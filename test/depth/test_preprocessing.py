@@ -72,16 +72,13 @@ def test_depth_of_a_plane_stays_a_plane_when_it_is_enlarged():
     np.testing.assert_allclose(large[:, 2:-2], expected[:, 2:-2], rtol=1e-5)
 
 
-@pytest.mark.parametrize(('output', 'raw', 'valid'), [
-    (output, [1.0, 1e-3, 500.0, 0.0, -1.0, np.nan, np.inf], [1, 1, 1, 0, 0, 0, 0])
-    for output in ('metric_depth', 'disparity', 'relative_disparity')])
-def test_values_not_finite_or_positive_become_nan(output, raw, valid):
-    raw = np.array([raw], np.float32)
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
+def test_values_not_finite_or_positive_become_nan(output):
+    raw = np.array([[1.0, 1e-3, 500.0, 0.0, -1.0, np.nan, np.inf]], np.float32)
     finished = finish_output(raw, (7, 1), output)
     assert finished.dtype == np.float32
-    np.testing.assert_array_equal(np.isfinite(finished[0]), np.array(valid, bool))
-    kept = np.array(valid, bool)
-    np.testing.assert_allclose(finished[0, kept], raw[0, kept], rtol=1e-6)
+    np.testing.assert_array_equal(np.isfinite(finished[0]), [1, 1, 1, 0, 0, 0, 0])
+    np.testing.assert_allclose(finished[0, :3], raw[0, :3], rtol=1e-6)
 
 
 def test_an_invalid_pixel_is_not_blended_into_its_neighbours():

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Lens models against their published formulas, and depth of another size."""
+"""Lens models against their published formulas; reduction keeps the directions of pixels."""
 
 import numpy as np
 import pytest
 
-from plane_detector.geometry.rectification import make_rectification
+from plane_detector.geometry.rectification import Reduction, make_rectification
 
 MATRIX = np.array([[300.0, 0, 159.5], [0, 310.0, 119.5], [0, 0, 1]])
 NEW_MATRIX = np.array([[280.0, 0, 150.0], [0, 285.0, 125.0], [0, 0, 1]])
@@ -80,3 +80,28 @@ def test_a_calibration_that_leaves_nothing_of_the_image_is_refused(d, rotation):
     """Else every frame has no depth and no planes, and nothing says why."""
     with pytest.raises(ValueError, match='would be empty'):
         make_rectification('plumb_bob', d, MATRIX, rotation, NEW_MATRIX, SIZE)
+
+
+@pytest.mark.parametrize('size, side, expected', [
+    ((640, 480), 0, (640, 480)), ((640, 480), 640, (640, 480)), ((640, 480), 320, (320, 240)),
+    ((480, 640), 320, (240, 320)), ((3840, 2160), 1000, (1000, 562)), ((5000, 2), 100, (100, 1))])
+def test_sizes_of_reduced_images(size, side, expected):
+    assert Reduction.to_side(size, side).new_size == expected
+
+
+def test_the_corners_of_the_image_keep_their_directions():
+    reduction = Reduction.to_side((640, 480), 160)
+    reduced = reduction.matrix(MATRIX)
+    old_px = np.array([[-0.5, -0.5, 1], [639.5, 479.5, 1]])
+    new_px = np.array([[-0.5, -0.5, 1], [159.5, 119.5, 1]])
+    np.testing.assert_allclose(new_px @ np.linalg.inv(reduced).T,
+                               old_px @ np.linalg.inv(MATRIX).T, atol=1e-12)
+    assert MATRIX[0, 0] == 300.0, 'the input is not modified'
+
+
+def test_a_pixel_is_the_mean_of_its_area():
+    rgb = np.zeros((4, 8, 3), np.uint8)
+    rgb[:2, :2] = [[[40], [0]], [[0], [0]]]
+    reduced = Reduction.to_side((8, 4), 4).image(rgb)
+    assert reduced.shape == (2, 4, 3)
+    assert reduced[0, 0].tolist() == [10, 10, 10]

@@ -10,7 +10,7 @@ import pytest
 
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, GroundConfig, ScaleConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.directions.gravity_choice import Gravity
 from plane_detector.evaluation.scenes.rendering import rectangle
 from plane_detector.evaluation.scenes.terrain import (

@@ -25,7 +25,11 @@ CUSTOM_TYPE = 'robot_msgs/msg/Bumper'
 
 
 def write_bag(path: Path, messages: list[tuple[str, int, Any]], bag_format: str = 'mcap') -> Path:
-    """Write (topic, time of recording in ns, message); a str is one of `CUSTOM_TYPE`."""
+    """
+    Write (topic, time of recording in ns, message): of ROS or of rosbags, a str as `CUSTOM_TYPE`.
+
+    Bytes are written as they are, after another message of their topic.
+    """
     return (_write_ros1 if bag_format == ROS1 else _write_ros2)(path, messages, bag_format)
 
 
@@ -47,6 +51,8 @@ def messages_of(path: Path, topic: str, message_class: Any) -> list[Any]:
 def _type_of(msg: Any) -> str:
     if isinstance(msg, str):
         return CUSTOM_TYPE
+    if kind := getattr(msg, '__msgtype__', ''):
+        return kind
     return f'{type(msg).__module__.split(".")[0]}/msg/{type(msg).__name__}'
 
 
@@ -80,5 +86,9 @@ def _write_ros1(path: Path, messages: list[tuple[str, int, Any]], _: str) -> Pat
 
 def _cdr(store: Any, msg: Any) -> bytes:
     if isinstance(msg, str):
-        return bytes(store.serialize_cdr(store.types[CUSTOM_TYPE](text=msg), CUSTOM_TYPE))
+        msg = store.types[CUSTOM_TYPE](text=msg)
+    if isinstance(msg, bytes):
+        return msg
+    if kind := getattr(msg, '__msgtype__', ''):
+        return bytes(store.serialize_cdr(msg, kind))
     return serialize_message(msg)

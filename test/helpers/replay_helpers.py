@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A walk through a room as it is recorded, and the truth of it, for the tests of the replay."""
 
+import csv
+
 import numpy as np
 import pytest
 from bags import messages_of
@@ -34,6 +36,12 @@ def camera_messages(scenes, depth=True, names=(IMAGE, INFO, DEPTH)):
             messages.append((names[2], time_ns(index) + 2000,
                              image_msg(scene.depth_m, '32FC1', stamp_s(index))))
     return messages
+
+
+def rows_of(table):
+    """Return the rows of a CSV file by their columns."""
+    with open(table, encoding='utf-8') as file:
+        return list(csv.DictReader(file))
 
 
 def planes_of(target):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics

@@ -9,7 +9,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from node_helpers import send, small_room, start
 
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import textured
 from plane_detector.ros.diagnostics import Report

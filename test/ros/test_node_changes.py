@@ -10,7 +10,7 @@ from rclpy.parameter import Parameter
 from ros_helpers import camera_info_msg, cloud_array, header, image_array, image_msg
 from sensor_msgs.msg import Imu
 
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.planes.classification import PlaneClass
 
 

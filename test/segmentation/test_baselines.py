@@ -11,7 +11,7 @@ from sklearn.cluster import DBSCAN
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import PaperConfig, SegmentationConfig
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rendering import box, camera_rotation, rectangle, render
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.baselines import paper_labels, point_clusters, ransac_alone

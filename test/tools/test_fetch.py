@@ -2,18 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 
 import pytest
-from zoo_helpers import CONTENT, put, serving
+from zoo_helpers import CONTENT, put
 
 from plane_detector.depth.download import UrlSource
 from plane_detector.depth.networks import AUTO_ORDER, NETWORKS
 from plane_detector.tools.fetch import main
-
-
-@pytest.fixture(name='server')
-def fixture_server(monkeypatch):
-    monkeypatch.setenv('no_proxy', '*')
-    with serving() as server:
-        yield server
 
 
 def test_without_a_name_all_networks_are_listed(tmp_path, capsys):

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from plane_detector.tracking.merged_labels import merged_labels
+from plane_detector.tracking.tracker import merged_labels
 from plane_detector.types import Detection, Plane
 
 

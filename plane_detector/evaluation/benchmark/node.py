@@ -37,7 +37,7 @@ from std_msgs.msg import Header
 from tqdm import tqdm
 
 from plane_detector.config import DepthConfig
-from plane_detector.depth.model_zoo import fetch
+from plane_detector.depth.networks import resolve
 from plane_detector.evaluation.benchmark.node_transport import report_transport, use_private_domain
 from plane_detector.evaluation.benchmark.report import HELD_OUT, add_shared, emit, table
 from plane_detector.evaluation.benchmark.samples import room
@@ -135,7 +135,7 @@ def sources(model: str, rate_hz: float) -> Iterator[tuple[str, DepthConfig]]:
     yield 'depth topic', DepthConfig(source='topic')
     if model != 'none':
         try:
-            fetch(model)
+            resolve(DepthConfig(model=model))
         except FileNotFoundError as error:
             emit(f'{model}: absent, {error}')
         else:

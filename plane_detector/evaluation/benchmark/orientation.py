@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 
 from plane_detector.config import Config, DepthConfig, DirectionsConfig, SegmentationConfig
-from plane_detector.depth.depth_function import DepthFunction
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.model_zoo import NetworkUnavailableError
+from plane_detector.depth.networks import NetworkUnavailableError
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.posterior import CLOSE_DEG
 from plane_detector.directions.vanishing import SceneDirections

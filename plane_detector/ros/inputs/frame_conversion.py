@@ -13,8 +13,7 @@ import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage
 
 from plane_detector.config import NodeConfig
-from plane_detector.geometry.rectification import Rectification, make_rectification
-from plane_detector.geometry.reduction import Reduction
+from plane_detector.geometry.rectification import Rectification, Reduction, make_rectification
 from plane_detector.ros.calibration import (
     NO_DISTORTION,
     Distortion,

@@ -12,8 +12,7 @@ import numpy as np
 from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
-from plane_detector.drawing import overlay
-from plane_detector.geometry.label_places import LabelPlace, label_places
+from plane_detector.drawing import LabelPlace, label_places, overlay
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.outline import (
     Polygon,

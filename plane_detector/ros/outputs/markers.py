@@ -16,8 +16,7 @@ from rclpy.duration import Duration
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from plane_detector.drawing import label_colours
-from plane_detector.geometry.label_places import LabelPlace
+from plane_detector.drawing import LabelPlace, label_colours
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import Polygon

@@ -12,46 +12,53 @@ do badly.
 from __future__ import annotations
 
 import argparse
-import signal
+import csv
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import leave, quiet_interrupt
+from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
+    import cv2
+    import numpy as np
+
+    from plane_detector import drawing
     from plane_detector.config import DepthConfig
-    from plane_detector.depth.model_zoo import resolve
-    from plane_detector.depth.networks import NETWORKS
+    from plane_detector.depth.networks import NETWORKS, resolve
+    from plane_detector.directions.drawing import draw_directions
+    from plane_detector.directions.finder import CameraImage, find_in_image
+    from plane_detector.directions.vanishing import SceneDirections
+    from plane_detector.planes.classification import PlaneClass
     from plane_detector.ros.spinning import CannotRunError
+    from plane_detector.segmentation.baselines import ransac_alone
     from plane_detector.tools.demo.photographs import (
         Lens,
         Photograph,
         folder_images,
         library_images,
     )
-    from plane_detector.tools.demo.report import Outcome, print_outcome, write_files
-    from plane_detector.tools.demo.session import Session
+    from plane_detector.tools.demo.session import Received, Session
+    from plane_detector.tools.files import csv_row, depth_panel, write_ply
+    from plane_detector.tools.program import run_program, until_signal
+    from plane_detector.tools.show import plane_lines
+    from plane_detector.types import CameraIntrinsics
 
-_FAILED, _INTERRUPTED = 1, 130
+# By class: name of the colour, and its place in the palette.
+COLOURS = {PlaneClass.FLOOR: ('green', 1), PlaneClass.CEILING: ('yellow', 3),
+           PlaneClass.WALL: ('blue', 2), PlaneClass.OTHER_HORIZONTAL: ('orange', 6),
+           PlaneClass.OTHER: ('violet', 4), PlaneClass.RAMP: ('cyan', 5),
+           PlaneClass.STEP: ('orange', 6)}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the demo; return the exit code."""
     options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        _run(options)
-    except KeyboardInterrupt:
-        return leave(_INTERRUPTED)
-    except (OSError, ValueError, ModuleNotFoundError, CannotRunError) as error:
-        print(f'\ndemo: {error}', file=sys.stderr)
-        return leave(_FAILED)
-    return leave(0)
+    return run_program('demo', lambda: until_signal(lambda: _run(options)), CannotRunError)
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace) -> int:
     lens = Lens(options.fx, options.fy, options.cx, options.cy, options.fov)
     if options.images and options.without_network:
         raise ValueError('images of a folder have no measured depth: they need the network')
@@ -69,6 +76,7 @@ def _run(options: argparse.Namespace) -> None:
         _show(measured, {'depth.source': 'topic'}, 'measured depth', '_depth_topic',
               options.output)
     print(f'\nThe images are in {options.output}/')
+    return 0
 
 
 def _network(options: argparse.Namespace) -> dict[str, str]:
@@ -86,14 +94,92 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
     return {'depth.model': network.name}
 
 
-def _show(photographs: Sequence[Photograph], parameters: dict[str, str], depth_title: str,
+def _show(photographs: Sequence[Photograph], parameters: Mapping[str, str], depth_title: str,
           suffix: str, folder: Path) -> None:
-    """Send each photograph to a node with these parameters, and report."""
+    """Send each photograph to a node with these parameters; draw and print what it finds."""
     with Session(parameters) as session:
         for photograph in photographs:
-            outcome = Outcome(photograph, photograph.name + suffix, depth_title,
-                              session.process(photograph))
-            print_outcome(outcome, write_files(outcome, folder))
+            received, name = session.process(photograph), photograph.name + suffix
+            image = CameraImage(photograph.rgb, photograph.intrinsics)
+            directions = find_in_image(image).directions  # as in the node
+            paths = [folder / f'{name}.{kind}' for kind in ('png', 'ply', 'csv')]
+            figure = _figure(photograph, directions, depth_title, received)
+            cv2.imwrite(str(paths[0]), cv2.cvtColor(figure, cv2.COLOR_RGB2BGR))
+            _write_tables(paths[1], paths[2], photograph, received)
+            _print(name, photograph, directions, received)
+            print('  ' + ', '.join(map(str, paths)))
+
+
+def _write_tables(ply: Path, table: Path, photograph: Photograph, received: Received) -> None:
+    """Write the labelled cloud and the rows of the planes."""
+    points, labels = received.points, received.points['label']
+    xyz_m = np.stack([points['x'], points['y'], points['z']], axis=-1)
+    write_ply(ply, xyz_m, drawing.tint(photograph.rgb, labels), labels,
+              in_metres=received.unit == 'm')
+    with open(table, 'w', newline='', encoding='utf-8') as file:
+        csv.writer(file).writerows([received.planes.dtype.names,
+                                    *map(csv_row, received.planes)])
+
+
+def _print(name: str, photograph: Photograph, directions: SceneDirections,
+           received: Received) -> None:
+    """Print the table of planes and the time of a frame."""
+    size = photograph.intrinsics
+    print(f'\n{name}: {size.width} x {size.height}, fx {size.fx:.0f} px, '
+          f'{photograph.calibration}')
+    print('\n'.join(f'  {line}' for line in plane_lines(received.planes)))
+    if not _legend(received.planes):
+        print('  (the direction of gravity is not known: no floor, no walls'
+              f'{f"; {directions.refusal}" if directions.refusal else ""})')
+    if received.unit != 'm':
+        print('  (lengths in an unknown unit)')
+    print(f'  {received.frame_ms:.0f} ms from the image to the planes, all through the topics of '
+          'one process')
+    if photograph.remark:
+        print(f'  {photograph.remark}')
+
+
+def _figure(photograph: Photograph, directions: SceneDirections, depth_title: str,
+            received: Received) -> np.ndarray:
+    """Return image, depth, planes of RANSAC alone, and planes by class."""
+    planes, rgb, classes = received.planes, photograph.rgb, _legend(received.planes)
+    alone = ransac_alone(received.depth_m) + 1
+    colours = drawing.label_colours(np.arange(planes['label'].max(initial=0) + 1))
+    for plane in planes:
+        if plane['class'] in COLOURS:
+            colours[plane['label']] = drawing.PALETTE[COLOURS[plane['class']][1]]
+    return drawing.figure([
+        _directions_panel(photograph, directions),
+        depth_panel(depth_title, received.depth_m, received.unit),
+        (f'RANSAC alone: {len(np.unique(alone[alone > 0]))} planes', drawing.overlay(rgb, alone)),
+        (f'{len(planes)} planes{f": {classes}" if classes else ""}',
+         drawing.overlay(rgb, received.points['label'], colours)),
+    ])
+
+
+def _directions_panel(photograph: Photograph, found: SceneDirections) -> tuple[str, np.ndarray]:
+    """Return the image with its lines, and the vertical and the axes by the lines alone."""
+    axes = found.pairs[:1].reshape(-1, 3)
+    drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
+    if found.gravity_camera is None:
+        return 'image', drawn
+    level = ', horizontal axes red and green' if len(axes) else ''
+    horizon = ', horizon yellow' if _sees_horizon(photograph.intrinsics, found) else ''
+    return f'image: vertical blue{level}{horizon}', drawn
+
+
+def _sees_horizon(camera: CameraIntrinsics, found: SceneDirections) -> bool:
+    """Return whether corners of the image lie on both sides of the horizon."""
+    corners = np.array([((u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, 1.0)
+                        for u in (0, camera.width) for v in (0, camera.height)])
+    side = corners @ found.gravity_camera
+    return bool(side.min() < 0 < side.max())
+
+
+def _legend(planes: np.ndarray) -> str:
+    """Return the classes in the scene with their colours; empty if none is known."""
+    return ', '.join(f'{kind.name.lower().replace("_", " ")} {colour}'
+                     for kind, (colour, _) in COLOURS.items() if (planes['class'] == kind).any())
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from plane_detector.geometry.reduction import Reduction
+from plane_detector.geometry.rectification import Reduction
 from plane_detector.types import CameraIntrinsics
 
 # Horizontal field of view for images without calibration, typical of phones and webcams.
@@ -70,15 +70,7 @@ class Photograph:
 
 
 def library_images() -> list[Photograph]:
-    """
-    Return the photographs included in scikit-learn and scikit-image, without a download.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        scikit-image is not installed.
-
-    """
+    """Return the photographs included in scikit-learn and scikit-image, without a download."""
     return [_motorcycle(), _temple()]
 
 

@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.image_decoding import depth_from_msg
 from plane_detector.ros.outputs.messages import depth_to_msg, read_cloud, rgb_to_msg
 from plane_detector.scale.estimate import RELATIVE
+from plane_detector.stopping import raise_if_stopped
 from plane_detector.tools.demo.photographs import Photograph
 
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}
@@ -74,7 +74,6 @@ class Session:
             self._executor.add_node(node)
         self._messages: dict[str, Any] = {}
         self._facts: dict[str, str] = {}
-        self._is_interrupted = False
         self._publishers = {name: self._camera.create_publisher(kind, name, 5)
                             for name, kind in _INPUTS.items()}
         for name, kind in _OUTPUTS.items():
@@ -85,9 +84,6 @@ class Session:
         self._reset = self._camera.create_client(Trigger, 'plane_detector/reset_tracking')
 
     def __enter__(self) -> Session:
-        # Raised within the conversion of a message, KeyboardInterrupt would become another error.
-        self._handlers = {number: signal.signal(number, self._interrupt)
-                          for number in (signal.SIGINT, signal.SIGTERM)}
         try:
             self._spin_until(
                 lambda: (self._detector.state == 'active' and self._reset.service_is_ready()
@@ -101,8 +97,6 @@ class Session:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for number, handler in self._handlers.items():
-            signal.signal(number, handler)
         for node in (self._camera, self._detector):
             node.destroy_node()
         self._executor.shutdown()
@@ -163,11 +157,7 @@ class Session:
 
     def _spin_once(self) -> None:
         self._executor.spin_once(timeout_sec=0.02)
-        if self._is_interrupted:
-            raise KeyboardInterrupt
-
-    def _interrupt(self, *_: object) -> None:
-        self._is_interrupted = True
+        raise_if_stopped()
 
     def _spin(self, seconds: float) -> None:
         end_s = time.monotonic() + seconds

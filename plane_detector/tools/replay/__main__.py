@@ -7,23 +7,22 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import Background, Stopped, leave, quiet_interrupt
+from plane_detector.stopping import quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import NodeConfig
     from plane_detector.depth.networks import NETWORKS
     from plane_detector.ros.outputs.topics import OUTPUTS
+    from plane_detector.tools.program import FAILED, INTERRUPTED, run_program, until_signal
     from plane_detector.tools.replay import many_bags
     from plane_detector.tools.replay.bag_reader import bag_name
     from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
-    from plane_detector.tools.replay.replay_bag import Tally, replay
+    from plane_detector.tools.replay.replay_bag import replay
 
-Result = TypeVar('Result')
 TOPICS = {'image': 'sensor_msgs/Image or CompressedImage', 'camera_info': 'its CameraInfo',
           'depth': 'measured depth of the image, used instead of a network',
           'imu': 'sensor_msgs/Imu'}
@@ -42,23 +41,13 @@ EXIT_CODES = """
 exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
 frames or damaged messages were skipped; 130 ended by a signal.
 """
-_FAILED, _INCOMPLETE, _INTERRUPTED = 1, 3, 130
-_LOOK_S = 0.1
-# derived: replay ends within 3 s of a signal; closing the bag takes under a second.
-_PATIENCE_S = 1.5
-_ABANDON_S = 1.0
+_INCOMPLETE = 3
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Replay one bag or many; return the exit code, see `--help`."""
     options = parse(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return leave(_run(options))
-    except (KeyboardInterrupt, Stopped):
-        return leave(_INTERRUPTED)
-    except (OSError, ValueError, ModuleNotFoundError) as error:
-        print(f'replay: {error}', file=sys.stderr)
-        return leave(_FAILED)
+    return run_program('replay', lambda: _run(options))
 
 
 def _run(arguments: argparse.Namespace) -> int:
@@ -69,15 +58,15 @@ def _run(arguments: argparse.Namespace) -> int:
         return _run_many(arguments, paths, folder)
     source = Path(paths[0])
     target = Path(paths[1] if len(paths) > 1 else f'{bag_name(source)}_planes')
-    options = _options(arguments, source, target)
-    return _report(until_signal(lambda: replay(options)))
+    return _run_one(_options(arguments, source, target))
 
 
-def _report(tally: Tally) -> int:
+def _run_one(options: ReplayOptions) -> int:
+    tally = until_signal(lambda: replay(options))
     print(tally.describe())
     if tally.interrupted:
         print(f'Interrupted: the planes of the frames so far are in {tally.target}')
-        return _INTERRUPTED
+        return INTERRUPTED
     print(f'The planes are in {tally.target}')
     if tally.is_clean:
         return 0
@@ -86,59 +75,15 @@ def _report(tally: Tally) -> int:
 
 
 def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # joblib ends its workers
     bags = many_bags.find_bags(inputs, folder.resolve())
-    options = _options(arguments, Path(), folder)
-    summaries = until_signal(lambda: many_bags.replay_many(
-        bags, options, arguments.backend, arguments.jobs), many_bags.kill_workers)
+    summaries = many_bags.replay_many(bags, _options(arguments, Path(), folder),
+                                      arguments.backend, arguments.jobs)
     print(many_bags.describe(summaries))
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):
-        return _FAILED
+        return FAILED
     return _INCOMPLETE if any(one.skipped or one.damaged for one in summaries) else 0
-
-
-def until_signal(function: Callable[[], Result],
-                 abandon: Callable[[], None] = lambda: None) -> Result:
-    """
-    Return the result of a function; SIGINT or SIGTERM stops it, a second one ends the process.
-
-    An ignored signal, as SIGINT under nohup, stays ignored. ``abandon`` is called if the function
-    does not end.
-
-    Raises
-    ------
-    Stopped
-        It was stopped, or did not end within 1.5 s and may still run in its thread: see
-        :func:`plane_detector.stopping.leave`.
-
-    """
-    call = Background(function, 'replay')
-    before = {number: handler for number in (signal.SIGINT, signal.SIGTERM)
-              if (handler := signal.getsignal(number)) is not signal.SIG_IGN}
-
-    def restore() -> None:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-    def stop(_number: int, _stack: object) -> None:
-        restore()
-        call.stop.set()
-
-    for number in before:
-        signal.signal(number, stop)
-    try:
-        while not call.wait(_LOOK_S):
-            if call.stop.is_set and not call.wait(_PATIENCE_S):
-                Background(abandon, 'abandon').wait(_ABANDON_S)
-                raise Stopped
-        try:
-            return call.result()
-        except OSError as error:
-            if call.stop.is_set:  # Ctrl-C ended its workers too
-                raise Stopped from error
-            raise
-    finally:
-        restore()
 
 
 def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:
@@ -166,10 +111,9 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     """Parse the command line; `--network` takes the next word only if it names a network."""
     words = list(words)
     for k, word in enumerate(words):
-        if word == '--network':
-            after = words[k + 1] if k + 1 < len(words) else ''
-            if after not in ('auto', *NETWORKS) and not after.endswith('.onnx'):
-                words[k] = '--network='
+        if word == '--network' and not (words[k + 1:] and (
+                words[k + 1] in ('auto', *NETWORKS) or words[k + 1].endswith('.onnx'))):
+            words[k] = '--network='
     return _make_parser().parse_intermixed_args(words)
 
 

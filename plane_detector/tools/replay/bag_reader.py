@@ -10,7 +10,7 @@ ROS 1 .bag files, read by the library rosbags; no ROS installation is needed for
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,9 +65,13 @@ class BagReader:
         self.is_ros1 = file.suffix == '.bag'
         # ROS 1 messages use ROS 2's definitions: rosbags itself removes the seq of headers.
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        with self._readable():
+        try:
             self._reader = (rosbag1 if self.is_ros1 else rosbag2).Reader(file)
             self._reader.open()
+        except OSError:
+            raise
+        except Exception as error:  # damaged bytes may cause any exception in a parser
+            raise self._unreadable(error) from error
         self.damaged = 0
         self._first: dict[str, Any] = {}
         self._connections: dict[str, list[Connection]] = {}
@@ -127,9 +131,11 @@ class BagReader:
                 for connection, time_ns, data in self._reader.messages(
                         connections, start_ns, stop_ns):
                     last_ns, skip_ns = time_ns, _FIRST_SKIP_NS
-                    yield Recorded(connection.topic, time_ns, self._to_cdr(connection, data))
+                    if self.is_ros1:
+                        data = self._types.ros1_to_cdr(data, connection.msgtype)
+                    yield Recorded(connection.topic, time_ns, data)
                 return
-            except Exception as error:  # damaged bytes may cause any exception in a parser
+            except Exception as error:
                 start_ns = last_ns + skip_ns
                 if start_ns >= end_ns:
                     raise self._unreadable(error) from error
@@ -149,21 +155,6 @@ class BagReader:
                     self._first[topic] = to_message(recorded, message_class)
                     break
         return self._first[topic]
-
-    def _to_cdr(self, connection: Connection, data: bytes) -> bytes | memoryview:
-        if not self.is_ros1:
-            return data
-        return self._types.ros1_to_cdr(data, connection.msgtype)
-
-    @contextmanager
-    def _readable(self) -> Iterator[None]:
-        """Convert exceptions caused by damaged bytes, which may be any, to BagError."""
-        try:
-            yield
-        except (OSError, BagError):
-            raise
-        except Exception as error:
-            raise self._unreadable(error) from error
 
     def _unreadable(self, error: Exception) -> BagError:
         reason = ' '.join(str(error).split()).rstrip('.')
@@ -215,5 +206,5 @@ def _repair(path: Path) -> str:
     if path.suffix == '.bag':
         return 'rosbag reindex'
     is_mcap = path.suffix == '.mcap' or any(path.glob('*.mcap'))
-    of_file = 'mcap recover' if is_mcap else '.recover of sqlite3'
-    return f'{of_file}, or ros2 bag reindex for metadata.yaml alone,' if path.is_dir() else of_file
+    tool = 'mcap recover' if is_mcap else '.recover of sqlite3'
+    return f'{tool}, or ros2 bag reindex for metadata.yaml alone,' if path.is_dir() else tool

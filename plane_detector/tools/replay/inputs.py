@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 from typing import Any
 
-import numpy as np
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.calibration import image_size
-from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use
+from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
 from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded, Topic, to_message
 from plane_detector.tools.replay.options import ReplayOptions
@@ -30,6 +29,9 @@ _ROLES = {'image': (Image, CompressedImage), 'camera_info': (CameraInfo,), 'dept
 _DEPTH_ENCODINGS = ('16uc1', '32fc1')
 _GREY_ENCODINGS = ('mono8', 'mono16')
 _RECTIFIED_WORD = 'rect'
+_TRANSFORM_TYPES = ('tf2_msgs/msg/TFMessage', 'tf/msg/tfMessage')
+# derived: an image waits for its partners while at most 16 others do, see FrameSynchronizer.
+_WAITING = 3 * 64
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class InputTopics:
     @property
     def names(self) -> tuple[str, ...]:
         """All topics that are used."""
-        return tuple(name for f in fields(self) if (name := getattr(self, f.name)))
+        return tuple(filter(None, astuple(self)))
 
 
 def input_class(bag: BagReader, topic: str) -> Any:
@@ -67,7 +69,9 @@ def find_camera(bag: BagReader, wanted: Mapping[str, str]) -> InputTopics:
     for role, name in wanted.items():
         _check(bag, role, name)
     image = wanted.get('image') or _find_image(bag)
-    return InputTopics(image, wanted.get('camera_info') or _find_camera_info(bag, image))
+    beside = _calibrations(bag, image)
+    return InputTopics(image, wanted.get('camera_info') or (
+        beside[0] if beside else _only(bag, 'camera_info', _of_role(bag, 'camera_info'))))
 
 
 @dataclass(frozen=True)
@@ -100,28 +104,25 @@ def choose_depth(bag: BagReader, camera: InputTopics, options: ReplayOptions) ->
     """
     config = options.config
     if not options.depth_by_bag:
-        what = options.topics.get('depth', 'the depth topic')
-        measured = config.depth.source == 'topic'
-        return DepthChoice(
-            config, '', f'{what if measured else "not measured depth"}, as requested')
-    image, size = _first(bag, camera.image), _size_of(bag, camera)
+        what = (options.topics.get('depth', 'the depth topic') if config.depth.source == 'topic'
+                else 'not measured depth')
+        return DepthChoice(config, '', f'{what}, as requested')
+    frame_id, size = _first(bag, camera.image).header.frame_id, _size_of(bag, camera)
     others, fitting = [], []
     for topic in _depth_images(bag, camera.image):
         depth = _first(bag, topic.name)
         what = (f'{topic.name} ({depth.width} x {depth.height}, {depth.encoding}, frame_id '
                 f'{depth.header.frame_id!r})')
-        fits = (depth.header.frame_id == image.header.frame_id
-                and (depth.width, depth.height) == size)
+        fits = depth.header.frame_id == frame_id and (depth.width, depth.height) == size
         (fitting if fits else others).append((topic, what))
     if fitting:
         name = _only(bag, 'depth', [topic for topic, _ in fitting])
         return DepthChoice(replace(config, depth=replace(config.depth, source='topic')), name,
                            f'{fitting[0][1]}, registered to the image')
-    if others:
-        return DepthChoice(config, '', (
-            f'because {", ".join(what for _, what in others)} is not registered to the image '
-            f'({size[0]} x {size[1]}, frame_id {image.header.frame_id!r})'))
-    return DepthChoice(config, '', 'because the bag has no depth images')
+    why = (f'{", ".join(what for _, what in others)} is not registered to the image '
+           f'({size[0]} x {size[1]}, frame_id {frame_id!r})' if others
+           else 'the bag has no depth images')
+    return DepthChoice(config, '', f'because {why}')
 
 
 def with_companions(bag: BagReader, camera: InputTopics, choice: DepthChoice, output: str,
@@ -139,12 +140,15 @@ def with_companions(bag: BagReader, camera: InputTopics, choice: DepthChoice, ou
         A required topic is missing, or several fit; the message lists the topics.
 
     """
-    use, wanted, depth, imu = depth_use(choice.config, output), options.topics, '', ''
+    use, depth, imu = depth_use(choice.config, output), '', ''
     if use != 'unused':
-        depth = (wanted.get('depth') or choice.topic
-                 or _find_depth(bag, camera.image, use == 'required'))
+        frame_id = _first(bag, camera.image).header.frame_id
+        registered = [topic for topic in _depth_images(bag, camera.image)
+                      if _first(bag, topic.name).header.frame_id == frame_id]
+        depth = options.topics.get('depth') or choice.topic or (
+            _only(bag, 'depth', registered) if registered or use == 'required' else '')
     if options.settings.use_imu:
-        imu = wanted.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))
+        imu = options.topics.get('imu') or _only(bag, 'imu', _of_role(bag, 'imu'))
     return replace(camera, depth=depth, imu=imu)
 
 
@@ -183,26 +187,11 @@ def _find_image(bag: BagReader) -> str:
     return _only(bag, 'image', candidates)
 
 
-def _find_camera_info(bag: BagReader, image: str) -> str:
-    beside = _calibrations(bag, image)
-    return beside[0] if beside else _only(bag, 'camera_info', _of_role(bag, 'camera_info'))
-
-
 def _calibrations(bag: BagReader, image: str) -> list[str]:
     """Return the CameraInfo topics in the namespace of an image topic or its raw form."""
     names = [topic.name for topic in _of_role(bag, 'camera_info')]
     folders = [image.rsplit('/', depth)[0] for depth in (1, 2) if image.count('/') >= depth]
     return [f'{folder}/camera_info' for folder in folders if f'{folder}/camera_info' in names]
-
-
-def _find_depth(bag: BagReader, image: str, required: bool) -> str:
-    """Return the depth topic in the frame of the image; registered depth is in this frame."""
-    frame_id = _first(bag, image).header.frame_id
-    candidates = [topic for topic in _depth_images(bag, image)
-                  if _first(bag, topic.name).header.frame_id == frame_id]
-    if not candidates and not required:
-        return ''
-    return _only(bag, 'depth', candidates)
 
 
 def _depth_images(bag: BagReader, image: str) -> list[Topic]:
@@ -219,16 +208,17 @@ def _size_of(bag: BagReader, camera: InputTopics) -> tuple[int, int]:
 
 
 def _only(bag: BagReader, role: str, candidates: Sequence[Topic]) -> str:
+    """Return the only candidate; raise BagError if there is none, or several."""
     if len(candidates) == 1:
         return candidates[0].name
     option = '--' + role.replace('_', '-')
-    if not candidates:
-        empty = [topic.name for topic in bag.topics if topic.count
-                 and _CLASSES.get(topic.msg_type) in _ROLES[role] and not _first(bag, topic.name)]
-        why = f', and no message is recorded on {", ".join(empty)}' if empty else ''
-        raise BagError(f'no topic for {option} was found{why}. {bag.describe()}')
-    names = ', '.join(topic.name for topic in candidates)
-    raise BagError(f'{names} all fit: select one by {option}. {bag.describe()}')
+    if candidates:
+        names = ', '.join(topic.name for topic in candidates)
+        raise BagError(f'{names} all fit: select one by {option}. {bag.describe()}')
+    empty = [topic.name for topic in bag.topics if topic.count
+             and _CLASSES.get(topic.msg_type) in _ROLES[role] and not _first(bag, topic.name)]
+    why = f', and no message is recorded on {", ".join(empty)}' if empty else ''
+    raise BagError(f'no topic for {option} was found{why}. {bag.describe()}')
 
 
 def _encoding(bag: BagReader, topic: Topic) -> str:
@@ -238,96 +228,6 @@ def _encoding(bag: BagReader, topic: Topic) -> str:
 
 def _first(bag: BagReader, topic: str) -> Any:
     return bag.first(topic, input_class(bag, topic))
-
-
-# derived: an image waits for its partners while at most 16 others do, see FrameSynchronizer.
-_WAITING = 64
-_TRANSFORM_TYPES = ('tf2_msgs/msg/TFMessage', 'tf/msg/tfMessage')
-
-
-class FrameReader:
-    """
-    Reads messages recorded from one time up to another, and assembles frames.
-
-    Messages that cannot be decoded are skipped and counted in ``damaged``.
-    """
-
-    def __init__(self, bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
-                 synchronizer: FrameSynchronizer):
-        self.bag, self.topics, self.damaged = bag, topics, 0
-        self._start_ns, self._stop_ns = times_ns
-        self._synchronizer = synchronizer
-
-    def frames(self, copies: CopiedMessages) -> Iterator[tuple[int, Frame]]:
-        """Yield frames, each with the time at which its last message was recorded."""
-        topics, synchronizer, time_ns = self.topics, self._synchronizer, self._start_ns
-        add = {topics.image: synchronizer.add_image,
-               topics.camera_info: synchronizer.add_camera_info,
-               topics.depth: synchronizer.add_depth, topics.imu: synchronizer.add_imu}
-        classes = {name: input_class(self.bag, name) for name in topics.names}
-        # Calibrations that are recorded once may come late, or before the start.
-        synchronizer.add_camera_info(_first(self.bag, topics.camera_info))
-        for recorded in self.bag.read({*topics.names, *copies.topics}, self._start_ns,
-                                      self._stop_ns):
-            time_ns, msg = recorded.time_ns, None
-            if recorded.topic in classes:
-                try:
-                    msg = to_message(recorded, classes[recorded.topic])
-                except BagError:
-                    self.damaged += 1
-            copies.add(recorded, msg)
-            if msg is not None:
-                yield from ((time_ns, frame) for frame in add[recorded.topic](msg) or ())
-        yield from ((time_ns, frame) for frame in synchronizer.finish())
-
-    def take_dropped(self) -> int:
-        """Return the number of images without calibration or depth."""
-        return self._synchronizer.take_dropped()
-
-    def expected_frames(self, every: int) -> int:
-        """Return the approximate number of frames if one of ``every`` is processed."""
-        count = {topic.name: topic.count for topic in self.bag.topics}[self.topics.image]
-        length_ns = max(self.bag.end_ns - self.bag.start_ns, 1)
-        share = np.clip((self._stop_ns - self._start_ns) / length_ns, 0, 1)
-        return int(np.ceil(count * share / every))
-
-
-class CopiedMessages:
-    """
-    Copies messages of some topics into the new bag.
-
-    If only one frame of ``every`` is processed, only its image, calibration and depth are copied,
-    but all messages of other topics.
-    """
-
-    def __init__(self, writer: BagWriter, topics: tuple[str, ...], inputs: InputTopics,
-                 every: int):
-        self.topics = frozenset(topics)
-        self._writer, self._inputs = writer, inputs
-        of_frames = (inputs.image, inputs.camera_info, inputs.depth)
-        self._waiting: dict[str, OrderedDict[tuple[int, int], Recorded]] = {
-            name: OrderedDict() for name in of_frames if every > 1 and name in self.topics}
-
-    def add(self, recorded: Recorded, msg: Any) -> None:
-        """Copy a message, or keep it until its frame is taken; ``msg`` is None if damaged."""
-        if recorded.topic not in self.topics:
-            return
-        waiting = self._waiting.get(recorded.topic)
-        if waiting is None:
-            self._writer.copy(recorded)
-        elif msg is not None:
-            waiting[_stamp(msg)] = recorded
-            while len(waiting) > _WAITING:
-                waiting.popitem(last=False)
-
-    def take(self, frame: Frame) -> None:
-        """Copy the messages of a frame that were not copied with an earlier one."""
-        for topic, msg in ((self._inputs.image, frame.image), (self._inputs.depth, frame.depth),
-                           (self._inputs.camera_info, frame.camera_info)):
-            if msg is not None and topic in self._waiting:
-                recorded = self._waiting[topic].pop(_stamp(msg), None)
-                if recorded is not None:
-                    self._writer.copy(recorded)
 
 
 def requested_times(bag: BagReader, image: str, options: ReplayOptions) -> tuple[int, int]:
@@ -341,6 +241,64 @@ def requested_times(bag: BagReader, image: str, options: ReplayOptions) -> tuple
             f'--start {options.start_s:g} --duration {options.duration_s:g}, there is '
             f'no image on {image}')
     return start_ns, stop_ns
+
+
+class CopiedMessages:
+    """
+    Copies messages of some topics into the new bag.
+
+    If only one frame of ``every`` is processed, only its image, calibration and depth are copied,
+    but all messages of other topics.
+    """
+
+    def __init__(self, writer: BagWriter, topics: Sequence[str], inputs: InputTopics, every: int):
+        self.topics = frozenset(topics)
+        self._writer, self._of_frame = writer, (inputs.image, inputs.depth, inputs.camera_info)
+        self._chosen = self.topics & set(self._of_frame) if every > 1 else frozenset()
+        self._waiting: OrderedDict[tuple[str, int], Recorded] = OrderedDict()
+
+    def add(self, recorded: Recorded, msg: Any) -> None:
+        """Copy a message, or keep it until its frame is taken; ``msg`` is None if damaged."""
+        if recorded.topic in self._chosen:
+            if msg is not None:
+                self._waiting[recorded.topic, ns_of(msg)] = recorded
+            if len(self._waiting) > _WAITING:
+                self._waiting.popitem(last=False)
+        elif recorded.topic in self.topics:
+            self._writer.copy(recorded)
+
+    def take(self, frame: Frame) -> None:
+        """Copy the messages of a frame that were not copied with an earlier one."""
+        for topic, msg in zip(self._of_frame, (frame.image, frame.depth, frame.camera_info),
+                              strict=True):
+            if msg is not None and (topic, ns_of(msg)) in self._waiting:
+                self._writer.copy(self._waiting.pop((topic, ns_of(msg))))
+
+
+def read_frames(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
+                synchronizer: FrameSynchronizer, copies: CopiedMessages
+                ) -> Iterator[tuple[int, Frame]]:
+    """
+    Yield the frames recorded from one time up to another, each with the time of its last message.
+
+    Messages that cannot be decoded are skipped and counted in ``bag.damaged``.
+    """
+    time_ns, names = times_ns[0], frozenset(topics.names)
+    add = {topics.image: synchronizer.add_image, topics.camera_info: synchronizer.add_camera_info,
+           topics.depth: synchronizer.add_depth, topics.imu: synchronizer.add_imu}
+    # Calibrations that are recorded once may come late, or before the start.
+    synchronizer.add_camera_info(_first(bag, topics.camera_info))
+    for recorded in bag.read(names | copies.topics, *times_ns):
+        time_ns, msg = recorded.time_ns, None
+        if recorded.topic in names:
+            try:
+                msg = to_message(recorded, input_class(bag, recorded.topic))
+            except BagError:
+                bag.damaged += 1
+        copies.add(recorded, msg)
+        if msg is not None:
+            yield from ((time_ns, frame) for frame in add[recorded.topic](msg) or ())
+    yield from ((time_ns, frame) for frame in synchronizer.finish())
 
 
 def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | None:
@@ -372,7 +330,3 @@ def read_transforms(bag: BagReader, settings: NodeConfig) -> FrameTransforms | N
             except ValueError:  # recorders keep them, tf2 ignores them
                 bag.damaged += 1
     return FrameTransforms(buffer)
-
-
-def _stamp(msg: Any) -> tuple[int, int]:
-    return msg.header.stamp.sec, msg.header.stamp.nanosec

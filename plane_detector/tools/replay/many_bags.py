@@ -13,13 +13,12 @@ import glob
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 import joblib
-from joblib.externals.loky import get_reusable_executor
 
 from plane_detector.process import one_thread
 from plane_detector.tools.replay.bag_reader import FILE_SUFFIXES, BagError, bag_name
@@ -52,7 +51,7 @@ def is_collection(text: str) -> bool:
     if not os.path.lexists(text):
         return glob.has_magic(text)
     path = Path(text)
-    return path.is_dir() and not _is_bag_folder(path) and any(_below(path, None))
+    return path.is_dir() and not _is_bag(path) and any(_below(path, None))
 
 
 def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, Path]:
@@ -84,40 +83,36 @@ def find_bags(inputs: Sequence[str], left_out: Path | None = None) -> dict[str, 
     return named
 
 
-def _of_input(text: str, left_out: Path | None) -> Iterable[tuple[str, Path]]:
-    if os.path.lexists(text):
-        paths = [Path(text)]
-    else:
-        paths = [Path(match) for match in sorted(glob.glob(text, recursive=True))]
-        paths = [path for path in paths if path.is_dir() or path.suffix in FILE_SUFFIXES]
+def _of_input(text: str, left_out: Path | None) -> Iterator[tuple[str, Path]]:
+    """Yield names and paths of the bags that an input stands for."""
+    paths = [Path(text)] if os.path.lexists(text) else [
+        path for path in map(Path, sorted(glob.glob(text, recursive=True)))
+        if path.is_dir() or _is_bag(path)]
     for path in paths:
-        if path.is_dir() and not _is_bag_folder(path):
+        if path.is_dir() and not _is_bag(path):
             yield from (('_'.join((*bag.relative_to(path).parts[:-1], bag_name(bag))), bag)
                         for bag in _below(path, left_out))
         else:
             yield bag_name(path), path
 
 
-def _below(folder: Path, left_out: Path | None) -> Iterable[Path]:
+def _below(folder: Path, left_out: Path | None) -> Iterator[Path]:
     """Yield the bags in a folder and its subfolders, sorted by name, but no hidden ones."""
     for path in sorted(folder.iterdir()):
-        if path.is_dir():
-            if _is_bag_folder(path):
-                yield path
-            elif not path.name.startswith('.') and path.resolve() != left_out:
-                yield from _below(path, left_out)
-        elif path.suffix in FILE_SUFFIXES:
+        if _is_bag(path):
             yield path
+        elif path.is_dir() and not path.name.startswith('.') and path.resolve() != left_out:
+            yield from _below(path, left_out)
 
 
-def _is_bag_folder(path: Path) -> bool:
-    """Whether it has metadata, or is a killed recording, a single storage file."""
-    if (path / 'metadata.yaml').exists():
-        return True
+def _is_bag(path: Path) -> bool:
+    """Whether it is a file of a bag, a folder with metadata, or that of a killed recording."""
+    if not path.is_dir():
+        return path.suffix in FILE_SUFFIXES
     entries = list(path.iterdir())
     storages = [entry for entry in entries if entry.suffix in ('.mcap', '.db3')]
-    return len(storages) == 1 and not any(entry.is_dir() for entry in entries) and not any(
-        entry.suffix == '.bag' for entry in entries)
+    return path / 'metadata.yaml' in entries or len(storages) == 1 and not any(
+        entry.is_dir() or entry.suffix == '.bag' for entry in entries)
 
 
 def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str = 'loky',
@@ -168,9 +163,34 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
     return summaries
 
 
-def kill_workers() -> None:
-    """End the processes of the pool on this machine at once."""
-    get_reusable_executor(reuse=True).shutdown(kill_workers=True)
+def _cluster(backend: str) -> AbstractContextManager:
+    """Connect to a cluster, by the address in its own environment variable, or start one here."""
+    try:
+        if backend == 'dask':
+            from dask.distributed import Client
+            return Client()
+        if backend == 'ray':
+            from ray.util.joblib import register_ray
+            register_ray()
+    except ModuleNotFoundError as error:
+        package = {'dask': '"dask[distributed]"', 'ray': 'ray'}[backend]
+        raise ModuleNotFoundError(f'{error}: --backend {backend} needs pip install {package}, '
+                                  'here and on the workers', name=error.name) from error
+    return nullcontext()
+
+
+def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOptions:
+    """Return the options of a bag: one thread, its paths in the folders of the results."""
+    config = options.config
+    if not config.depth.threads:
+        config = replace(config, depth=replace(config.depth, threads=1))
+
+    def place(folder: Path | None, entry: str) -> Path | None:
+        return None if folder is None else folder.absolute() / entry
+
+    return replace(options, source=source.absolute(), config=config,
+                   target=place(options.target, name), figures=place(options.figures, name),
+                   ply=place(options.ply, name), table=place(options.table, f'{name}.csv'))
 
 
 def replay_one(options: ReplayOptions) -> BagSummary:
@@ -188,36 +208,6 @@ def replay_one(options: ReplayOptions) -> BagSummary:
                       time.monotonic() - start_s, tally.depth, '; '.join(tally.losses()))
 
 
-def describe(summaries: Sequence[BagSummary]) -> str:
-    """Return the summaries as a readable table."""
-    width = max(len('bag'), *(len(one.bag) for one in summaries))
-    lines = [f'{"bag":<{width}}  {"state":<11} {"frames":>7} {"planes":>8} {"skipped":>7} '
-             f'{"damaged":>7} {"seconds":>8}  error']
-    for one in summaries:
-        error = one.error if len(one.error) <= _SHOWN_ERROR else one.error[:_SHOWN_ERROR] + '...'
-        lines.append(f'{one.bag:<{width}}  {one.state:<11} {one.frames:7d} {one.planes:8d} '
-                     f'{one.skipped:7d} {one.damaged:7d} {one.seconds:8.1f}  {error}'.rstrip())
-    states = Counter(one.state for one in summaries)
-    count_of_bags = f'{len(summaries)} bag{"s" if len(summaries) > 1 else ""}'
-    lines.append(f'{count_of_bags}, {sum(one.frames for one in summaries)} frames: '
-                 + ', '.join(f'{count} {state}' for state, count in states.items()))
-    return '\n'.join(lines)
-
-
-def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOptions:
-    """Return the options of a bag: one thread, its paths in the folders of the results."""
-    config = options.config
-    if not config.depth.threads:
-        config = replace(config, depth=replace(config.depth, threads=1))
-
-    def place(folder: Path | None, entry: str) -> Path | None:
-        return None if folder is None else folder.absolute() / entry
-
-    return replace(options, source=source.absolute(), config=config,
-                   target=place(options.target, name), figures=place(options.figures, name),
-                   ply=place(options.ply, name), table=place(options.table, f'{name}.csv'))
-
-
 def _done_before(options: ReplayOptions) -> BagSummary:
     """Return what the metadata of a new bag say; any version may have written them."""
     found = replay_fields(options.target)
@@ -230,17 +220,16 @@ def _done_before(options: ReplayOptions) -> BagSummary:
         depth=found.get('replay.depth', ''))
 
 
-def _cluster(backend: str) -> AbstractContextManager:
-    """Connect to a cluster, by the address in its own environment variable, or start one here."""
-    try:
-        if backend == 'dask':
-            from dask.distributed import Client
-            return Client()
-        if backend == 'ray':
-            from ray.util.joblib import register_ray
-            register_ray()
-    except ModuleNotFoundError as error:
-        package = {'dask': '"dask[distributed]"', 'ray': 'ray'}[backend]
-        raise ModuleNotFoundError(f'{error}: --backend {backend} needs pip install {package}, '
-                                  'here and on the workers', name=error.name) from error
-    return nullcontext()
+def describe(summaries: Sequence[BagSummary]) -> str:
+    """Return the summaries as a readable table."""
+    width = max(len('bag'), *(len(one.bag) for one in summaries))
+    lines = [f'{"bag":<{width}}  {"state":<11} {"frames":>7} {"planes":>8} {"skipped":>7} '
+             f'{"damaged":>7} {"seconds":>8}  error']
+    for one in summaries:
+        error = one.error if len(one.error) <= _SHOWN_ERROR else one.error[:_SHOWN_ERROR] + '...'
+        lines.append(f'{one.bag:<{width}}  {one.state:<11} {one.frames:7d} {one.planes:8d} '
+                     f'{one.skipped:7d} {one.damaged:7d} {one.seconds:8.1f}  {error}'.rstrip())
+    states = Counter(one.state for one in summaries)
+    return '\n'.join([*lines, f'{len(summaries)} bag{"s" if len(summaries) > 1 else ""}, '
+                      f'{sum(one.frames for one in summaries)} frames: '
+                      + ', '.join(f'{count} {state}' for state, count in states.items())])

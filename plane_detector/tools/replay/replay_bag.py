@@ -33,9 +33,10 @@ from plane_detector.stopping import Stopped, raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
 from plane_detector.tools.replay.inputs import (
     CopiedMessages,
-    FrameReader,
+    InputTopics,
     choose_depth,
     find_camera,
+    read_frames,
     read_transforms,
     requested_times,
     with_companions,
@@ -200,9 +201,6 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         processor = FrameProcessor(PlaneDetector(config, network), options.settings,
                                    camera.image, read_transforms(bag, options.settings))
         topics = with_companions(bag, camera, choice, processor.output, options)
-        reader = FrameReader(bag, topics, times_ns, FrameSynchronizer(
-            depth_use(config, processor.output), options.settings.stamp_slop,
-            config.scale.imu_to_camera))
         tally = Tally(choice.describe(processor.detector.source.facts))
         remedy = '; --network uses a network instead' if choice.topic else ''
         tell(f'Reading {", ".join(topics.names)} of {options.source}')
@@ -211,7 +209,7 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         with ReplayFiles(options.figures, options.ply, options.table,
                          bool(config.shapes.wanted)) as files:
             with BagWriter(draft.path, options.storage, options.compressed) as writer:
-                _process(reader, processor, writer, files, options, tally, quiet)
+                _process(bag, topics, times_ns, processor, writer, files, options, tally, quiet)
                 writer.describe({**tally.to_fields(), 'replay.source': options.source.name,
                                  'replay.options': options.fingerprint})
             prefix = INTERRUPTED if tally.interrupted else ''
@@ -220,19 +218,22 @@ def replay(options: ReplayOptions, quiet: bool = False) -> Tally:
         return tally
 
 
-def _process(reader: FrameReader, processor: FrameProcessor, writer: BagWriter,
-             files: ReplayFiles, options: ReplayOptions, tally: Tally, quiet: bool) -> None:
+def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
+             processor: FrameProcessor, writer: BagWriter, files: ReplayFiles,
+             options: ReplayOptions, tally: Tally, quiet: bool) -> None:
     """Process the frames, to the end of the bag or of what can be read, or to a stop."""
-    copied = () if options.copied is None else options.copied or reader.topics.names
+    config, facts = processor.detector.config, {'depth': tally.depth}
+    copied = () if options.copied is None else options.copied or topics.names
     writer.add_outputs({**{_topic(name): OUTPUTS[name].msg_type for name in options.outputs},
                         _DIAGNOSTICS_TOPIC: DiagnosticArray})
-    writer.add_copies(reader.bag, copied)
-    copies = CopiedMessages(writer, copied, reader.topics, options.every)
+    writer.add_copies(bag, copied)
+    copies = CopiedMessages(writer, copied, topics, options.every)
     wanted = dict.fromkeys((*options.outputs, *files.outputs))
-    facts = {'depth': tally.depth}
-    progress = tqdm(total=reader.expected_frames(options.every), unit='frame',
-                    disable=True if quiet else None)
-    frames = tally.timed_each('read', reader.frames(copies))
+    synchronizer = FrameSynchronizer(depth_use(config, processor.output),
+                                     options.settings.stamp_slop, config.scale.imu_to_camera)
+    frames = tally.timed_each('read', read_frames(bag, topics, times_ns, synchronizer, copies))
+    progress = tqdm(total=_expected_frames(bag, topics.image, times_ns) // options.every,
+                    unit='frame', disable=True if quiet else None)
     try:
         for index, (time_ns, frame) in enumerate(frames):
             raise_if_stopped()
@@ -247,8 +248,7 @@ def _process(reader: FrameReader, processor: FrameProcessor, writer: BagWriter,
                 tally.errors[error] += 1
             else:
                 tally.stage_seconds.update(processed.stage_seconds)
-                facts |= tally.add(processed.result.detection, processor.detector.config,
-                                   options.outputs)
+                facts |= tally.add(processed.result.detection, config, options.outputs)
                 with tally.timed('files'):
                     files.write(index, processed)
             with tally.timed('write'):
@@ -264,13 +264,18 @@ def _process(reader: FrameReader, processor: FrameProcessor, writer: BagWriter,
         tally.unread = str(error)
     finally:
         progress.close()
-    tally.without_partner = reader.take_dropped()
-    tally.damaged += reader.damaged + reader.bag.damaged
+    tally.without_partner, tally.damaged = synchronizer.take_dropped(), bag.damaged
     if not tally.processed:
         if tally.interrupted:
             raise Stopped
         raise BagError(tally.unread or '\n'.join(
-            ['no frame could be processed', *tally.losses(), reader.bag.describe()]))
+            ['no frame could be processed', *tally.losses(), bag.describe()]))
+
+
+def _expected_frames(bag: BagReader, image: str, times_ns: tuple[int, int]) -> int:
+    """Return about how many images there are between two times."""
+    count = next(topic.count for topic in bag.topics if topic.name == image)
+    return round(count * (times_ns[1] - times_ns[0]) / (bag.end_ns - bag.start_ns))
 
 
 @lru_cache(maxsize=8)

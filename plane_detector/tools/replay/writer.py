@@ -22,16 +22,7 @@ import cv2
 import numpy as np
 import yaml
 from rclpy.serialization import serialize_message
-from rosbags.interfaces import (
-    Connection,
-    MessageDefinitionFormat,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -42,16 +33,14 @@ from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.clouds import PLANE_DTYPE, SHAPE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.tools.ply import write_ply
+from plane_detector.tools.files import csv_row, depth_panel, write_ply
 from plane_detector.tools.replay.bag_reader import BagError, BagReader, Recorded
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
 # Chunks of an mcap file are compressed inside the file; sqlite3 has no chunks.
 _COMPRESSIONS = {'mcap': CompressionMode.STORAGE, 'sqlite3': CompressionMode.MESSAGE}
-_FOREVER = QosTime(2147483647, 4294967295)
-# As offered by the node: see ros/qos.py.
-_OUTPUT_QOS = Qos(QosHistory.KEEP_LAST, 2, QosReliability.RELIABLE, QosDurability.VOLATILE,
-                  _FOREVER, _FOREVER, QosLiveliness.AUTOMATIC, _FOREVER, False)
+# What the rows of a table hold, by output.
+_ROWS = {'planes': PLANE_DTYPE, 'shapes': SHAPE_DTYPE}
 # The last version whose quality of service can be read by rosbag2 before Jazzy.
 _VERSION = 8
 
@@ -70,6 +59,7 @@ class Draft:
 
     def __enter__(self) -> Draft:
         self._folder.mkdir(parents=True, exist_ok=True)
+        # A file, because NFS does not lock folders.
         self._lock = open(self._folder / 'lock', 'w', encoding='ascii')
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -140,8 +130,7 @@ class BagWriter:
         for topic, message_class in classes.items():
             package, kind = message_class.__module__.split('.')[0], message_class.__name__
             self._connections[topic] = self._writer.add_connection(
-                topic, f'{package}/msg/{kind}', typestore=self._types,
-                offered_qos_profiles=[_OUTPUT_QOS])
+                topic, f'{package}/msg/{kind}', typestore=self._types)
 
     def add_copies(self, bag: BagReader, topics: tuple[str, ...]) -> None:
         """Announce topics of another bag; raise BagError if there is no such topic or type."""
@@ -198,14 +187,10 @@ class ReplayFiles:
 
     def __init__(self, figures: Path | None, ply: Path | None, table: Path | None, shapes: bool):
         self._figures, self._ply = figures, ply
-        self._tables: dict[str, tuple[Path, np.dtype]] = {}
-        if table is not None:
-            self._tables['planes'] = table, PLANE_DTYPE
-            if shapes:
-                beside = table.with_name(f'{table.stem}_shapes.csv')
-                self._tables['shapes'] = beside, SHAPE_DTYPE
-        self._files: dict[str, TextIO] = {}
-        self._drafts: list[Draft] = []
+        self._paths = {} if table is None else {'planes': table}
+        if table is not None and shapes:
+            self._paths['shapes'] = table.with_name(f'{table.stem}_shapes.csv')
+        self._tables: dict[str, tuple[Draft, TextIO]] = {}
         self._opened = ExitStack()
 
     def __enter__(self) -> ReplayFiles:
@@ -213,13 +198,12 @@ class ReplayFiles:
             folder.mkdir(parents=True, exist_ok=True)
             with NamedTemporaryFile(dir=folder):  # checked now: the first frame comes much later
                 pass
-        for name, (table, dtype) in self._tables.items():
-            draft = self._opened.enter_context(Draft(table))
+        for name, path in self._paths.items():
+            draft = self._opened.enter_context(Draft(path))
             file = self._opened.enter_context(
                 open(draft.path, 'w', newline='', encoding='utf-8'))
-            csv.writer(file).writerow(['frame', 'stamp', *dtype.names])
-            self._drafts.append(draft)
-            self._files[name] = file
+            csv.writer(file).writerow(['frame', 'stamp', *_ROWS[name].names])
+            self._tables[name] = draft, file
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -227,14 +211,14 @@ class ReplayFiles:
 
     def publish(self, prefix: str = '') -> None:
         """Give the tables their names, see :class:`Draft`."""
-        for file, draft in zip(self._files.values(), self._drafts, strict=True):
+        for draft, file in self._tables.values():
             file.flush()
             draft.publish(prefix)
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Names of the outputs that these files are made from."""
-        return tuple(self._tables)
+        return tuple(self._paths)
 
     def write(self, index: int, processed: FrameOutputs) -> None:
         """Write the files of a frame, whose number is in their names."""
@@ -249,8 +233,10 @@ class ReplayFiles:
             with _whole(self._ply / f'{index:06d}.ply') as path:
                 write_ply(path, points_m, drawing.tint(result.rgb, result.labels), result.labels,
                           in_metres=result.detection.scale_method != RELATIVE)
-        for name, file in self._files.items():
-            csv.writer(file).writerows(_rows(index, processed, name, self._tables[name][1]))
+        for name, (_, file) in self._tables.items():
+            csv.writer(file).writerows(
+                [index, stamp_text(result), *csv_row(fields)]
+                for fields in np.frombuffer(processed.messages[name].data, _ROWS[name]))
 
 
 @contextmanager
@@ -264,20 +250,9 @@ def _whole(path: Path) -> Iterator[Path]:
 def _figure(result: DetectedFrame) -> np.ndarray:
     """Return image, depth and planes side by side."""
     detection = result.detection
-    near, far = drawing.depth_range(detection.depth_m)
     unit = 'units' if detection.scale_method == RELATIVE else 'm'
     return drawing.figure([
         (f'image of {stamp_text(result)}', result.rgb),
-        (f'depth, red {near:.1f} {unit} to blue {far:.1f} {unit}',
-         drawing.colour_depth(detection.depth_m)),
+        depth_panel('depth', detection.depth_m, unit),
         (f'{len(detection.planes)} planes', drawing.overlay(result.rgb, result.labels)),
     ], columns=3)
-
-
-def _rows(index: int, processed: FrameOutputs, name: str,
-          dtype: np.dtype) -> Iterator[list[object]]:
-    """Yield the content of the message of planes or shapes, one row per point."""
-    stamp = stamp_text(processed.result)
-    for point in np.frombuffer(processed.messages[name].data, dtype):
-        yield [index, stamp, *(
-            f'{value:.6g}' if isinstance(value, np.floating) else value for value in point)]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from nyu_files import nyu_room, write_nyu
 
-from plane_detector.depth.depth_function import DepthFunction
+from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.benchmark import nyu
 from plane_detector.evaluation.benchmark.__main__ import main
 from plane_detector.evaluation.benchmark.nyu import COLUMNS, MAX_DEPTH_M, ROWS, NyuDepth

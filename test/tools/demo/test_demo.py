@@ -5,7 +5,6 @@
 from __future__ import annotations
 
 import csv
-import os
 import signal
 import subprocess
 import sys
@@ -14,13 +13,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from clouds import read_ply
 
-from plane_detector.tools.demo.photographs import (
-    Lens,
-    folder_images,
-    library_images,
-)
-from plane_detector.tools.ply import write_ply
+from plane_detector.tools.demo.photographs import Lens, folder_images, library_images
+from plane_detector.tools.files import write_ply
 from plane_detector.types import CameraIntrinsics
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -30,15 +26,6 @@ ROOT = Path(__file__).resolve().parents[3]
 def images():
     pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
     return {photograph.name: photograph for photograph in library_images()}
-
-
-def read_ply(path: Path) -> tuple[list[str], np.ndarray]:
-    head, _, body = path.read_bytes().partition(b'end_header\n')
-    types = {'float': '<f4', 'uchar': 'u1', 'int': '<i4'}
-    lines = head.decode().splitlines()
-    dtype = [(line.split()[2], types[line.split()[1]]) for line in lines
-             if line.startswith('property')]
-    return lines, np.frombuffer(body, dtype)
 
 
 @pytest.mark.parametrize('wrong', [
@@ -98,34 +85,26 @@ def test_demo_runs_the_node_over_dds(tmp_path, images):
     assert (vertices['label'] == int(floor['label'])).sum() == int(floor['num_inliers'])
 
 
-def start_demo(folder, *arguments):
-    return subprocess.Popen(
-        [sys.executable, '-m', 'plane_detector.tools.demo', *arguments], cwd=folder,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, 'PYTHONPATH': str(ROOT)})
-
-
 def test_demo_is_quiet_when_it_is_ended(tmp_path):
     pytest.importorskip('rclpy')
-    started = {number: start_demo(tmp_path, '--without-network', '--output', number.name)
-               for number in (signal.SIGINT, signal.SIGTERM)}
-    for number, process in started.items():
+    for number in (signal.SIGINT, signal.SIGTERM):
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'plane_detector.tools.demo', '--without-network', '--output',
+             str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         assert process.stderr.readline()  # of the node
         process.send_signal(number)
-    for process in started.values():
         said = ''.join(process.communicate(timeout=120))
         assert process.returncode == 130, said
         assert 'Traceback' not in said
 
 
-def test_demo_reports_wrong_arguments(tmp_path):
-    pytest.importorskip('rclpy')
-    reasons = {
-        ('--images', '.'): 'demo: no image in', ('--fx', '525'): 'demo: a calibration',
-        ('--model', 'nowhere.onnx'): 'demo: --model nowhere.onnx is neither a file nor one of ',
-        ('--model', __file__): 'demo: --model-output must state the output of a network file'}
-    started = [start_demo(tmp_path, *arguments) for arguments in reasons]
-    for process, reason in zip(started, reasons.values(), strict=True):
-        _, told = process.communicate(timeout=120)
-        assert process.returncode == 1, reason
-        assert told.strip().startswith(reason)
+@pytest.mark.parametrize(('arguments', 'reason'), [
+    (['--images', '.'], 'demo: no image in'), (['--fx', '525'], 'demo: a calibration'),
+    (['--model', 'nowhere.onnx'], 'demo: --model nowhere.onnx is neither a file nor one of '),
+    (['--model', __file__], 'demo: --model-output must state the output of a network file')])
+def test_demo_reports_wrong_arguments(tmp_path, monkeypatch, capsys, arguments, reason):
+    pytest.importorskip('skimage', reason='scikit-image holds the motorcycle')
+    main = pytest.importorskip('plane_detector.tools.demo.__main__').main
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == 1
+    assert capsys.readouterr().err.startswith(reason)

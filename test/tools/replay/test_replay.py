@@ -3,7 +3,6 @@
 """Bags in and bags out: every format, the truth, the options."""
 
 import array
-import csv
 import shutil
 
 import cv2
@@ -20,6 +19,7 @@ from replay_helpers import (
     assert_true,
     camera_messages,
     planes_of,
+    rows_of,
     stamp_s,
     stamps_of,
     time_ns,
@@ -139,8 +139,7 @@ def test_figures_clouds_and_table(bag, scenes, replay, tmp_path):
     figure = cv2.imread(str(tmp_path / 'figures' / '000000.jpg'))
     assert figure.shape[1] >= 3 * CAMERA.width
     assert (tmp_path / 'ply' / '000000.ply').read_bytes().startswith(b'ply\n')
-    with open(tmp_path / 'planes.csv', encoding='utf-8') as file:
-        rows = list(csv.DictReader(file))
+    rows = rows_of(tmp_path / 'planes.csv')
     assert {row['frame'] for row in rows} == {str(index) for index in range(len(scenes))}
     assert float(rows[0]['stamp']) == START_S
     assert all(float(row['d']) >= 0 and int(row['label']) >= 1 for row in rows)

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Many bags: search, names, a second run, a bag that fails, a worker that dies."""
 
-import csv
 import os
 import signal
 import subprocess
@@ -12,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from bags import read_bag, write_bag
-from replay_helpers import DEPTH, assert_true, camera_messages
+from replay_helpers import DEPTH, assert_true, camera_messages, rows_of
 
 from plane_detector.tools.replay.__main__ import main
 from plane_detector.tools.replay.bag_reader import BagError
@@ -31,9 +30,8 @@ def bags(tmp_path, scenes):
     return folder
 
 
-def rows_of(folder):
-    with open(folder / 'summary.csv', encoding='utf-8') as file:
-        return {row['bag']: row for row in csv.DictReader(file)}
+def summary_of(folder):
+    return {row['bag']: row for row in rows_of(folder / 'summary.csv')}
 
 
 def plane_topics(bag):
@@ -83,7 +81,7 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
     (bags / 'broken.mcap').write_bytes(b'no bag')
     assert main([str(bags), str(out), '--jobs', '2']) == 1
     table = capsys.readouterr().out
-    rows = rows_of(out)
+    rows = summary_of(out)
     assert [row['state'] for row in rows.values()] == ['failed', *['finished'] * 3]
     assert 'cannot be read' in rows['broken']['error']
     assert {row['frames'] for row in rows.values()} == {'0', str(len(scenes))}
@@ -98,7 +96,7 @@ def test_one_run_a_second_one_and_one_that_fails(bags, scenes, tmp_path, capsys,
     (out / 'second').rename(out / '.second.part')  # as a killed run leaves it
     before = (out / 'first' / 'metadata.yaml').stat().st_mtime_ns
     assert main([str(bags), str(out), '--jobs', '2']) == 0
-    rows = rows_of(out)
+    rows = summary_of(out)
     assert {name: row['state'] for name, row in rows.items()} == {
         'first': 'done before', 'monday_walk': 'done before', 'second': 'finished'}
     assert {row['frames'] for row in rows.values()} == {str(len(scenes))}

@@ -2,12 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Shapes in the tables and clouds of a replay."""
 
-import csv
-
 import numpy as np
 import pytest
 from bags import write_bag
-from replay_helpers import CAMERA, START_S, camera_messages
+from clouds import read_ply
+from replay_helpers import CAMERA, START_S, camera_messages, rows_of
 
 from plane_detector.evaluation.scenes.rendering import Rectangle, camera_rotation, render
 from plane_detector.evaluation.scenes.surfaces import ellipsoid
@@ -24,19 +23,6 @@ def with_ball():
                   np.random.default_rng(0), ball)
 
 
-def rows_of(table):
-    with open(table, encoding='utf-8') as file:
-        return list(csv.DictReader(file))
-
-
-def vertices_of(path):
-    header, _, data = path.read_bytes().partition(b'end_header\n')
-    types = {b'float': '<f4', b'uchar': 'u1', b'uint': '<u4', b'int': '<i4', b'ushort': '<u2',
-             b'double': '<f8'}
-    fields = [line.split() for line in header.splitlines() if line.startswith(b'property')]
-    return np.frombuffer(data, [(name.decode(), types[kind]) for _, kind, name in fields])
-
-
 def test_shapes_have_a_table_and_their_labels_are_in_the_cloud(replay, tmp_path):
     scene = with_ball()
     source = write_bag(tmp_path / 'walk', camera_messages([scene, scene]))
@@ -48,6 +34,6 @@ def test_shapes_have_a_table_and_their_labels_are_in_the_cloud(replay, tmp_path)
     assert [row['frame'] for row in rows] == ['0', '1']
     assert float(rows[0]['stamp']) == START_S
     assert float(rows[0]['radius']) == pytest.approx(RADIUS_M, rel=0.02)
-    labels = vertices_of(tmp_path / 'ply' / '000000.ply')['label']
+    labels = read_ply(tmp_path / 'ply' / '000000.ply')[1]['label']
     assert (labels == int(rows[0]['label'])).sum() == int(rows[0]['num_inliers']) > 900
     assert rows[0]['label'] not in {row['label'] for row in rows_of(tmp_path / 'planes.csv')}

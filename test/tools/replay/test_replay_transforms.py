@@ -9,14 +9,12 @@ import pytest
 from bags import messages_of, read_bag, write_bag
 from replay_helpers import camera_messages, planes_of, stamp_s, time_ns
 from ros_helpers import FRAME_ID, cloud_array
-from rosbags import rosbag2
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import PointCloud2
 
 from plane_detector.planes.classification import PlaneClass
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = STORE.types
+TYPES = get_typestore(Stores.ROS2_JAZZY).types
 HEIGHT_M = 1.4
 
 
@@ -35,31 +33,18 @@ def tf_message(gravity_camera, stamp_ns):
     return TYPES['tf2_msgs/msg/TFMessage']([transform])
 
 
+def write_bag_with_tf(tmp_path, scenes, broken=(), moving=()):
+    """Write a bag whose first scene is seen from a camera that /tf_static places."""
+    floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
+    static = [tf_message(-scenes[0].planes[floor, :3], time_ns(0)), *broken]
+    return write_bag(tmp_path / 'walk', [
+        *(('/tf_static', time_ns(0), msg) for msg in static),
+        *(('/tf', time_ns(0), msg) for msg in moving), *camera_messages(scenes)])
+
+
 @pytest.fixture
 def bag_with_tf(tmp_path, scenes):
-    """Return a bag whose first scene is seen from a camera that /tf_static places."""
     return write_bag_with_tf(tmp_path, scenes[:1])
-
-
-def write_bag_with_tf(tmp_path, scenes, broken=(), moving=()):
-    """Write that bag, with further messages on /tf_static after the good one, and on /tf."""
-    source = write_bag(tmp_path / 'plain', camera_messages(scenes))
-    floor = max(range(len(scenes[0].planes)), key=lambda k: -scenes[0].planes[k, 1])
-    target = tmp_path / 'walk'
-    with rosbag2.Reader(source) as reader, rosbag2.Writer(target, version=9) as writer:
-        tf = writer.add_connection('/tf_static', 'tf2_msgs/msg/TFMessage', typestore=STORE)
-        msg = tf_message(-scenes[0].planes[floor, :3], time_ns(0))
-        writer.write(tf, time_ns(0), STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage'))
-        for data in broken:
-            writer.write(tf, time_ns(0), data)
-        tf = writer.add_connection('/tf', 'tf2_msgs/msg/TFMessage', typestore=STORE)
-        for msg in moving:
-            writer.write(tf, time_ns(0), STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage'))
-        connections = {c.topic: writer.add_connection(c.topic, c.msgtype, typestore=STORE)
-                       for c in reader.connections}
-        for connection, when, data in reader.messages():
-            writer.write(connections[connection.topic], when, data)
-    return target
 
 
 def test_base_frame_tells_the_floor(bag_with_tf, replay):
@@ -83,7 +68,7 @@ def test_broken_transforms_are_skipped_and_counted(tmp_path, scenes, replay):
         rotation = msg.transforms[0].transform.rotation
         rotation.x = rotation.w = 0.0
         setattr(rotation, name, value)
-        broken.append(bytes(STORE.serialize_cdr(msg, 'tf2_msgs/msg/TFMessage')))
+        broken.append(msg)
     code, target, text = replay(write_bag_with_tf(tmp_path, scenes[:1], broken), '-p',
                                 'base_frame:=base_link')
     assert code == 3, text

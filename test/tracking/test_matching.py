@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The Hungarian method finds what scipy's finds."""
+"""The Hungarian method finds what that of scipy finds."""
 
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from plane_detector.tracking.assignment import best_pairs
+from plane_detector.tracking.matching import best_pairs
 
 
 @pytest.mark.parametrize('shape', [(1, 1), (3, 3), (12, 12), (4, 9), (9, 4), (30, 25)])
