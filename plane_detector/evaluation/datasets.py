@@ -111,7 +111,7 @@ def labelled_frames(data: Path) -> Iterator[LabelledFrame]:
         else:
             about = json.loads((path.parent / 'intrinsics.json').read_text())
             left_out = about.get('frames', {}).get(name, {}).get('labels_not_one_plane', [])
-            labels = _numbered(raw, (raw > 0) & ~np.isin(raw, left_out))
+            labels = numbered(raw, (raw > 0) & ~np.isin(raw, left_out), UNKNOWN)
         yield LabelledFrame(frame.set_name, name, frame.rgb, frame.depth_m, frame.intrinsics,
                             labels.astype(np.int32))
     for path in sorted((data / ABW).glob('*_labels.png')):
@@ -120,7 +120,7 @@ def labelled_frames(data: Path) -> Iterator[LabelledFrame]:
         depth_m = ((_ABW_NEAREST_MM + range_image / _ABW_STEPS_PER_MM) / 1000).astype(np.float32)
         depth_m[range_image == 0] = np.nan
         yield LabelledFrame(ABW, name, colour_depth(depth_m), depth_m, _ABW_CAMERA,
-                            _numbered(raw, raw >= _ABW_FIRST_REGION))
+                            numbered(raw, raw >= _ABW_FIRST_REGION, UNKNOWN))
 
 
 def _read_image(path: Path) -> np.ndarray:
@@ -130,8 +130,8 @@ def _read_image(path: Path) -> np.ndarray:
     return image
 
 
-def _numbered(raw: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the known labels numbered from 0 without gaps, UNKNOWN elsewhere."""
-    labels = np.full(raw.shape, UNKNOWN, np.int32)
-    labels[known] = np.unique(raw[known], return_inverse=True)[1]
+def numbered(raw: np.ndarray, kept: np.ndarray, elsewhere: int = NO_PLANE) -> np.ndarray:
+    """Return labels renumbered from 0 without gaps, (H, W) int32, and a label elsewhere."""
+    labels = np.full(raw.shape, elsewhere, np.int32)
+    labels[kept] = np.unique(raw[kept], return_inverse=True)[1]
     return labels

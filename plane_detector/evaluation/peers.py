@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from plane_detector.config import Config, PaperConfig, SegmentationConfig
+from plane_detector.evaluation.datasets import numbered
 from plane_detector.evaluation.reference_planes import fit_planes
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
@@ -98,7 +99,7 @@ class PlainRansac(Paper):
     def result(self, raw: Any) -> Segments:
         """Fit the planes to their pixels."""
         labels, depth_m, intrinsics = raw
-        labels = relabelled(labels, labels >= 0)
+        labels = numbered(labels, labels >= 0)
         return labels, fit_planes(labels, depth_m, intrinsics)
 
 
@@ -149,13 +150,6 @@ class OpenCv(Method):
 def all_methods() -> list[Method]:
     """Return our method first, then all others, available or not."""
     return [Ours(), Paper(), PlainRansac(), OpenCv(0.03), OpenCv(0.05)]
-
-
-def relabelled(labels: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Return labels renumbered without gaps, (H, W) int32, -1 where ``kept`` is false."""
-    out = np.full(labels.shape, -1, np.int32)
-    out[kept] = np.unique(labels[kept], return_inverse=True)[1]
-    return out
 
 
 def plane_array(segmentation: PlaneSegmentation) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.evaluation import peers
+from plane_detector.evaluation.datasets import numbered
 from plane_detector.evaluation.metrics import score
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.types import CameraIntrinsics
@@ -30,4 +31,4 @@ def test_every_method_finds_a_wall_or_says_why_it_cannot(method):
 
 def test_labels_are_renumbered_without_gaps():
     values = np.array([[0, 7], [3, 7]])
-    np.testing.assert_array_equal(peers.relabelled(values, values > 0), [[-1, 1], [0, 1]])
+    np.testing.assert_array_equal(numbered(values, values > 0), [[-1, 1], [0, 1]])

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import groupby
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from skimage.measure import label
 
 from plane_detector.config import Config
 from plane_detector.drawing import figure, overlay
-from plane_detector.evaluation.benchmark.report import add_shared, emit, mapping, table
+from plane_detector.evaluation.benchmark.report import add_shared, emit, in_parallel, table
 from plane_detector.evaluation.benchmark.samples import labelled_numbers
 from plane_detector.evaluation.datasets import (
     ABW,
@@ -101,8 +102,7 @@ def report(title: str, found: Sequence[LabelledFrame], methods: Sequence[Method]
             emit(f'{method.name}: absent, {method.absent}.')
         if method.absent or (options.only_ours and not isinstance(method, Ours)):
             continue
-        with mapping(options.processes) as apply:
-            labels = list(apply(_labels, [method] * len(found), found))
+        labels = in_parallel(partial(_labels, method), found, options.processes, method.name)
         for name, group in groupby(zip(found, labels, strict=True), lambda one: one[0].set_name):
             members = [(frame.name, numbers_of(frame, one)) for frame, one in group]
             names = list(members[0][1])

@@ -22,12 +22,12 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from plane_detector.config import Config, DepthConfig, ScaleConfig, TrackingConfig
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.evaluation.benchmark.report import add_shared, emit, mapping, table
+from plane_detector.evaluation.benchmark.report import add_shared, emit, in_parallel, table
 from plane_detector.evaluation.benchmark.samples import timed
+from plane_detector.evaluation.datasets import numbered
 from plane_detector.evaluation.metrics import (
     RECALL_ANGLES_DEG,
     RECALL_DEPTHS_M,
@@ -102,10 +102,8 @@ class NyuDepth:
             for name in ('images', DEPTHS[depth], 'labels', 'instances'))
         depth_m = depth_m.astype(np.float32)
         depth_m[~((depth_m > 0) & (depth_m < MAX_DEPTH_M))] = np.nan
-        segments, known = np.zeros(depth_m.shape, np.int32), category > 0
-        segments[known] = 1 + np.unique((category.astype(np.int64) * 1000 + instance)[known],
-                                        return_inverse=True)[1]
-        return NyuFrame(rgb, depth_m, segments,
+        segments = numbered(category.astype(np.int64) * 1000 + instance, category > 0)
+        return NyuFrame(rgb, depth_m, segments + 1,
                         replace(INTRINSICS, cx=INTRINSICS.cx - COLUMNS.start,
                                 cy=INTRINSICS.cy - ROWS.start, width=COLUMNS.stop - COLUMNS.start,
                                 height=ROWS.stop - ROWS.start))
@@ -147,11 +145,10 @@ def run(options: argparse.Namespace) -> None:
     each = partial(evaluate, path, options.depth, options.methods,
                    '' if options.model == NO_MODEL else options.model)
     rows: dict[str, dict[int, Numbers]] = {}
-    with mapping(options.processes) as apply:
-        found = tqdm(apply(each, numbers), 'frames', total=len(numbers))
-        for number, numbers_of_methods in zip(numbers, found, strict=True):
-            for name, numbers_of_row in numbers_of_methods.items():
-                rows.setdefault(name, {})[number] = numbers_of_row
+    for number, of_methods in zip(numbers, in_parallel(each, numbers, options.processes, 'frames'),
+                                  strict=True):
+        for name, numbers_of_row in of_methods.items():
+            rows.setdefault(name, {})[number] = numbers_of_row
     emit(*(f'{name}: absent, {METHODS[name]().absent}.' for name in options.methods
            if METHODS[name]().absent))
     emit(f'### NYU Depth V2, {len(numbers)} frames, {options.depth} depth',

@@ -6,20 +6,17 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
-import multiprocessing
 import os
 import platform
 import shlex
-import signal
 import subprocess
-import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import cv2
+import joblib
+from tqdm import tqdm
 
 from plane_detector.process import one_thread, use_one_thread
 
@@ -60,37 +57,20 @@ def add_shared(parser: argparse.ArgumentParser, *names: str, **defaults: int) ->
     parser.set_defaults(**defaults)
 
 
-@contextmanager
-def mapping(processes: int) -> Iterator[Callable]:
+def in_parallel(function: Callable, items: Sequence, processes: int, title: str) -> Iterator:
     """
-    Yield a ``map`` over processes of one thread each; with one process, over the current one.
+    Yield what a function returns for each item, in order, from processes of one thread each.
 
-    Function, arguments and results must be picklable. The results come in order.
+    Function, items and results must be picklable.
     """
-    if processes == 1:
-        with one_thread():
-            yield map
-        return
-    # Spawned, not forked: the threads of OpenCV and ONNX Runtime do not survive a fork.
-    context = multiprocessing.get_context('spawn')
-    with ProcessPoolExecutor(processes, context, _prepare_worker) as pool:
-        try:
-            yield pool.map
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    def one(item: Any) -> Any:
+        use_one_thread()
+        return function(item)
 
-
-def _prepare_worker() -> None:
-    # Ctrl-C is handled by the main process, which ends the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_the_first_process, daemon=True).start()
-    use_one_thread()
-
-
-def _end_with_the_first_process() -> None:
-    # If the main process is killed, the others would wait forever.
-    multiprocessing.parent_process().join()
-    os._exit(1)
+    with one_thread():
+        work = joblib.Parallel(processes, return_as='generator', batch_size=1, max_nbytes=None)
+        calls = (joblib.delayed(function if processes == 1 else one)(item) for item in items)
+        yield from tqdm(work(calls), title, total=len(items), leave=False)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:

@@ -11,9 +11,8 @@ from functools import lru_cache
 from itertools import product
 
 import numpy as np
-from tqdm import tqdm
 
-from plane_detector.evaluation.benchmark.report import mapping
+from plane_detector.evaluation.benchmark.report import in_parallel
 from plane_detector.evaluation.datasets import UNKNOWN, LabelledFrame
 from plane_detector.evaluation.metrics import MIN_PIXELS, labelled_score, overlap, score
 from plane_detector.evaluation.peers import Method, Segments
@@ -128,9 +127,8 @@ def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slo
 
 def run_jobs(jobs: Sequence[Job], processes: int) -> list[Sample]:
     """Run all jobs on several processes with one thread each; results are in order."""
-    with mapping(processes) as apply:
-        found = tqdm(apply(run_job, jobs), 'scenes', total=len(jobs), leave=False)
-        return [sample for samples in found for sample in samples]
+    return [sample for samples in in_parallel(run_job, jobs, processes, 'scenes')
+            for sample in samples]
 
 
 def run_job(job: Job) -> list[Sample]:

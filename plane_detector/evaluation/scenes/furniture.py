@@ -1,17 +1,21 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Furniture of random sizes for rendered rooms.
+Furniture of random sizes for rendered rooms, and what is on their walls.
 
-Everything stands on z = 0, in metres. Furniture for a wall has its back at y = 0, its centre at
+Everything stands on z = 0, in metres. What is at a wall has its back at y = 0, its centre at
 x = 0 and faces y; other furniture has the origin in its centre. Faces of adjacent parts are never
 flush, so that each visually flat surface is one plane.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
 
+from plane_detector.evaluation.scenes.rendering import Rectangle
 from plane_detector.evaluation.scenes.surfaces import (
     Thing,
     bar,
@@ -22,6 +26,8 @@ from plane_detector.evaluation.scenes.surfaces import (
     drum,
     ellipsoid,
     joined,
+    outside,
+    panel,
     sheet,
 )
 
@@ -38,7 +44,7 @@ def sofa(rng: np.random.Generator, least_width: float = 1.5, most_width: float =
              block([-inner / 2, 0, 0.1], [inner / 2, back, back_height])]
     for left in (-width / 2, inner / 2):
         parts.append(block([left, 0.005, 0.06], [left + arm, depth, arm_height]))
-        parts += [_leg(left + arm / 2, y, 0.06, 0.05) for y in (0.08, depth - 0.08)]
+        parts += _legs((left + arm / 2,), (0.08, depth - 0.08), 0.06, 0.05)
     count = 1 if width < 1.2 else 2 + int(width > 1.9)
     for k in range(count):
         x = inner * ((k + 0.5) / count - 0.5)
@@ -95,15 +101,15 @@ def table(rng: np.random.Generator, low: tuple, high: tuple) -> Thing:
     leg, inset = rng.uniform([0.04, 0.01], [0.08, 0.08])
     x, y = width / 2 - inset - leg / 2, depth / 2 - inset - leg / 2
     parts = [block([-width / 2, -depth / 2, height - thick], [width / 2, depth / 2, height])]
-    parts += [_leg(a * x, b * y, height - thick, leg) for a in (-1, 1) for b in (-1, 1)]
+    parts += _legs((-x, x), (-y, y), height - thick, leg)
     if rng.uniform() < 0.3:
-        shelf = np.array([x, y, 0.15]), np.array([x, y, 0.17])
-        parts.append(block(shelf[0] * [-1, -1, 1], shelf[1]))
+        parts.append(block([-x, -y, 0.15], [x, y, 0.17]))
     return joined(*parts)
 
 
-def _leg(x: float, y: float, height: float, width: float) -> Thing:
-    return block([x - width / 2, y - width / 2, 0], [x + width / 2, y + width / 2, height])
+def _legs(xs: tuple, ys: tuple, height: float, width: float) -> list[Thing]:
+    half = width / 2
+    return [block([x - half, y - half, 0], [x + half, y + half, height]) for x in xs for y in ys]
 
 
 def on_table(rng: np.random.Generator) -> Thing:
@@ -135,7 +141,7 @@ def chair(rng: np.random.Generator) -> Thing:
     leg, thick, tilt_deg = rng.uniform([0.035, 0.025, 5], [0.05, 0.05, 12])
     x, y = width / 2 - leg / 2 - 0.012, depth / 2 - leg / 2 - 0.012
     parts = [block([-width / 2, -depth / 2, height - thick], [width / 2, depth / 2, height])]
-    parts += [_leg(a * x, b * y, height - thick, leg) for a in (-1, 1) for b in (-1, 1)]
+    parts += _legs((-x, x), (-y, y), height - thick, leg)
     top, post = rng.uniform([0.42, 0.025], [0.5, 0.04])
     back = [block([a * x - post / 2, 0, 0], [a * x + post / 2, post, top]) for a in (-1, 1)]
     slats = rng.integers(1, 4)
@@ -195,8 +201,7 @@ def television_bench(rng: np.random.Generator) -> Thing:
              block([-niche, 0.01, bottom + 0.02], [niche, 0.02, under])]
     parts += [block([x, 0.005, bottom - 0.01], [x + half - niche, depth, under])
               for x in (-half, niche)]
-    return joined(*parts, *(_leg(x, y, bottom, 0.05) for x in (-half + 0.1, half - 0.1)
-                            for y in (0.1, depth - 0.1)))
+    return joined(*parts, *_legs((-half + 0.1, half - 0.1), (0.1, depth - 0.1), bottom, 0.05))
 
 
 def floor_lamp(rng: np.random.Generator) -> Thing:
@@ -228,3 +233,124 @@ def plant(rng: np.random.Generator) -> Thing:
 def pouf(rng: np.random.Generator) -> Thing:
     """Return a round stool."""
     return drum(*rng.uniform([0.2, 0.05, 0.35], [0.32, 0.06, 0.45]))
+
+
+@dataclass(frozen=True)
+class Opening:
+    """The hole of a window in a wall: its limits in metres, with x from its centre."""
+
+    half_width: float
+    low: float
+    high: float
+
+
+def wall(length: float, height: float, hole: Opening | None = None, hole_x: float = 0.0) -> Thing:
+    """Return the wall from x = 0 to its length, with or without the hole of a window."""
+    face = Rectangle(np.zeros(3), length * np.eye(3)[0], height * np.eye(3)[2])
+    if hole is not None:
+        face = replace(face, mask=outside(
+            ((hole_x - hole.half_width) / length, hole.low / height),
+            ((hole_x + hole.half_width) / length, hole.high / height)))
+    return Thing((face,))
+
+
+def picture(rng: np.random.Generator) -> Thing:
+    """Return a canvas, or a frame with a recessed picture; its centre is at z = 0."""
+    half = rng.uniform([0.15, 0.15], [0.5, 0.4])
+    thick, border = rng.uniform([0.015, 0.03], [0.04, 0.07])
+    low, high = np.array([-half[0], 0, -half[1]]), np.array([half[0], thick, half[1]])
+    if rng.uniform() < 0.3:
+        return block(low, high)
+    inset = np.array([border, 0, border])
+    inside = high - low - 2 * inset
+    frame = panel(low, high, outside(border / (2 * half), 1 - border / (2 * half)))
+    return frame + _niche(low + inset, inside[0], inside[2], thick, rng.uniform(0.4, 0.7) * thick)
+
+
+def _niche(corner: Sequence[float], width: float, height: float, front: float,
+           back: float) -> Thing:
+    """Return the four sides of a niche between two values of y, and its back."""
+    across, up = width * np.eye(3)[0], height * np.eye(3)[2]
+    deep = (front - back) * np.eye(3)[1]
+    corner = np.array([corner[0], back, corner[2]])
+    return Thing((Rectangle(corner, across, up), *_sides(corner, across, up, deep)))
+
+
+def _sides(corner: np.ndarray, across: np.ndarray, up: np.ndarray,
+           deep: np.ndarray) -> tuple[Rectangle, ...]:
+    return (Rectangle(corner, up, deep), Rectangle(corner + across, up, deep),
+            Rectangle(corner, across, deep), Rectangle(corner + up, across, deep))
+
+
+def television(rng: np.random.Generator) -> Thing:
+    """Return a flat screen whose front is 2 to 5 cm from the wall; its centre is at z = 0."""
+    half = rng.uniform(0.45, 0.75)
+    return block([-half, 0, -0.56 * half], [half, rng.uniform(0.02, 0.05), 0.56 * half])
+
+
+def door(rng: np.random.Generator) -> Thing:
+    """Return a door in a frame 2 to 4 cm in front of the wall, with a handle."""
+    half, high, border = rng.uniform([0.4, 1.98, 0.06], [0.48, 2.08, 0.1])
+    frame, leaf = rng.uniform([0.02, 0.004], [0.04, 0.012])
+    # Slightly below the floor, so that no face is in the plane of the floor.
+    low, top = [-half - border, 0, -0.01], [half + border, frame, high + border]
+    share = border / (2 * half + 2 * border)
+    bar_y = leaf + 0.05
+    handle = half - 0.07
+    return joined(
+        panel(low, top, outside((share, -1), (1 - share, 1 - border / (high + border + 0.01)))),
+        _niche((-half, 0, -0.01), 2 * half, high + 0.01, frame, leaf),
+        bar([handle - 0.11, bar_y, 1.03], [handle, bar_y, 1.03], 0.011),
+        bar([handle, leaf, 1.03], [handle, bar_y, 1.03], 0.011))
+
+
+def window(rng: np.random.Generator, hole: Opening) -> Thing:
+    """Return reveal, frame, sill and pane; some panes show no depth behind them."""
+    half, height = hole.half_width, hole.high - hole.low
+    deep, border, frame = rng.uniform([0.1, 0.05, 0.03], [0.22, 0.08, 0.05])
+    corner = np.array([-half, -deep, hole.low])
+    across, up = 2 * half * np.eye(3)[0], height * np.eye(3)[2]
+    edge, middle = border / np.array([2 * half, height]), border / (4 * half)
+
+    def bars(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return outside(edge, 1 - edge)(u, v) | (abs(u - 0.5) < middle)
+
+    back = corner - [0, frame, 0]
+    faces = [Rectangle(corner, across, up, mask=bars),
+             *_sides(corner, across, up, deep * np.eye(3)[1])]
+    for left, right in ((border, half - border / 2), (half + border / 2, 2 * half - border)):
+        faces += _sides(back + [left, 0, border], (right - left) * np.eye(3)[0],
+                        (height - 2 * border) * np.eye(3)[2], frame * np.eye(3)[1])
+    if rng.uniform() < 0.6:
+        faces.append(Rectangle(back, across, up))
+    sill = rng.uniform(0.03, 0.15)
+    return Thing(tuple(faces)) + block([-half - 0.04, -deep + 0.001, hole.low - 0.03],
+                                       [half + 0.04, sill, hole.low + 0.005])
+
+
+def curtains(rng: np.random.Generator, hole: Opening) -> Thing:
+    """Return two wavy sheets at the sides of a window, on a rod with knobs."""
+    amplitude, wave, bottom = rng.uniform([0.02, 0.08, 0.02], [0.05, 0.16, 0.15])
+    top, y = hole.high + 0.12, 0.17 + amplitude
+    end = hole.half_width + 0.15
+    parts = [bar([-end, y, top], [end, y, top], 0.012)]
+    for side in (-1, 1):
+        parts.append(ellipsoid(0.025, 0.025).at(side * end, y, top))
+        x = np.arange(0, rng.uniform(0.3, 0.6), 0.0015)
+        phase = 2 * np.pi * x / wave + rng.uniform(0, 6)
+        # Uneven folds, so that no two of them are parallel.
+        swing = amplitude * np.sin(phase + 0.8 * np.sin(0.37 * phase))
+        profile = np.stack([side * (end - 0.02 - x), y + swing, np.full(len(x), bottom)], axis=1)
+        parts.append(sheet(profile, np.array([0, 0, top - bottom])))
+    return joined(*parts)
+
+
+def radiator(rng: np.random.Generator, hole: Opening) -> Thing:
+    """Return a flat radiator below a window."""
+    half = hole.half_width * rng.uniform(0.6, 0.9)
+    return block([-half, 0.03, 0.12], [half, rng.uniform(0.08, 0.12), hole.low - 0.12])
+
+
+def skirting(spans: Sequence[tuple[float, float]], height: float, thick: float) -> Thing:
+    """Return boards along the foot of a wall, each between two values of x."""
+    return joined(*(block([low, 0, 0], [high, thick, height]) for low, high in spans))
