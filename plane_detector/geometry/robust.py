@@ -53,15 +53,15 @@ def order_statistics(values: np.ndarray, rank: int) -> tuple[float, float]:
         is_short=True)
 def _bucket_of(values, rank):
     """Return few of the values with one of a rank, its rank in them, the largest one below."""
-    kept, counts, below = values.copy(), np.empty(1024, np.int64), -np.inf
+    kept, below = values.copy(), -np.inf
     while len(kept) > 48:
         low, high = kept[0], kept[0]
         for value in kept:
             low, high = min(low, value), max(high, value)
         if not high - low > TINY_RANGE:
             break
+        counts = np.zeros(1024, np.int64)
         per = (len(counts) - 1) / (high - low)
-        counts[:] = 0
         for value in kept:
             counts[int((value - low) * per)] += 1
         place = 0

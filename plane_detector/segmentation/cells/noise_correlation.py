@@ -132,10 +132,13 @@ class Correlation:
 def in_large_regions(labels, count):
     """Return which cells (R * C,) are in regions large enough to show their noise."""
     sizes, label = np.zeros(count + 1, np.int64), labels.reshape(-1)
+    is_large = np.empty(len(label), np.bool_)
     for k in label:
         sizes[k] += 1  # the last are those of no region
     sizes[count] = 0
-    return (sizes > MIN_REGION_CELLS)[label]
+    for i in range(len(label)):
+        is_large[i] = sizes[label[i]] > MIN_REGION_CELLS
+    return is_large
 
 
 def bending_of(model: WeightedCells, regions: PlaneRegions, noise: Noise) -> float:
@@ -213,19 +216,22 @@ def _bounded(share: float) -> float:
         is_short=True)
 def _covariances(labels, planes, table, is_used):
     """Return the mean product (3,) of residuals in a region 0, 1 and 2 cells apart."""
-    rows, columns = labels.shape
-    residuals, total, count = np.full((rows, columns), np.nan), np.zeros(3), np.zeros(3)
-    for i in np.flatnonzero(is_used):
-        row, column = i // columns, i % columns
-        a, b, c = planes[labels[row, column]]
-        residuals[row, column] = residual(table, i, a, b, c)
+    (rows, columns), residuals = labels.shape, np.full(labels.size, np.nan)
+    total, count, label = np.zeros(3), np.zeros(3), labels.reshape(-1)
+    for i in range(labels.size):
+        if is_used[i]:
+            k = label[i]
+            residuals[i] = residual(table, i, planes[k, 0], planes[k, 1], planes[k, 2])
     for row in range(rows):
         for column in range(columns):
+            i = row * columns + column
             for lag in range(3):
-                for r, c in ((row + lag, column), (row, column + lag)):
-                    if r < rows and c < columns and labels[r, c] == labels[row, column]:
-                        product = residuals[r, c] * residuals[row, column]
+                for step, left in ((lag * columns, rows - row), (lag, columns - column)):
+                    if left > lag and label[i + step] == label[i]:
+                        product = residuals[i + step] * residuals[i]
                         if not np.isnan(product):
                             total[lag] += product
                             count[lag] += 1
-    return total / np.maximum(count, 1)
+    for lag in range(3):
+        total[lag] /= max(count[lag], 1.0)
+    return total

@@ -155,16 +155,20 @@ def _is_curved(sums, lens, noise_density, min_deg):
 @kernel('boolean[::1](int8[:, ::1])', is_short=True)
 def _in_bends(bends):
     """Return which regions bends link to a clear one (hysteresis, Canny 1986) or to a chain."""
-    count, linked, found = len(bends), bends > 0, np.zeros(len(bends), np.bool_)
+    # Loops throughout: an operation on arrays takes up to a second to compile.
+    count, found = len(bends), np.zeros(len(bends), np.bool_)
+    linked, strongest = np.empty(bends.shape, np.bool_), np.zeros(count, np.int8)
+    for i in range(count):
+        for k in range(count):
+            linked[i, k], strongest[i] = bends[i, k] > 0, max(strongest[i], bends[i, k])
     for through in range(count):  # transitive closure (Warshall 1962)
         for i in range(count):
-            if linked[i, through]:
-                linked[i] |= linked[through]
+            for k in range(count if linked[i, through] else 0):
+                linked[i, k] |= linked[through, k]
     for i in range(count):
-        linked[i, i] = True
         size = is_clear = 0
         for k in range(count):
-            if linked[i, k]:
-                size, is_clear = size + 1, max(is_clear, bends[k].max())
+            if k == i or linked[i, k]:
+                size, is_clear = size + 1, max(is_clear, strongest[k])
         found[i] = is_clear > 1 or size >= MIN_CHAIN
     return found

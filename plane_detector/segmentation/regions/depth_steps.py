@@ -77,7 +77,9 @@ def _block_residuals(disparity, valid, labels, planes, size):
     residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
     total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.float32)
-    begin = np.arange(max(rows, columns) * BLOCKS) * size // BLOCKS
+    begin = np.empty(max(rows, columns) * BLOCKS, np.int64)
+    for i in range(len(begin)):
+        begin[i] = i * size // BLOCKS
     for i in range(rows * BLOCKS):
         top = begin[i]
         for u in range(width):

@@ -74,8 +74,9 @@ def prefer_two_planes(cells: WeightedCells, labels: np.ndarray, correlation: Cor
         'UniTuple(int64, 2))', is_short=True)
 def log_likelihood_gain(labels, table, is_planar, covariance, pair):
     """Return twice the gain of two planes over one; 0 if either has too few cells for a fit."""
-    cell, is_first = _cells_about(labels, is_planar, pair)
-    of_first = np.count_nonzero(is_first)
+    (cell, is_first), of_first = _cells_about(labels, is_planar, pair), 0
+    for i in range(len(cell)):
+        of_first += is_first[i]
     if min(of_first, len(cell) - of_first) <= PLANE_TERMS:
         return 0.0
     products = _weighted_products(_system(table, covariance, labels.shape[1], cell, is_first))
@@ -168,7 +169,10 @@ def _system(table, covariance, columns, cell, is_first):
         x += table[cell[i], MEAN_X] / n
         y += table[cell[i], MEAN_Y] / n
         d += table[cell[i], MEAN_D] / n
-    work, row, column = np.zeros((n, n + 7), np.float32), cell // columns, cell % columns
+    work = np.zeros((n, n + 7), np.float32)
+    row, column = np.empty(n, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        row[i], column[i] = cell[i] // columns, cell[i] % columns
     for i in range(n):
         for j in range(i, n):
             work[i, j] = covariance[abs(row[i] - row[j]), abs(column[i] - column[j])]
