@@ -95,8 +95,8 @@ def test_a_sensor_measures():
         SensorDepth().observe(RGB, CAMERA, None, TOPIC)
 
 
-@pytest.mark.parametrize('output', ['metric_depth', 'disparity'])
-def test_flicker_of_a_large_still_image_is_averaged(output):
+@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
+def test_flicker_of_a_large_still_image_is_averaged_until_a_reset(output):
     """Its noise is that of a small input: twelve images have less than half of it."""
     rng, size = np.random.default_rng(0), (1280, 960)
     rgb = cv2.resize(rng.integers(0, 255, (60, 80, 3), np.uint8), size,
@@ -110,7 +110,12 @@ def test_flicker_of_a_large_still_image_is_averaged(output):
 
     source = make_source(Config(depth=DepthConfig(output=output)), predict)
     camera = CameraIntrinsics.from_field_of_view(*size, 60.0)
-    off = [np.nanstd(source.observe(rgb, camera, None, Config()).disparity - true)
-           for _ in range(12)]
+
+    def observed():
+        return source.observe(rgb, camera, None, Config()).disparity
+
+    off = [np.nanstd(observed() - true) for _ in range(12)]
     assert off[-1] < 0.5 * off[0]
-    assert np.isnan(source.observe(rgb, camera, None, Config()).disparity[:100]).all()
+    assert np.isnan(observed()[:100]).all()
+    source.reset()
+    assert np.nanstd(observed() - true) > 0.8 * off[0]

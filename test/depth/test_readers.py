@@ -132,23 +132,6 @@ def test_a_map_smaller_than_the_input_is_cropped_where_the_image_lies():
     np.testing.assert_array_equal(framing.crop(rows)[:, 0], np.arange(4, 12))
 
 
-def test_a_network_of_several_outputs_goes_through_the_whole_pipeline(tmp_path, monkeypatch):
-    # The wall leans 8.5 degrees to the left by its depth, and 16 by its normals.
-    slope, blue = 0.15, 92
-    lens = CameraIntrinsics(200.0, 208.0, 81.5, 93.5, 4 * WIDTH, 4 * HEIGHT)
-    path = write_point_map_network(tmp_path / 'n.onnx', rays(lens, (4 * HEIGHT, 4 * WIDTH)))
-    put_in_cache(monkeypatch, MOGE, path)
-    estimate = DepthEstimator(DepthConfig(model=MOGE, cache_dir=str(tmp_path)))
-    depth_m = wall_m(lens, slope)
-    found = PlaneDetector(Config(), estimate).detect(encoded(np.round(depth_m, 3), blue), lens)
-    normal = found.planes[0].normal
-    angle_deg = np.degrees(np.arctan2(normal[0], -normal[2]))
-    assert found.scale_method == 'metric'
-    assert angle_deg_of(blue) == pytest.approx(-16, abs=0.1)
-    assert -16 < angle_deg < -np.degrees(np.arctan(slope)) - 2, 'by both'
-    np.testing.assert_allclose(found.depth_m, depth_m, rtol=1e-3)
-
-
 def wide_network(depth_m, output):
     """Return a model that assumes a camera with half the focal length."""
     values = depth_m / 2 if output == 'metric_depth' else 2 / depth_m

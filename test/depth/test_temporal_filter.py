@@ -7,14 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
-from plane_detector.config import Config, TrackingConfig
-from plane_detector.depth.observation import DepthFunction
 from plane_detector.depth.temporal_filter import filter_disparity
-from plane_detector.pipeline import PlaneDetector
-from plane_detector.types import CameraIntrinsics
 
 SHAPE = (240, 320)
-CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 TRUTH = np.tile(np.linspace(0.2, 0.6, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
 NOISE = 0.01
 
@@ -133,33 +128,3 @@ def test_invalid_pixels_stay_invalid_and_new_ones_stand_alone():
     assert not np.isfinite(state.disparity[-40:]).any()
     np.testing.assert_array_equal(state.disparity[:40], disparities[-1][:40])
     assert np.isfinite(state.disparity[:-40]).all()
-
-
-class FlickeringWall:
-    """A wall with a different disparity in every image."""
-
-    def __init__(self, unit):
-        self.unit = unit
-        self._rng = np.random.default_rng(6)
-
-    def __call__(self, rgb):
-        self.last = flickering(self._rng)
-        if self.unit == 'metric_depth':
-            self.last = 1 / self.last
-        return self.last
-
-
-@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
-def test_the_pipeline_filters_the_depth_of_a_network(output):
-    network = DepthFunction(FlickeringWall(output), output)
-    detector = PlaneDetector(Config(tracking=TrackingConfig(enabled=False)), network)
-    images, _ = still(8)
-    first, *_, last = (detector.detect(rgb, CAMERA) for rgb in images)
-    scale = np.median(1 / last.depth_m) / np.median(TRUTH)
-    flicker, damped_flicker = (
-        float(np.std(1 / found.depth_m / scale - TRUTH)) for found in (first, last))
-    assert flicker == pytest.approx(NOISE, rel=0.15)
-    assert damped_flicker < 0.5 * NOISE
-    detector.reset()
-    prediction = detector.observe(images[0], CAMERA).prediction
-    np.testing.assert_array_equal(prediction.values, network.function.last)

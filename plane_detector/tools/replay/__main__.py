@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.stopping import end_process, quiet_interrupt
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import NodeConfig
@@ -77,8 +77,11 @@ def _run_one(options: ReplayOptions) -> int:
 def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # joblib ends its workers
     bags = many_bags.find_bags(inputs, folder.resolve())
-    summaries = many_bags.replay_many(bags, _options(arguments, Path(), folder),
-                                      arguments.backend, arguments.jobs)
+    options = _options(arguments, Path(), folder)
+    try:
+        summaries = many_bags.replay_many(bags, options, arguments.backend, arguments.jobs)
+    except KeyboardInterrupt:  # a cluster on this machine ends with this process
+        end_process(INTERRUPTED)
     print(many_bags.describe(summaries))
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):

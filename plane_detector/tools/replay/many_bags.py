@@ -14,9 +14,9 @@ import os
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import joblib
 
@@ -142,7 +142,7 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
     """
     options.target.mkdir(parents=True, exist_ok=True)
     each = [_options_of(name, source, options) for name, source in bags.items()]
-    with _cluster(backend), joblib.parallel_config(backend, n_jobs=jobs):
+    with joblib.parallel_config(backend, n_jobs=jobs, **_connection(backend)):
         try:
             summaries = joblib.Parallel(batch_size=1, verbose=11)(
                 joblib.delayed(replay_one)(one) for one in each)
@@ -163,12 +163,12 @@ def replay_many(bags: Mapping[str, Path], options: ReplayOptions, backend: str =
     return summaries
 
 
-def _cluster(backend: str) -> AbstractContextManager:
+def _connection(backend: str) -> dict[str, Any]:
     """Connect to a cluster, by the address in its own environment variable, or start one here."""
     try:
         if backend == 'dask':
             from dask.distributed import Client
-            return Client()
+            return {'client': Client()}
         if backend == 'ray':
             from ray.util.joblib import register_ray
             register_ray()
@@ -176,7 +176,7 @@ def _cluster(backend: str) -> AbstractContextManager:
         package = {'dask': '"dask[distributed]"', 'ray': 'ray'}[backend]
         raise ModuleNotFoundError(f'{error}: --backend {backend} needs pip install {package}, '
                                   'here and on the workers', name=error.name) from error
-    return nullcontext()
+    return {}
 
 
 def _options_of(name: str, source: Path, options: ReplayOptions) -> ReplayOptions:

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags in and bags out: every format, the truth, the options."""
 
-import array
 import shutil
 
 import cv2
 import pytest
 from bags import FORMATS, ROS1, messages_of, read_bag, write_bag
-from onnx_models import millimetres_as_rgb, write_depth_network
 from rclpy.parameter import Parameter
 from replay_helpers import (
     CAMERA,
@@ -24,8 +22,7 @@ from replay_helpers import (
     stamps_of,
     time_ns,
 )
-from ros_helpers import Robot, camera_info_msg, header
-from sensor_msgs.msg import CompressedImage
+from ros_helpers import Robot, camera_info_msg
 
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -48,23 +45,6 @@ def test_planes_of_every_format_are_true(tmp_path, scenes, replay, bag_format):
     assert all(len(messages) == len(scenes) for messages in written.values())
     assert_true(target, scenes)
     assert f'{len(scenes)} frames in' in text
-
-
-def test_depth_from_a_network_and_compressed_images(tmp_path, scenes, replay):
-    """The network reads millimetres out of the colours; lines of such images mean nothing."""
-    messages = [(INFO, time_ns(0) - 1000, camera_info_msg(CAMERA, stamp_s(0)))]
-    for index, scene in enumerate(scenes):
-        png = cv2.imencode('.png', millimetres_as_rgb(scene.depth_m)[..., ::-1])[1]
-        msg = CompressedImage(header=header(stamp_s(index)), format='rgb8; png compressed bgr8')
-        msg.data = array.array('B', png.tobytes())
-        messages.append((f'{IMAGE}/compressed', time_ns(index), msg))
-    network = write_depth_network(tmp_path / 'depth.onnx', height=120, width=160)
-    code, target, text = replay(
-        write_bag(tmp_path / 'walk', messages), '-p', f'depth.model:={network}',
-        '-p', 'depth.output:=metric_depth', '-p', 'depth.mean:=[0.0, 0.0, 0.0]',
-        '-p', 'depth.std:=[1.0, 1.0, 1.0]', '-p', 'directions.orient_planes:=false', depth='')
-    assert code == 0, text
-    assert_true(target, scenes)
 
 
 def test_the_live_node_gives_the_same(bag, scenes, replay):

@@ -2,17 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The depth that a replay uses, as reported in its output and in the new bag."""
 
+import array
+
+import cv2
+import numpy as np
 import pytest
 from bags import messages_of, write_bag
 from diagnostic_msgs.msg import DiagnosticArray
 from onnx_models import millimetres_as_rgb, write_depth_network
-from replay_helpers import (
-    DEPTH,
-    IMAGE,
-    assert_true,
-    camera_messages,
-)
+from replay_helpers import DEPTH, IMAGE, assert_true, camera_messages
 from ros_helpers import image_msg
+from sensor_msgs.msg import CompressedImage
 
 
 @pytest.fixture
@@ -66,14 +66,28 @@ def test_a_network_is_used_on_request_despite_measured_depth(
     assert_true(target, scenes)
 
 
+def compressed(messages):
+    """Return the messages with images as PNG files; of each the stamp stays."""
+    for k, (topic, when, msg) in enumerate(messages):
+        if topic == IMAGE:
+            pixels = np.frombuffer(msg.data, np.uint8).reshape(msg.height, msg.width, 3)
+            png = CompressedImage(header=msg.header, format='rgb8; png compressed bgr8')
+            png.data = array.array('B', cv2.imencode('.png', pixels[..., ::-1])[1].tobytes())
+            messages[k] = f'{IMAGE}/compressed', when, png
+    return messages
+
+
 @pytest.mark.parametrize('change, told', [
-    (None, 'because the bag has no depth images'),
+    ('none', 'because the bag has no depth images'),
+    ('compressed', 'because the bag has no depth images'),
     ('frame', "because /cam/depth (160 x 120, 32FC1, frame_id 'depth_optical') is not registered "
               "to the image (160 x 120, frame_id 'camera_optical_frame')"),
     ('size', 'because /cam/depth (80 x 60, 32FC1')])
 def test_without_registered_depth_a_network_is_used_with_the_reason(
         tmp_path, scenes, replay, network, change, told):
-    messages = coded(scenes, depth=change is not None)
+    messages = coded(scenes, depth=change in ('frame', 'size'))
+    if change == 'compressed':
+        messages = compressed(messages)
     for topic, _, msg in messages:
         if topic == DEPTH and change == 'frame':
             msg.header.frame_id = 'depth_optical'
