@@ -31,7 +31,6 @@ from plane_detector.evaluation.benchmark.samples import COUNTS, Sample, plan, ru
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.metrics import known_mean
 from plane_detector.evaluation.peers import Ours
-from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.types import PlaneSegmentation
 
 TUNING_SEED = 8000
@@ -106,13 +105,9 @@ def run(options: argparse.Namespace) -> None:
     methods = [Ours(), *(Without(name, [name]) for name in wanted)]
     if len(wanted) > 1:
         methods.append(Without(ALL, wanted))
-    by_hand = list(labelled_frames(options.data))
-    if options.labelled:
-        jobs = plan(methods, {'rooms': 0, 'living': 0, 'curved': 0}, 0, 0, by_hand)
-    else:
-        jobs = plan(methods, vars(options), options.first_seed, 0, by_hand,
-                    sensors=tuple(SENSORS))
-    report(run_jobs(jobs, options.processes))
+    by_hand = labelled_frames(options.data)
+    counts = {'rooms': 0, 'living': 0, 'curved': 0} if options.labelled else vars(options)
+    report(run_jobs(plan(methods, counts, options.first_seed, 0, by_hand), options.processes))
 
 
 def report(samples: Sequence[Sample]) -> None:
