@@ -43,7 +43,7 @@ benchmark: $(STAMP)
 	@$(RUN) -m plane_detector.evaluation.benchmark $(or $(ARGS),accuracy)
 
 defaults: $(STAMP)
-	@$(RUN) -m plane_detector.evaluation.defaults --write
+	@$(RUN) -m plane_detector.evaluation.defaults
 
 lock:
 	@.ci/lock

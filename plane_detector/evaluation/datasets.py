@@ -112,8 +112,7 @@ def labelled_frames(data: Path) -> Iterator[LabelledFrame]:
             about = json.loads((path.parent / 'intrinsics.json').read_text())
             left_out = about.get('frames', {}).get(name, {}).get('labels_not_one_plane', [])
             labels = numbered(raw, (raw > 0) & ~np.isin(raw, left_out), UNKNOWN)
-        yield LabelledFrame(frame.set_name, name, frame.rgb, frame.depth_m, frame.intrinsics,
-                            labels.astype(np.int32))
+        yield LabelledFrame(**vars(frame), labels=labels.astype(np.int32))
     for path in sorted((data / ABW).glob('*_labels.png')):
         name, raw = path.name.removesuffix('_labels.png'), _read_image(path)
         range_image = _read_image(path.with_name(f'{name}_range.png'))

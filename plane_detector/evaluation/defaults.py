@@ -3,12 +3,11 @@
 """
 The parameters as a yaml file and as a table in the documentation, generated from config.py.
 
-    python -m plane_detector.evaluation.defaults --write
+    python -m plane_detector.evaluation.defaults
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import textwrap
 from itertools import groupby
@@ -115,17 +114,10 @@ def _yaml(value: Any) -> str:
 
 
 def main() -> None:
-    """Print the yaml file and the table, or write them to their files."""
-    parser = argparse.ArgumentParser(description=__doc__.strip().splitlines()[0])
-    parser.add_argument('--write', action='store_true',
-                        help='write config/plane_detector.yaml and docs/parameters.md')
-    if parser.parse_args().write:
-        page = _ROOT / 'docs' / 'parameters.md'
-        (_ROOT / 'config' / 'plane_detector.yaml').write_text(yaml_text(), encoding='utf-8')
-        page.write_text(with_table(page.read_text(encoding='utf-8')), encoding='utf-8')
-    else:
-        print(yaml_text())
-        print(parameter_table())
+    """Write the yaml file and the table to their files."""
+    page = _ROOT / 'docs' / 'parameters.md'
+    (_ROOT / 'config' / 'plane_detector.yaml').write_text(yaml_text(), encoding='utf-8')
+    page.write_text(with_table(page.read_text(encoding='utf-8')), encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -15,15 +15,15 @@ import numpy as np
 
 from plane_detector.config import Config, PaperConfig, SegmentationConfig
 from plane_detector.evaluation.datasets import numbered
+from plane_detector.evaluation.metrics import MIN_PIXELS
 from plane_detector.evaluation.reference_planes import fit_planes
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
 from plane_detector.segmentation.baselines import paper_labels
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
-MIN_PIXELS = 1500
-"""Smallest plane of the other methods, at 640 x 480; as a share of the image at other sizes."""
-
+MIN_SHARE = MIN_PIXELS / (640 * 480)
+"""Smallest plane of the other methods, as a share of the image."""
 Segments = tuple[np.ndarray, np.ndarray]
 """Labels (H, W) int32, -1 for none, and planes (K, 4): unit normal to the camera, offset."""
 
@@ -72,12 +72,11 @@ class Ours(Method):
 class Paper(Ours):
     """The paper's method: sequential RANSAC of pyRANSAC-3D, then DBSCAN."""
 
+    name = f'paper, {PaperConfig.max_points} points'
     slow = True
 
-    def __init__(self, max_points: int = PaperConfig.max_points) -> None:
-        super().__init__(Config(segmentation=SegmentationConfig(method='paper'),
-                                paper=PaperConfig(max_points=max_points)))
-        self.name = f'paper, {max_points} points'
+    def __init__(self) -> None:
+        super().__init__(Config(segmentation=SegmentationConfig(method='paper')))
         try:
             import pyransac3d  # noqa: F401
         except ImportError as error:
@@ -87,9 +86,7 @@ class Paper(Ours):
 class PlainRansac(Paper):
     """The paper's RANSAC without its clustering."""
 
-    def __init__(self, max_points: int = PaperConfig.max_points) -> None:
-        super().__init__(max_points)
-        self.name = f'RANSAC alone, {max_points} points'
+    name = f'RANSAC alone, {PaperConfig.max_points} points'
 
     def run(self, prepared: Any) -> Any:
         """Find the planes by sequential RANSAC."""
@@ -106,7 +103,7 @@ class PlainRansac(Paper):
 class OpenCv(Method):
     """OpenCV 5's RgbdNormals and findPlanes."""
 
-    def __init__(self, threshold_m: float, min_share: float = MIN_PIXELS / (640 * 480)) -> None:
+    def __init__(self, threshold_m: float, min_share: float = MIN_SHARE) -> None:
         self.threshold_m, self.min_share = threshold_m, min_share
         self.name = f'OpenCV findPlanes, {100 * threshold_m:g} cm'
         if not (hasattr(cv2, 'findPlanes') and hasattr(cv2, 'RgbdNormals')):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.evaluation.datasets import Frame
+from plane_detector.evaluation.metrics import MIN_PIXELS
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
 from plane_detector.planes.classification import lowest_level, refine_gravity
@@ -27,7 +28,7 @@ _MAX_SAMPLES, _HYPOTHESES, _REFITS = 1500, 300, 3
 # Of annotated instances. The share is assumed, not tuned, because no annotated image was
 # available: a smaller part is more likely a strip of a curved surface that is within the
 # tolerance by chance.
-MIN_PIXELS, MIN_INSTANCE_SHARE, MAX_PLANES = 1500, 0.2, 6
+MIN_INSTANCE_SHARE, MAX_PLANES = 0.2, 6
 
 
 @dataclass(frozen=True)

@@ -189,27 +189,27 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     walkable = surfaces.slopes_deg <= limits.max_slope + SLOPE_MARGIN_DEG
     joins, risers = count_borders(labels, *rays, table, walkable, limits.max_step * unit_m,
                                   STEP_RANGE_M * unit_m)
-    above, error = surfaces.above(own)
-    joined, at_level, lower = _ground_planes(surfaces, own, above, error, walkable, joins,
+    above, above_error = surfaces.above(own)
+    joined, at_level, lower = _ground_planes(surfaces, own, above, above_error, walkable, joins,
                                              limits.max_step * unit_m)
     classes = _classes(found, surfaces, above, joined, at_level, risers, unit_m)
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
     # 4. Pixels.
-    sigma = disparity_sigma(found)
+    error = SIGMAS * float(found.disparity_noise)
     is_ground = joined | lower
     mask = mark_ground(depth_m, labels, *rays, table, is_ground, own, level_axes(down),
-                       limits.min_height, np.tan(np.radians(limits.max_slope)), SIGMAS * sigma)
+                       limits.min_height, np.tan(np.radians(limits.max_slope)), error)
     # 5. Drops.
     if doubt:
         return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg, note=doubt)
-    error_m = SIGMAS * sigma * TOLD_AT_M * height_m
+    error_m = error * TOLD_AT_M * height_m
     if error_m > LARGEST_ERROR_M:
         return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg,
                       note=f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off')
     ends = mark_drops(depth_m, labels, mask, *rays, table, is_ground, own, down,
-                      limits.min_drop, SIGMAS * sigma)
+                      limits.min_drop, error)
     drops = _rows(ends)
     return Ground(classes, mask, drops[:, :3], drops[:, 3], height_m, tilt_deg)
 
@@ -218,11 +218,6 @@ def level_axes(down: np.ndarray) -> np.ndarray:
     """Return the directions (2, 3) down, and level in the direction of the optical axis."""
     ahead = np.array([0.0, 0.0, 1.0]) - down[2] * down
     return np.array([down, ahead / max(np.linalg.norm(ahead), 1e-6)], np.float32)
-
-
-def disparity_sigma(found: PlaneSegmentation) -> float:
-    """Return the standard deviation of 1/z of a pixel, 1/m."""
-    return float(found.disparity_noise)
 
 
 def _rough_floor(depth_m: np.ndarray, labels: np.ndarray, rays: tuple[np.ndarray, np.ndarray],

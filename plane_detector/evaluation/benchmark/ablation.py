@@ -31,7 +31,6 @@ from plane_detector.evaluation.benchmark.samples import COUNTS, Sample, plan, ru
 from plane_detector.evaluation.datasets import labelled_frames
 from plane_detector.evaluation.metrics import known_mean
 from plane_detector.evaluation.peers import Ours
-from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.types import PlaneSegmentation
 
 TUNING_SEED = 8000
@@ -42,27 +41,20 @@ _SEGMENT = 'plane_detector.segmentation.segment'
 _REGIONS = 'plane_detector.segmentation.regions'
 STAGES: dict[str, tuple[str, Callable[..., Any]]] = {
     'competition for cells': (f'{_SEGMENT}.compete_for_cells', lambda frame, regions: regions),
-    'depth steps': (f'{_SEGMENT}.split_at_depth_steps',
-                    lambda frame, regions, correlation: regions),
-    'correlated errors': (f'{_SEGMENT}.reassign_cells',
-                          lambda frame, regions, correlation: regions),
-    'model selection': (f'{_REGIONS}.merging.prefer_two_planes',
-                        lambda cells, labels, correlation, first, second: False),
-    'merging behind objects': (f'{_REGIONS}.merging._is_hidden_between',
-                               lambda labels, table, is_planar, sums, pair: False),
-    'coplanar regions': (f'{_SEGMENT}.merge_coplanar', lambda cells, graph, correlation: graph),
+    'depth steps': (f'{_SEGMENT}.split_at_depth_steps', lambda frame, regions, *_: regions),
+    'correlated errors': (f'{_SEGMENT}.reassign_cells', lambda frame, regions, *_: regions),
+    'model selection': (f'{_REGIONS}.merging.prefer_two_planes', lambda *_: False),
+    'merging behind objects': (f'{_REGIONS}.merging._is_hidden_between', lambda *_: False),
+    'coplanar regions': (f'{_SEGMENT}.merge_coplanar', lambda cells, graph, *_: graph),
     'sides of intersections': (
         f'{_REGIONS}.region_graph.RegionGraph.intersections',
         lambda graph: np.zeros((len(graph.planes), len(graph.planes)), np.int8)),
     'small planes': (f'{_SEGMENT}.add_small_planes',
-                     lambda frame, labels, graph, min_turn_deg: graph.planes),
-    'curved regions': (f'{_SEGMENT}.find_curved',
-                       lambda graph, *limits: np.zeros(0, np.int64)),
-    'narrow gaps': (f'{_SEGMENT}.close_gaps', lambda labels, *others: None),
-    'nearly flat regions': (
-        f'{_SEGMENT}.join_nearly_flat',
-        lambda cells, graph, removed, correlation, config: (graph.owner, graph.planes)),
-}
+                     lambda frame, labels, graph, *_: graph.planes),
+    'curved regions': (f'{_SEGMENT}.find_curved', lambda *_: np.zeros(0, np.int64)),
+    'narrow gaps': (f'{_SEGMENT}.close_gaps', lambda *_: None),
+    'nearly flat regions': (f'{_SEGMENT}.join_nearly_flat',
+                            lambda cells, graph, *_: (graph.owner, graph.planes))}
 
 
 class Without(Ours):
@@ -106,13 +98,9 @@ def run(options: argparse.Namespace) -> None:
     methods = [Ours(), *(Without(name, [name]) for name in wanted)]
     if len(wanted) > 1:
         methods.append(Without(ALL, wanted))
-    by_hand = list(labelled_frames(options.data))
-    if options.labelled:
-        jobs = plan(methods, {'rooms': 0, 'living': 0, 'curved': 0}, 0, 0, by_hand)
-    else:
-        jobs = plan(methods, vars(options), options.first_seed, 0, by_hand,
-                    sensors=tuple(SENSORS))
-    report(run_jobs(jobs, options.processes))
+    by_hand = labelled_frames(options.data)
+    counts = {'rooms': 0, 'living': 0, 'curved': 0} if options.labelled else vars(options)
+    report(run_jobs(plan(methods, counts, options.first_seed, 0, by_hand), options.processes))
 
 
 def report(samples: Sequence[Sample]) -> None:

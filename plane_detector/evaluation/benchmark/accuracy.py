@@ -21,7 +21,6 @@ from plane_detector.evaluation.benchmark.report import add_shared, emit, table
 from plane_detector.evaluation.benchmark.samples import COUNTS, Noise, Sample, plan, run_jobs
 from plane_detector.evaluation.metrics import MIN_PIXELS, known_mean
 from plane_detector.evaluation.peers import Ours, all_methods
-from plane_detector.evaluation.scenes.sensors import SENSORS
 
 EXACT_TRUTH, CURVED = ('rooms', 'lived-in rooms'), 'curved'
 SIZE_EDGES = (0.0, 0.01, 0.02, 0.04, 0.08, 0.16, 1.0)
@@ -35,19 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_shared(parser, *COUNTS, '--first-seed', '--only-ours', '--processes', rooms=20, living=16)
     parser.add_argument('--slow', type=int, default=5,
                         help='rooms of each kind for methods that take seconds')
-    only = parser.add_mutually_exclusive_group()
-    only.add_argument('--sensors', action='store_true', help='only simulated sensors')
-    only.add_argument('--rendered', action='store_true', help='no simulated sensors')
     parser.add_argument('--plots', type=Path, metavar='FOLDER', help='write accuracy.svg there')
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the tables, and write the figure if requested."""
     methods = [Ours()] if options.only_ours else all_methods()
-    jobs = plan(methods, vars(options), options.first_seed, options.slow,
-                rendered=not options.sensors,
-                sensors=() if options.rendered else tuple(SENSORS))
-    samples = run_jobs(jobs, options.processes)
+    samples = run_jobs(plan(methods, vars(options), options.first_seed, options.slow),
+                       options.processes)
     report(samples)
     emit(*(f'{method.name}: absent, {method.absent}.' for method in methods if method.absent))
     if options.plots:

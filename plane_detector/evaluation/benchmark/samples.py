@@ -104,19 +104,16 @@ class Job:
 
 
 def plan(methods: Sequence[Method], counts: dict[str, int], first_seed: int, slow: int,
-         frames: Iterable[LabelledFrame] = (), rendered: bool = True,
-         sensors: Sequence[str] = ()) -> list[Job]:
+         frames: Iterable[LabelledFrame] = ()) -> list[Job]:
     """
     Return the jobs of a run of the methods that are not absent.
 
     The counts are those of COUNTS. Slow methods only get that many rooms and lived-in
-    rooms, and no frames. The noises are those of SIGMAS and CURVED_SIGMAS if ``rendered``,
-    and the named sensors.
+    rooms, and no frames. The noises are those of SIGMAS or CURVED_SIGMAS, and all SENSORS.
     """
     present = [method for method in methods if not method.absent]
     quick = [method for method in present if not method.slow]
-    noises, curved = ((*(sigmas if rendered else ()), *sensors)
-                      for sigmas in (SIGMAS, CURVED_SIGMAS))
+    noises, curved = (*SIGMAS, *SENSORS), (*CURVED_SIGMAS, *SENSORS)
     jobs = [Job(kind, first_seed + k, noises, present if k < slow else quick)
             for kind, name in (('rooms', 'rooms'), ('lived-in rooms', 'living'))
             for k in range(counts[name])]

@@ -154,7 +154,7 @@ def render(rectangles: Sequence[Rectangle], world_from_camera: np.ndarray, posit
     labels = labels.reshape(shape).astype(np.int32) - int(visible[0] < 0)
     visible = visible[visible >= 0]
     planes = planes[visible]
-    return Scene(colour(labels, planes, rng), depth_m.astype(np.float32), labels, planes,
+    return Scene(_colour(labels, planes, rng), depth_m.astype(np.float32), labels, planes,
                  intrinsics, world_from_camera.T @ np.array([0.0, 0.0, -1.0]), visible,
                  float(position[2]))
 
@@ -188,7 +188,7 @@ def _along(ray_x, ray_y, z_m, corner, edge) -> np.ndarray:
     return z_m * (along[0] * ray_x + along[1] * ray_y + along[2]) - along @ corner
 
 
-def colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _colour(labels: np.ndarray, planes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Give each plane a colour, with slight pixel noise so that no area is perfectly uniform."""
     colours = rng.uniform(60, 220, (len(planes) + 1, 3)).astype(np.float32)
     grain = rng.normal(0, 6, labels.shape).astype(np.float32)

@@ -12,7 +12,6 @@ from plane_detector.evaluation.scenes.rendering import (
     Scene,
     box,
     camera_rotation,
-    colour,
     rectangle,
     render,
 )
@@ -54,11 +53,11 @@ def _furniture(rng: np.random.Generator, room: np.ndarray, camera: np.ndarray) -
             return box(center, size, yaw_deg)
 
 
-def staircase(intrinsics: CameraIntrinsics = VGA, steps: int = 6) -> Scene:
+def staircase(intrinsics: CameraIntrinsics = VGA) -> Scene:
     """Return stairs seen from the front: treads 0.3 m deep and risers 0.18 m high."""
     rise, run, width = np.array([0, 0, 0.18]), np.array([0, 0.3, 0]), np.array([4.0, 0, 0])
     faces = [rectangle([-2, -3, 0], width, [0, 5, 0])]
-    for k in range(steps):
+    for k in range(6):
         foot = np.array([-2.0, 2.0, 0.0]) + k * (rise + run)
         faces += [Rectangle(foot, width, rise), Rectangle(foot + rise, width, run)]
     return render(faces, camera_rotation(0, -20, 0), np.array([0, 0, 1.6]), intrinsics,
@@ -71,16 +70,6 @@ def single_wall(intrinsics: CameraIntrinsics = VGA, yaw_deg: float = 20.0,
     return render([rectangle([-500, distance_m, -500], [1000, 0, 0], [0, 0, 1000])],
                   camera_rotation(yaw_deg, 0, 0), np.zeros(3), intrinsics,
                   np.random.default_rng(0))
-
-
-def bumps(intrinsics: CameraIntrinsics = VGA) -> Scene:
-    """Return a scene without planes: all its surfaces are strongly curved."""
-    v, u = np.mgrid[0:intrinsics.height, 0:intrinsics.width] / intrinsics.width * 640.0
-    depth_m = 2.0 + 0.6 * np.sin(u / 9.0) * np.cos(v / 11.0) + 0.3 * np.sin(v / 4.0)
-    labels = np.full(depth_m.shape, -1, np.int32)
-    planes = np.zeros((0, 4))
-    return Scene(colour(labels, planes, np.random.default_rng(0)), depth_m.astype(np.float32),
-                 labels, planes, intrinsics, np.array([0.0, 1.0, 0.0]), np.zeros(0, int))
 
 
 def attic(rng: np.random.Generator, intrinsics: CameraIntrinsics = VGA) -> Scene:

@@ -67,7 +67,7 @@ def active_stereo(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
     for blur_px, sigma_px in ((2.0, 0.05), (6.0, 0.05), (20.0, 0.04)):
         disparity += sigma_px * pixel * smooth_field(depth_m.shape, blur_px, rng)
     disparity = np.rint(disparity * 32 / pixel) / 32 * pixel
-    return whole_millimetres(_depth(disparity, shadow | (depth_m > 8.0)), intrinsics, rng)
+    return rounded(_depth(disparity, shadow | (depth_m > 8.0)), 1e3)
 
 
 def time_of_flight(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
@@ -112,22 +112,16 @@ def filled_eight_bit(depth_m: np.ndarray, intrinsics: CameraIntrinsics,
     return np.where(np.isfinite(depth_m), filled_m, np.nan).astype(np.float32)
 
 
-def whole_millimetres(depth_m: np.ndarray, _intrinsics: CameraIntrinsics,
-                      _rng: np.random.Generator) -> np.ndarray:
-    """Return exact depth in whole millimetres."""
-    return (np.rint(depth_m * 1e3) / 1e3).astype(np.float32)
-
-
-def whole_centimetres(depth_m: np.ndarray, _intrinsics: CameraIntrinsics,
-                      _rng: np.random.Generator) -> np.ndarray:
-    """Return exact depth in whole centimetres."""
-    return (np.rint(depth_m * 1e2) / 1e2).astype(np.float32)
+def rounded(depth_m: np.ndarray, steps_per_m: float) -> np.ndarray:
+    """Return depth in whole steps."""
+    return (np.rint(depth_m * steps_per_m) / steps_per_m).astype(np.float32)
 
 
 SENSORS: dict[str, Sensor] = {
     'structured light': structured_light, 'active stereo': active_stereo,
     'time of flight': time_of_flight, 'filled, 8 bit': filled_eight_bit,
-    'whole mm': whole_millimetres, 'whole cm': whole_centimetres}
+    'whole mm': lambda depth_m, *_: rounded(depth_m, 1e3),
+    'whole cm': lambda depth_m, *_: rounded(depth_m, 1e2)}
 
 
 def smooth_field(shape: tuple[int, int], blur_px: float, rng: np.random.Generator) -> np.ndarray:

@@ -32,8 +32,8 @@ _TEMPTATIONS = ('box', 'ellipsoid', 'curtain', 'torus')
 
 
 @dataclass(frozen=True)
-class TrueShape:
-    """A shape of a scene and its visible pixels."""
+class SeenShape:
+    """A shape and its visible pixels."""
 
     type: ShapeType
     # (3,) float64: centre, a point on the axis, or the apex, in the camera frame
@@ -49,7 +49,7 @@ class ShapeScene:
     """A rendered scene with its shapes; ``temptation`` names the distractor, if any."""
 
     scene: Scene
-    shapes: tuple[TrueShape, ...]
+    shapes: tuple[SeenShape, ...]
     temptation: str
 
 
@@ -136,18 +136,18 @@ def _hiding(rng: np.random.Generator) -> Thing:
 
 
 def _truth(piece: Revolution, scene: Scene, rotation: np.ndarray,
-           position: np.ndarray) -> TrueShape:
+           position: np.ndarray) -> SeenShape:
     ray_x, ray_y = (slopes.astype(np.float64) for slopes in pixel_rays(scene.intrinsics))
     z_m = piece.depth(ray_x, ray_y[:, None], rotation, position)
     mask = np.isfinite(z_m) & (np.abs(z_m - scene.depth_m) < 1e-5) & (scene.labels < 0)
     origin, axis = rotation.T @ (piece.origin - position), rotation.T @ piece.axis
     a, b, c = piece.squared_radius
     if c < 0:
-        return TrueShape(ShapeType.SPHERE, origin, np.zeros(3), float(np.sqrt(a)), 0.0, mask)
+        return SeenShape(ShapeType.SPHERE, origin, np.zeros(3), float(np.sqrt(a)), 0.0, mask)
     if c == 0:
-        return TrueShape(ShapeType.CYLINDER, origin, axis, float(np.sqrt(a)), 0.0, mask)
+        return SeenShape(ShapeType.CYLINDER, origin, axis, float(np.sqrt(a)), 0.0, mask)
     # r = sqrt(a) + slope * t is 0 at the apex; the axis points from there into the cone.
     slope = b / (2 * np.sqrt(a))
     apex = origin - np.sqrt(a) / slope * axis
-    return TrueShape(ShapeType.CONE, apex, np.sign(slope) * axis, 0.0,
+    return SeenShape(ShapeType.CONE, apex, np.sign(slope) * axis, 0.0,
                      float(np.arctan(abs(slope))), mask)

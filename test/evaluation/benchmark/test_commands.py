@@ -23,11 +23,11 @@ MODULE = 'plane_detector.evaluation.benchmark'
 ONE_OF_EACH = '--rooms 1 --living 1 --curved 1 --processes 1'
 # What would take long replaced, and a row that must be printed.
 RUNS = {
-    f'accuracy --only-ours --rendered {ONE_OF_EACH}':
-        ({'samples.SIGMAS': (0.001,), 'samples.CURVED_SIGMAS': (0.0,)},
+    f'accuracy --only-ours {ONE_OF_EACH}':
+        ({'samples.SIGMAS': (0.001,), 'samples.CURVED_SIGMAS': (0.0,), 'samples.SENSORS': {}},
          r'rooms \| 0.001 \| plane_detector \| 1 \| 0.9\d+ \| 0.\d+ \(9000\) \| 0.\d+ \| 1.0000'),
     f'ablation --only small {ONE_OF_EACH}':
-        ({'samples.SIGMAS': (0.0,), 'samples.CURVED_SIGMAS': (0.0,), 'ablation.SENSORS': {}},
+        ({'samples.SIGMAS': (0.0,), 'samples.CURVED_SIGMAS': (0.0,), 'samples.SENSORS': {}},
          r'without small planes \| -0.\d+ \(0.000\) / -0.\d+ / \+?0?'),
     'labelled --frames --only-ours':
         ({}, r'office/7 \| plane_detector \| 1.000 \| 1.000 \| 1.000'),

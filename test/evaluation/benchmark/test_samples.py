@@ -25,6 +25,7 @@ from plane_detector.evaluation.benchmark.samples import (
 )
 from plane_detector.evaluation.datasets import UNKNOWN, LabelledFrame
 from plane_detector.evaluation.scenes.rooms import single_wall
+from plane_detector.evaluation.scenes.sensors import SENSORS
 from plane_detector.types import CameraIntrinsics
 
 SMALL = CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120)
@@ -59,7 +60,7 @@ def test_a_scene_is_measured_at_every_noise(monkeypatch):
         ('rooms', 9000), ('rooms', 9001), ('lived-in rooms', 9000), ('curved', 0),
         ('curved', len(CURVED) - 1)]
     found = run_job(jobs[0])
-    assert [one.noise for one in found] == list(SIGMAS)
+    assert [one.noise for one in found] == [*SIGMAS, *SENSORS]
     assert all(one.numbers == {'SC': 1, 'recall': 1, 'precision': 1, 'unlabelled': 0}
                for one in found)
     assert all(one.plane_shares == [1] and one.found == [True] for one in found)

@@ -7,10 +7,9 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from cell_helpers import EXACT, cell_model, fold, hand_made, view, wall
+from cell_helpers import EXACT, cell_model, fold, hand_made, noisy, view, wall
 
 from plane_detector import CameraIntrinsics, Config, segment_planes
-from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.segmentation.cells.model import PlaneRegions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
@@ -46,16 +45,13 @@ def noise_of(sigma):
 
 def noisy_model(scene, sigma):
     """Return the cells of a view under such noise, weighed by it."""
-    depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(0))
-    return cell_model(depth_m, noise_of(sigma))
+    return cell_model(noisy(scene, 0, sigma), noise_of(sigma))
 
 
-def correlation_of(model, regions, sigma):
-    """Return the correlation of the noise, None where there is none."""
-    return Correlation.of(model, regions, noise_of(sigma)) if sigma else None
-
-
-def merged_regions(model, regions, correlation):
+def merged_regions(model, labels, sigma=0.0):
+    """Return what hand-made regions are merged to."""
+    regions = hand_made(model, labels)
+    correlation = Correlation.of(model, regions, noise_of(sigma)) if sigma else None
     merged = merge_coplanar(model, RegionGraph.of(model, regions), correlation)
     return PlaneRegions(merged.labels, merged.planes)
 
@@ -68,8 +64,7 @@ def two_walls(step_m):
 @pytest.mark.parametrize('count', [2, 5, 8])
 def test_stripes_of_one_wall_become_one(sigma, count):
     model = noisy_model(view([wall(2.5)], angles_deg=(30, 0, 0)), sigma)
-    regions = hand_made(model, stripes(model.grid.shape, count))
-    result = merged_regions(model, regions, correlation_of(model, regions, sigma))
+    result = merged_regions(model, stripes(model.grid.shape, count), sigma)
     assert (result.labels == 0).all()
     whole = hand_made(model, np.zeros(model.grid.shape, int)).coefficients
     np.testing.assert_allclose(result.coefficients, whole, rtol=1e-9, atol=1e-12)
@@ -82,12 +77,10 @@ def test_stripes_of_two_walls_become_two(step_m, sigma, turned):
     labels = stripes(model.grid.shape, 8)
     # The numbers say nothing: neighbours need not be neighbours in number.
     labels = np.array([5, 2, 7, 0, 3, 6, 1, 4])[labels] if turned else labels
-    result = merged_regions(model, regions := hand_made(model, labels),
-                            correlation_of(model, regions, sigma))
+    result = merged_regions(model, labels, sigma)
     assert len(result.coefficients) == 2
-    left, right = result.labels[:, :40], result.labels[:, 40:]
-    assert (left == left[0, 0]).all()
-    assert (right == 1 - left[0, 0]).all()
+    left = result.labels[0, 0]
+    assert (result.labels[:, :40] == left).all() and (result.labels[:, 40:] == 1 - left).all()
 
 
 @pytest.mark.parametrize(('distance_m', 'width', 'count'), [
@@ -100,7 +93,7 @@ def test_pieces_are_one_plane_unless_something_farther_is_seen_between(distance_
     model = cell_model(scene.depth_m)
     labels = np.full(model.grid.shape, -1)
     labels[:, :40 - width // 2], labels[:, 40 + (width + 1) // 2:] = 0, 1
-    assert len(merged_regions(model, hand_made(model, labels), None).coefficients) == count
+    assert len(merged_regions(model, labels).coefficients) == count
 
 
 def test_merged_regions_have_the_sums_of_all_their_cells():
