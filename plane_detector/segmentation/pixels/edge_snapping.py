@@ -13,8 +13,8 @@ that are none of the depth, too, so the depth decides first which of these pixel
 2. If steps are sharp, a pixel is moved only if its depth cannot tell the two planes apart, as they
    differ there by less than the noise of a surface, or if it is on the new plane and not on the
    old one.
-3. If steps are blurred, the depth near a border is none of the scene's: a pixel is moved unless its
-   depth contradicts the new plane, and is not between it and another one.
+3. If steps are blurred, the depth near a border is none of the scene's: a pixel is moved unless
+   its depth contradicts the new plane, and is not between it and another one.
 
 On measured depth borders got worse, so it is not used there.
 """
@@ -166,8 +166,8 @@ def _undo_contradicted(moved, labels, disparity, planes, reach, is_blurred, floo
     Restore the labels of moved pixels whose depth contradicts the new label.
 
     A plane is contradicted by depth that is not on it, and no plane by depth that is on the old
-    one. Blurred depth between a plane and another one within the reach, and on neither, contradicts
-    none; sharp depth on the old plane contradicts all that differ from it there.
+    one. Blurred depth between a plane and another one within the reach, and on neither,
+    contradicts none; sharp depth on the old plane contradicts all that differ from it there.
     """
     height, width = labels.shape
     sums, pixels = np.zeros(len(planes)), np.ones(len(planes))
