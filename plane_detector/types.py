@@ -150,6 +150,9 @@ class Plane:
     area_m2: float  # that those pixels cover on the plane
     covariance: np.ndarray  # (4, 4) float64, of (normal, offset_m) from the fit
     confidence: float  # probability, 0 to 1, that the plane exists in the scene
+    # Probability that the plane is horizontal, vertical or neither as the normal says, if lines of
+    # the image oriented it; NaN: its depth alone did, and the covariance tells.
+    class_certainty: float = float('nan')
 
 
 class ShapeType(IntEnum):

@@ -9,7 +9,7 @@ import pytest
 from onnx_models import PLAIN, write_depth_network
 
 from plane_detector import Config, PlaneDetector
-from plane_detector.config import DepthConfig, DirectionsConfig
+from plane_detector.config import DepthConfig, DirectionsConfig, SegmentationConfig
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.scenes import rooms
@@ -60,6 +60,20 @@ def test_planes_of_good_depth_are_not_turned_to_axes_of_the_picture(seed, kind):
         seen = detector.detect(rgb, scene.intrinsics)
         mean_deg[turns] = errors(scene, seen, np.isfinite(scene.depth_m))[1].mean()
     assert mean_deg[True] < mean_deg[False] + 0.02
+
+
+@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('seed', [300, 301])
+def test_borders_of_good_depth_do_not_move_to_edges_of_the_picture(seed, kind):
+    scene, rgb = room(seed, kind)
+    depth_m = with_disparity_noise(scene.depth_m, 0.002, np.random.default_rng([seed, 2]))
+    covering = {}
+    for snaps in (False, True):
+        config = Config(segmentation=SegmentationConfig(snap_to_picture=snaps))
+        detector = PlaneDetector(config, DepthFunction(lambda rgb: depth_m, blur_px=3))
+        seen = detector.detect(rgb, scene.intrinsics)
+        covering[snaps] = errors(scene, seen, np.isfinite(scene.depth_m))[0]
+    assert covering[True] > covering[False] - 0.003
 
 
 @pytest.fixture(scope='module')

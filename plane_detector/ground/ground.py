@@ -18,7 +18,13 @@ from plane_detector.ground.columns import (
     mark_ground,
     rows_of,
 )
-from plane_detector.planes.classification import PlaneClass, classify_planes, refine_gravity
+from plane_detector.planes.classification import (
+    TOLERANCE_DEG,
+    PlaneClass,
+    are_certain,
+    classify_planes,
+    refine_gravity,
+)
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
@@ -192,7 +198,8 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     above, above_error = surfaces.above(own)
     joined, at_level, lower = _ground_planes(surfaces, own, above, above_error, walkable, joins,
                                              limits.max_step * unit_m)
-    classes = _classes(found, surfaces, above, joined, at_level, risers, unit_m)
+    classes = _classes(found, surfaces, above, joined, at_level, risers, unit_m,
+                       limits.max_slope + SLOPE_MARGIN_DEG)
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
@@ -309,18 +316,22 @@ def _ground_planes(surfaces: Surfaces, own: int, above: np.ndarray, error: np.nd
 
 
 def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, joined: np.ndarray,
-             at_level: np.ndarray, risers: np.ndarray, unit_m: float) -> tuple[PlaneClass, ...]:
+             at_level: np.ndarray, risers: np.ndarray, unit_m: float,
+             steepest_deg: float) -> tuple[PlaneClass, ...]:
     """Return the class of each plane."""
     classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
+    is_sure_level, is_sure_slope = (
+        np.array([*are_certain(found.planes, surfaces.down, most_deg), True])
+        for most_deg in (TOLERANCE_DEG, steepest_deg))
     is_level = surfaces.slopes_deg <= LEVEL_DEG
     # Steps are reached from the ground, or from other steps.
     is_step, linked = joined.copy(), risers >= MIN_JOINS
     near = is_level & (abs(above) <= STEP_RANGE_M * unit_m)
     while (more := is_step | (near & linked[is_step].any(axis=0))).sum() > is_step.sum():
         is_step = more
-    classes[is_step & ~joined] = PlaneClass.STEP
-    classes[joined & ~at_level & ~is_level] = PlaneClass.RAMP
-    classes[at_level] = PlaneClass.FLOOR
+    classes[is_step & ~joined & is_sure_level] = PlaneClass.STEP
+    classes[joined & ~at_level & ~is_level & is_sure_slope] = PlaneClass.RAMP
+    classes[at_level & is_sure_slope] = PlaneClass.FLOOR
     return tuple(PlaneClass(kind) for kind in classes[:-1])
 
 

@@ -91,13 +91,15 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
          *_smooth_noise(regions)),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
-    table[:, CONFIDENCE] *= np.broadcast_to(regions.certainty, len(sums))[kept]
+    certainty, of_class = (np.broadcast_to(one, len(sums))[kept]
+                           for one in (regions.certainty, regions.class_certainty))
+    table[:, CONFIDENCE] *= certainty
     return tuple(
-        Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure)
-        for normal, centroid_m, covariance, (offset_m, rms_m, area_m2, sure), pixels in zip(
+        Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure, kind)
+        for normal, centroid_m, covariance, (offset_m, rms_m, area_m2, sure), pixels, kind in zip(
             table[:, :CENTROID], table[:, CENTROID:OFFSET],
             table[:, COVARIANCE:].reshape(-1, 4, 4), table[:, OFFSET:COVARIANCE].tolist(),
-            sums_kept[:, N].tolist(), strict=True))
+            sums_kept[:, N].tolist(), of_class.tolist(), strict=True))
 
 
 def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:

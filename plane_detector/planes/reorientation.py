@@ -111,7 +111,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
         grown &= np.isfinite(again)
         offsets[grown] = again[grown]
     turned = _rotated(joined, normals, offsets, changed | grown, intrinsics)
-    return replace(turned, certainty=found.probability)
+    return replace(turned, certainty=found.probability, class_certainty=found.class_probability)
 
 
 def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,

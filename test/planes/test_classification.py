@@ -2,14 +2,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Gravity and the classes of hand-made planes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from plane_detector import Config, PlaneDetector
+from plane_detector.config import DepthConfig
+from plane_detector.directions.gravity_choice import Gravity
+from plane_detector.evaluation.scenes.terrain import View, look, stairs
 from plane_detector.geometry.gravity import (
     gravity_from_acceleration,
     smooth_gravity,
     unit_direction,
 )
+from plane_detector.ground.ground import find_ground
 from plane_detector.planes.classification import (
     PlaneClass,
     classify_planes,
@@ -45,6 +52,37 @@ def test_the_tolerance_is_inclusive_and_no_more():
     assert classify_planes((leaning,), DOWN) == (PlaneClass.OTHER_HORIZONTAL,)
     leaning = plane([0, -np.cos(np.radians(8.1)), np.sin(np.radians(8.1))], 1.0)
     assert classify_planes((leaning,), DOWN) == (PlaneClass.OTHER,)
+
+
+@pytest.mark.parametrize(('sigma_deg', 'is_known'), [(0.0, True), (4.0, True), (25.0, False)])
+@pytest.mark.parametrize('one', [TABLE, WALL])
+def test_a_class_needs_a_normal_that_is_known_well_enough(one, sigma_deg, is_known):
+    covariance = np.diag([1.0, 1.0, 1.0, 0.0]) * np.radians(sigma_deg) ** 2
+    kind, = classify_planes((replace(one, covariance=covariance),), DOWN)
+    assert (kind == PlaneClass.OTHER) is not is_known
+
+
+@pytest.mark.parametrize(('certainty', 'is_known'), [(0.89, False), (0.91, True)])
+@pytest.mark.parametrize('one', [FLOOR, CEILING, WALL])
+def test_a_class_needs_the_certainty_of_the_orientation(one, certainty, is_known):
+    kind, = classify_planes((replace(one, class_certainty=certainty),), DOWN)
+    assert (kind == PlaneClass.OTHER) is not is_known
+
+
+def test_a_level_surface_of_uncertain_orientation_is_no_step():
+    rng = np.random.default_rng(3)
+    terrain = look(stairs(rng, 2.0, 1), View(1.0, 25.0, roll_deg=3.0), rng)
+    scene = terrain.scene
+    found = PlaneDetector(Config(depth=DepthConfig(source='topic'))).detect(
+        scene.rgb, scene.intrinsics, scene.depth_m, scene.gravity_camera)
+    steps = [k for k, kind in enumerate(found.classes) if kind == PlaneClass.STEP]
+    assert steps
+    planes = tuple(replace(one, class_certainty=0.8 if k == steps[0] else 1.0)
+                   for k, one in enumerate(found.planes))
+    again = find_ground(replace(found, planes=planes), found.depth_m, scene.intrinsics,
+                        Gravity(scene.gravity_camera, 1.0, 'measured'), Config())
+    assert again.classes[steps[0]] == PlaneClass.OTHER
+    assert all(again.classes[k] == PlaneClass.STEP for k in steps[1:])
 
 
 def test_pieces_of_one_ceiling_are_all_ceiling():

@@ -35,6 +35,9 @@ class PixelRegions:
     certainty : float or (K,) float64
         Probability that the regions are oriented as their planes, where not the depth alone
         decides.
+    class_certainty : float or (K,) float64
+        Probability that they are horizontal, vertical or neither as their planes, where not the
+        depth alone decides; NaN: it does.
 
     """
 
@@ -45,6 +48,7 @@ class PixelRegions:
     noise: Noise
     correlated_px: float = 0.0
     certainty: float | np.ndarray = 1.0
+    class_certainty: float | np.ndarray = np.nan
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:
         """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""

@@ -66,7 +66,8 @@ def test_a_plane_narrower_than_the_reach_is_not_lost():
 
 
 @pytest.mark.parametrize(('blur_px', 'column'), [(4.0, 80), (0.0, 86)])
-def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column):
+@pytest.mark.parametrize('sigma', [0.0, 0.005])
+def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column, sigma):
     rgb = np.full((120, 160, 3), 60, np.uint8)
     rgb[:, 80:] = 190
     disparity = np.full((120, 160), 0.5, np.float32)
@@ -74,6 +75,23 @@ def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column)
     labels = (disparity < 0.4).astype(np.int32)
     if blur_px:
         disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
+    disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
     planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
-    snapped = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes, Noise(1e-3))
+    snapped = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes,
+                                  Noise(1e-3, pixel_sigma=sigma, mean_sigma=sigma))
+    assert np.median(snapped.argmax(axis=1)) == pytest.approx(column, abs=1)
+
+
+@pytest.mark.parametrize(('sigma', 'column'), [(0.0003, 80), (0.002, 75)])
+def test_a_crease_moves_only_where_the_noise_hides_it(sigma, column):
+    """Planes that meet at column 80 differ by .004 at the edge of the image, at column 76."""
+    rgb = np.full((120, 161, 3), 60, np.uint8)
+    rgb[:, 76:] = 190
+    off_px = np.broadcast_to(np.arange(161) - 80.0, (120, 161))
+    disparity = (0.5 + 0.001 * np.maximum(off_px, 0)).astype(np.float32)
+    labels = (off_px >= 0).astype(np.int32)
+    disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
+    planes = np.array([[0.0, 0.0, 0.5], [0.161, 0.0, 0.5]])
+    snapped = snap_to_image_edges(labels, GuideImage(rgb, 6.0), disparity, planes,
+                                  Noise(1e-5, pixel_sigma=sigma, mean_sigma=3 * sigma))
     assert np.median(snapped.argmax(axis=1)) == pytest.approx(column, abs=1)
