@@ -4,14 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import numpy as np
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
-from plane_detector.depth.networks import Network, resolve
+from plane_detector.depth.networks import resolve
 from plane_detector.depth.onnx_file import check_external_data
 from plane_detector.depth.onnx_session import (
     MIN_SIDE_PX,
@@ -58,10 +58,25 @@ class DepthEstimator:
         self._views = self._views_used = self._network.views
         self._input_reason, self._target_rate_hz = '', 0.0
         check_external_data(self._path)
-        self._session, self.provider, passed_over, arrays = _first_that_runs(
-            self._path, config, self._network)
-        self._check_on_corridor(arrays)
+        rgb, depth_m = plausibility.corridor()
+        passed_over: list[str] = []
+        for self.provider in config.providers:
+            try:
+                self._session = OnnxSession(self._path, self.provider, config.threads,
+                                            self._network)
+                arrays = self._run(rgb)
+                break
+            except ProviderError as error:
+                passed_over.append(f'{self.provider} does not run: {error}')
+        else:
+            raise ValueError(f'no execution provider runs {self._path}. {"; ".join(passed_over)}. '
+                             f'Providers here: {", ".join(available_providers())}')
         self.reason = '; '.join([reason, *passed_over, f'runs on {self.provider}'])
+        prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
+        # In a smaller input a network cannot see the checkerboard.
+        if min(self.input_size(*plausibility.CORRIDOR_SIZE)) >= MIN_SIDE_PX:
+            with self._named():
+                plausibility.check_kind(prediction, depth_m)
 
     def __call__(self, rgb: np.ndarray) -> np.ndarray:
         """Return the values (H, W) float32 of :meth:`predict` without the lens, if it may be."""
@@ -163,47 +178,28 @@ class DepthEstimator:
         return self._session.input_size(width, height)
 
     def _predict_view(self, rgb: np.ndarray, intrinsics: CameraIntrinsics | None) -> Prediction:
+        return self._read(self._run(rgb), rgb, intrinsics)
+
+    def _run(self, rgb: np.ndarray) -> list[np.ndarray]:
+        """Return the outputs of the network for an image."""
         input_size = self._session.input_size(rgb.shape[1], rgb.shape[0])
-        arrays = self._session.run(prepare_input(rgb, input_size, self._network.recipe))
-        return self._read(arrays, rgb, intrinsics)
+        return self._session.run(prepare_input(rgb, input_size, self._network.recipe))
 
     def _read(self, arrays: Sequence[np.ndarray], rgb: np.ndarray,
               intrinsics: CameraIntrinsics | None) -> Prediction:
-        """Convert the network's output for an image to a prediction."""
+        """Convert the network's outputs for an image to a prediction."""
         size = (rgb.shape[1], rgb.shape[0])
         framing = self._network.recipe.framing(size, self._session.input_size(*size))
-        try:
+        with self._named():
             plausibility.check_values(self._network.outputs.raw(arrays), self.output, rgb)
             return self._network.outputs.read(arrays, framing, intrinsics)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Name the file in an error about its outputs."""
+        try:
+            yield
         except ImplausibleDepthError as error:
             raise ImplausibleDepthError(f'{self._path}: {error}') from None
         except OutputError as error:
             raise self._session.misfit(str(error)) from error
-
-    def _check_on_corridor(self, arrays: Sequence[np.ndarray]) -> None:
-        """Reject a network whose output contradicts its kind where the depth is known."""
-        rgb, depth_m = plausibility.corridor()
-        prediction = self._read(arrays, rgb, plausibility.CORRIDOR_LENS)
-        if min(self.input_size(*plausibility.CORRIDOR_SIZE)) >= MIN_SIDE_PX:
-            try:
-                plausibility.check_kind(prediction, depth_m)
-            except ImplausibleDepthError as error:
-                raise ImplausibleDepthError(f'{self._path}: {error}') from None
-
-
-def _first_that_runs(path: Path, config: DepthConfig, network: Network
-                     ) -> tuple[OnnxSession, str, list[str], list[np.ndarray]]:
-    """Return the session of the first provider that runs, and its output for a test image."""
-    passed_over: list[str] = []
-    for provider in config.providers:
-        try:
-            session = OnnxSession(path, provider, config.threads, network)
-            size = session.input_size(*plausibility.CORRIDOR_SIZE)
-            arrays = session.run(prepare_input(plausibility.corridor()[0], size,
-                                               network.recipe))
-        except ProviderError as error:
-            passed_over.append(f'{provider} does not run: {error}')
-        else:
-            return session, provider, passed_over, arrays
-    raise ValueError(f'no execution provider runs {path}. {"; ".join(passed_over)}. Providers '
-                     f'here: {", ".join(available_providers())}')

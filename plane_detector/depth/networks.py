@@ -51,7 +51,6 @@ class Network:
     focal_per_height: float = 0.0
     views: int = 1  # of an image that are averaged for best quality
     scalars: Mapping[str, int] = field(default_factory=dict)  # more integer inputs, their values
-    is_opt_in: bool = False  # used only if it is named, because of its licence
 
     @property
     def output(self) -> str:
@@ -145,7 +144,7 @@ _METRIC3D = Network(
     outputs=Outputs(
         'metric_depth', depth='predicted_depth', canonical_focal_px=1000.0,
         normals='predicted_normal', confidence='normal_confidence'),
-    noise_share=0.006, input_size=(1064, 616), is_opt_in=True)
+    noise_share=0.006, input_size=(1064, 616))
 
 NETWORKS = {network.name: network for network in (
     _INDOOR, _FASTDEPTH, _SMALL, _SMALL_FP16, _SMALL_INT8, _MOGE, _METRIC3D)}

@@ -90,12 +90,17 @@ class OnnxSession:
         return other
 
     def run(self, planes: np.ndarray) -> list[np.ndarray]:
-        """Run on (3, H, W) float32; return the required outputs unchanged."""
+        """Run on (3, H, W) float32, to the end or to a stop; return the required outputs."""
         tensor = planes[None].astype(_INPUT_TYPES[self._input.type], copy=False)
         if self._channels_last:
             tensor = np.ascontiguousarray(tensor.transpose(0, 2, 3, 1))
+        options = ort.RunOptions()
+        options.log_severity_level = 4  # the exception reports errors
         try:
-            arrays = self._run_stoppably(tensor)
+            # ONNX Runtime looks at this flag between two operators.
+            with current_stop().calling(lambda: setattr(options, 'terminate', True)):
+                arrays = self._session.run(
+                    self._outputs, {self._input.name: tensor, **self._scalars}, options)
         except Exception as error:  # onnxruntime's exceptions have no common base class
             raise_if_stopped()
             raise ProviderError(f'an input of shape {tensor.shape} fails, {_short(error)}. '
@@ -104,14 +109,6 @@ class OnnxSession:
             if array.size == 0:
                 raise self.misfit(f'its output {name} is {array.shape}, which is empty')
         return arrays
-
-    def _run_stoppably(self, tensor: np.ndarray) -> list[np.ndarray]:
-        """Run until the end, or until a stop: ONNX Runtime checks it between operators."""
-        options = ort.RunOptions()
-        options.log_severity_level = 4  # the exception reports errors
-        with current_stop().calling(lambda: setattr(options, 'terminate', True)):
-            return self._session.run(
-                self._outputs, {self._input.name: tensor, **self._scalars}, options)
 
     def _image_input(self) -> ort.NodeArg:
         """Return the input for the image."""

@@ -38,7 +38,7 @@ TESTS = {
 ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
     'geometry/projection.py': (
         ('/ intrinsics.fx', '/ intrinsics.fy', 'fy for fx'),
-        ('fx + intrinsics.cx', 'fx + intrinsics.cx + 1', 'a pixel off')),
+        ('.width) - intrinsics.cx', '.width) + 1 - intrinsics.cx', 'a pixel off')),
     'segmentation/cells/grid.py': (
         ('-(width - 1) / 2', '-width / 2', 'half a pixel off'),
         ('size + (size - 1)', 'size + size + (size - 1)', 'rows off by one cell'),

@@ -83,20 +83,3 @@ def depth_to_points(depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.nda
     np.multiply(points_m[..., 2], ray_x, out=points_m[..., 0])
     np.multiply(points_m[..., 2], ray_y[:, None], out=points_m[..., 1])
     return points_m
-
-
-def points_to_pixels(points_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
-    """
-    Project points (..., 3) in metres to pixels (..., 2); NaN for points not in front.
-
-    Examples
-    --------
-    >>> camera = CameraIntrinsics(fx=500.0, fy=500.0, cx=320.0, cy=240.0, width=640, height=480)
-    >>> points_to_pixels(np.array([0.2, 0.0, 2.0]), camera)
-    array([370., 240.])
-
-    """
-    z_m = np.where(points_m[..., 2] > 0, points_m[..., 2], np.nan)
-    u_px = points_m[..., 0] / z_m * intrinsics.fx + intrinsics.cx
-    v_px = points_m[..., 1] / z_m * intrinsics.fy + intrinsics.cy
-    return np.stack([u_px, v_px], axis=-1)

@@ -21,16 +21,13 @@ _HEADER = ('network', 'size', 'licence', 'here', 'gives')
 def table(networks: Sequence[Network], cache_dir: str) -> str:
     """Return a table of networks, one per line; ``here``: whether the file is in the cache."""
     rows = [_HEADER, *(
-        (network.name, _size(network), network.licence,
+        (network.name, f'{network.size_bytes / 1e6:.0f} MB' if network.size_bytes else 'not known',
+         network.licence,
          'yes' if cached_path(network, cache_dir).is_file() else '', network.summary)
         for network in networks)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return '\n'.join('  '.join(cell.ljust(width) for cell, width in zip(
         row, widths, strict=True)).rstrip() for row in rows)
-
-
-def _size(network: Network) -> str:
-    return f'{network.size_bytes / 1e6:.0f} MB' if network.size_bytes else 'not known'
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -5,12 +5,8 @@
 import numpy as np
 import pytest
 
-from plane_detector.geometry.projection import (
-    depth_to_points,
-    pixel_rays,
-    points_to_pixels,
-    valid_depth,
-)
+from plane_detector.geometry.disparity import valid_depth
+from plane_detector.geometry.projection import depth_to_points, pixel_rays
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(fx=2.0, fy=4.0, cx=1.0, cy=0.5, width=4, height=2)
@@ -36,8 +32,9 @@ def test_points_project_back_onto_their_pixels():
     camera = CameraIntrinsics(500.0, 480.0, 30.2, 17.7, 64, 48)
     depth_m = np.random.default_rng(0).uniform(0.3, 50, (48, 64))
     v, u = np.mgrid[:48, :64]
-    pixels = points_to_pixels(depth_to_points(depth_m, camera), camera)
-    np.testing.assert_allclose(pixels, np.stack([u, v], axis=-1), atol=2e-4)
+    x, y, z = np.moveaxis(depth_to_points(depth_m, camera), -1, 0)
+    np.testing.assert_allclose(x / z * camera.fx + camera.cx, u, atol=2e-4)
+    np.testing.assert_allclose(y / z * camera.fy + camera.cy, v, atol=2e-4)
 
 
 @pytest.mark.parametrize('depth_m', [

@@ -9,12 +9,10 @@ import sys
 import threading
 import time
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from std_msgs.msg import Header
@@ -63,7 +61,8 @@ class Tally:
     unread: str = ''  # why the bag could not be read to its end
     interrupted: bool = False  # stopped before the end
     target: Path | None = None  # the new bag
-    stage_seconds: Counter[str] = field(default_factory=Counter)
+    seconds: float = 0.0  # of all frames
+    stage_seconds: Counter[str] = field(default_factory=Counter)  # the rest is reading
     # Where the unit of depth came from, and why planes have no class, of each frame by kind.
     scales: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
     gaps: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
@@ -77,22 +76,6 @@ class Tally:
     def is_clean(self) -> bool:
         """Whether every message was read and every frame processed."""
         return not (self.skipped or self.damaged or self.unread)
-
-    @contextmanager
-    def timed(self, stage: str) -> Iterator[None]:
-        """Add the time of this block to a stage."""
-        start_s = time.perf_counter()
-        yield
-        self.stage_seconds[stage] += time.perf_counter() - start_s
-
-    def timed_each(self, stage: str, items: Iterator[Any]) -> Iterator[Any]:
-        """Yield the items; the time to make them is added to a stage."""
-        while True:
-            with self.timed(stage):
-                item = next(items, None)
-            if item is None:
-                return
-            yield item
 
     def add(self, detection: Detection, config: Config, outputs: Collection[str]
             ) -> dict[str, str]:
@@ -109,11 +92,11 @@ class Tally:
     def describe(self) -> str:
         """Return counts, rate and times as readable text."""
         frames = max(self.processed, 1)
+        read = {'read': self.seconds - self.stage_seconds.total()}
         stages = ', '.join(f'{stage} {1e3 * total / frames:.1f}'
-                           for stage, total in self.stage_seconds.items())
-        seconds = self.stage_seconds.total()
-        lines = [f'{self.processed} frames in {seconds:.1f} s: '
-                 f'{self.processed / max(seconds, 1e-9):.1f} frames per second',
+                           for stage, total in (read | self.stage_seconds).items())
+        lines = [f'{self.processed} frames in {self.seconds:.1f} s: '
+                 f'{self.processed / max(self.seconds, 1e-9):.1f} frames per second',
                  f'ms per frame: {stages}']
         lines += [f'Scale of {line}' for line in _counted(self.scales)]
         return '\n'.join([*lines, *_counted(self.gaps), *self.losses()])
@@ -132,7 +115,7 @@ class Tally:
         return {'replay.state': 'interrupted' if self.interrupted else 'finished',
                 'replay.frames': str(self.processed), 'replay.planes': str(self.planes),
                 'replay.skipped': str(self.skipped), 'replay.damaged': str(self.damaged),
-                'replay.seconds': f'{self.stage_seconds.total():.3f}',
+                'replay.seconds': f'{self.seconds:.3f}',
                 'replay.depth': self.depth}
 
 
@@ -231,9 +214,10 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
     wanted = dict.fromkeys((*options.outputs, *files.outputs))
     synchronizer = FrameSynchronizer(depth_use(config, processor.output),
                                      options.settings.stamp_slop, config.scale.imu_to_camera)
-    frames = tally.timed_each('read', read_frames(bag, topics, times_ns, synchronizer, copies))
+    frames = read_frames(bag, topics, times_ns, synchronizer, copies)
     progress = tqdm(total=_expected_frames(bag, topics.image, times_ns) // options.every,
                     unit='frame', disable=True if quiet else None)
+    begun_s = time.perf_counter()
     try:
         for index, (time_ns, frame) in enumerate(frames):
             raise_if_stopped()
@@ -249,14 +233,15 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
             else:
                 tally.stage_seconds.update(processed.stage_seconds)
                 facts |= tally.add(processed.result.detection, config, options.outputs)
-                with tally.timed('files'):
-                    files.write(index, processed)
-            with tally.timed('write'):
-                for name in options.outputs if processed else ():
+            done_s = time.perf_counter()
+            if processed is not None:
+                files.write(index, processed)
+                for name in options.outputs:
                     if name in processed.messages:  # some are not available for every frame
                         writer.write(_topic(name), time_ns, processed.messages[name])
-                writer.write(_DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
-                    frame.image.header, index, tally, facts, processed, error))
+            writer.write(_DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
+                frame.image.header, index, tally, facts, processed, error))
+            tally.stage_seconds['write'] += time.perf_counter() - done_s
             progress.update()
     except Stopped:
         tally.interrupted = True
@@ -264,6 +249,7 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
         tally.unread = str(error)
     finally:
         progress.close()
+    tally.seconds = time.perf_counter() - begun_s
     tally.without_partner, tally.damaged = synchronizer.take_dropped(), bag.damaged
     if not tally.processed:
         if tally.interrupted:
