@@ -87,7 +87,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Subscriptions | None = None
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
-        self._requests = FrameRequests(self._wake)
+        # Answers that another thread gives wake the executor.
+        self._requests = FrameRequests(self.create_guard_condition(lambda: None).trigger)
         self._faults = FaultLog(self.get_logger(), 'frame skipped')
         self._health = Health(self.get_logger())
         self.create_service(Trigger, '~/detect', self._on_detect,
@@ -200,10 +201,6 @@ class PlaneDetectorNode(LifecycleNode):
             response.success, response.message = False, 'the node is not active'
             return response
         return await answer_trigger(response, self._requests.add())
-
-    def _wake(self) -> None:
-        if self.executor is not None:
-            self.executor.wake()
 
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._processor is not None

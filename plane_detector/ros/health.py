@@ -53,32 +53,18 @@ class Health:
         self._gap = ''
         self._told: set[str] = set()
         self._last_told: dict[str, str] = {}
-        self._facts: dict[str, str] = {}
+        self._last: Detection | None = None
         self.advice = ''
 
     @property
     def facts(self) -> dict[str, str]:
         """Facts from the last frame: source of the unit, source of gravity, and advice."""
-        return {**self._facts, 'advice': self.advice} if self.advice else self._facts
+        facts = _facts_of(self._last) if self._last is not None else {}
+        return {**facts, 'advice': self.advice} if self.advice else facts
 
     def note(self, detection: Detection, wanted: Collection[str]) -> None:
         """Note the result of a frame; ``wanted`` are the outputs that have subscribers."""
-        facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
-                 'gravity': detection.gravity_source}
-        if detection.scale_method != RELATIVE:
-            facts['noise'] = (f'{detection.disparity_noise:.4f} 1/m, of which '
-                              f'{detection.systematic_noise:.4f} bend planes')
-        if detection.gravity_note:
-            facts['gravity_note'] = detection.gravity_note
-        if detection.gravity_probability == detection.gravity_probability:  # not NaN
-            facts['gravity_probability'] = f'{detection.gravity_probability:.2f}'
-        if detection.camera_height_m == detection.camera_height_m:
-            facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
-        if detection.tilt_deg == detection.tilt_deg:
-            facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
-        facts['drops'] = (f'none told: {detection.drop_note}' if detection.drop_note
-                          else f'{len(detection.drops_m)} points')
-        self._facts = facts
+        self._last = detection
         if detection.scale_event:
             self._logger.info(detection.scale_event)
         self._gap = gap_of(detection, wanted)
@@ -113,6 +99,26 @@ class Health:
         if self._gap:
             return DiagnosticStatus.WARN, self._gap
         return DiagnosticStatus.OK, 'active'
+
+
+def _facts_of(detection: Detection) -> dict[str, str]:
+    """Return what the diagnostics tell of a frame."""
+    facts = {'scale': detection.scale_method, 'scale_note': detection.scale_note,
+             'gravity': detection.gravity_source}
+    if detection.scale_method != RELATIVE:
+        facts['noise'] = (f'{detection.disparity_noise:.4f} 1/m, of which '
+                          f'{detection.systematic_noise:.4f} bend planes')
+    if detection.gravity_note:
+        facts['gravity_note'] = detection.gravity_note
+    if detection.gravity_probability == detection.gravity_probability:  # not NaN
+        facts['gravity_probability'] = f'{detection.gravity_probability:.2f}'
+    if detection.camera_height_m == detection.camera_height_m:
+        facts['camera_height_m'] = f'{detection.camera_height_m:.3f}'
+    if detection.tilt_deg == detection.tilt_deg:
+        facts['camera_tilt_deg'] = f'{detection.tilt_deg:.1f}'
+    facts['drops'] = (f'none told: {detection.drop_note}' if detection.drop_note
+                      else f'{len(detection.drops_m)} points')
+    return facts
 
 
 def gap_of(detection: Detection, wanted: Collection[str]) -> str:

@@ -14,6 +14,8 @@ from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
+from plane_detector.ros.spinning import InputGroup
+
 _RELIABILITY = {'auto': ReliabilityPolicy.BEST_AVAILABLE,
                 'reliable': ReliabilityPolicy.RELIABLE,
                 'best_effort': ReliabilityPolicy.BEST_EFFORT}
@@ -80,7 +82,8 @@ class InputSubscription:
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
         return self._node.create_subscription(
             *self._arguments, callback, QoSProfile(depth=1, reliability=self._wanted),
-            event_callbacks=silent, qos_overriding_options=overriding_options(self._settle))
+            event_callbacks=silent, callback_group=InputGroup(),
+            qos_overriding_options=overriding_options(self._settle))
 
     def _settle(self, profile: QoSProfile) -> SetParametersResult:
         """Replace ``auto``, unless overridden, before the subscription is created."""
