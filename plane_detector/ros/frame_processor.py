@@ -33,8 +33,8 @@ from plane_detector.types import Detection
 
 # Noise and blur of a network's depth, for timing the stages after it.
 _NOISE_PER_M, _BLUR_PX = 0.005, 12.0
-# While a camera does not turn, as its planes tell, the lines are held for so many times longer, and
-# each time that they are found again for twice as long, up to 2 s.
+# While a camera does not turn, as its planes tell, the lines are held for so many times longer,
+# and each time that they are found again for twice as long, up to 2 s.
 _STEADY_TIMES, _MOST_STEADY_TIMES = 5, 20
 # derived: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
 # metre on real images, 100, 92 and 82 % of the frames of a still camera are within it.

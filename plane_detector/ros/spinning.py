@@ -78,7 +78,7 @@ class _Ending:
 
 class InputGroup(ReentrantCallbackGroup):
     """
-    Of subscriptions to frequent messages: `run` takes these itself, any executor if `run` does not.
+    Of subscriptions to frequent messages, which `run` takes itself; any executor may too.
 
     An executor of rclpy builds a set of all 35 entities of the node before and after each message:
     with three messages an image, .8 ms of its core time.
