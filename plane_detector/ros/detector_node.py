@@ -26,12 +26,23 @@ from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.process import freeze_loaded_objects
 from plane_detector.ros import parameters
-from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
+from plane_detector.ros.diagnostics import (
+    DiagnosticsPublisher,
+    Health,
+    Report,
+    Statistics,
+    introduction,
+    slow_network,
+)
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor, fit_to_rate
-from plane_detector.ros.frame_requests import FrameRequests, answer_trigger
-from plane_detector.ros.frame_worker import FrameFlow, FrameRecords, FrameWorker
-from plane_detector.ros.health import Health, slow_network
+from plane_detector.ros.frame_worker import (
+    FrameFlow,
+    FrameRecords,
+    FrameRequests,
+    FrameWorker,
+    answer_trigger,
+)
 from plane_detector.ros.inputs.subscriptions import Subscriptions, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings, load_kernels

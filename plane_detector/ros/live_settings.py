@@ -26,7 +26,8 @@ from plane_detector.stopping import Background
 
 def load_kernels(config: Config, log: Callable[[str], None]) -> None:
     """Load the machine code from the user's cache, or compile it and report that to ``log``."""
-    subjects = ['ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes', 'ground']
+    subjects = ['ros', 'drawing', 'geometry', 'segmentation', 'directions', 'planes', 'ground',
+                'tracking']
     if config.shapes.wanted:
         subjects.append('shapes')
     compile_kernels(subjects, log)
