@@ -31,10 +31,10 @@ class DepthConfig(Settings, section='depth'):
         'for a path', choices=('auto', 'metric_depth', 'disparity', 'relative_disparity'))
     input_width: int = fixed_setting(
         0, 'width of the network input, which the image is stretched to; 0: fixed by the '
-        'network or by short_side', 'px', 0, 8192)
+        'network or by short_side', 'px', 0, 8192, inner=True)
     input_height: int = fixed_setting(
         0, 'height of the network input, which the image is stretched to; 0: fixed by the '
-        'network or by short_side', 'px', 0, 8192)
+        'network or by short_side', 'px', 0, 8192, inner=True)
     short_side: int = fixed_setting(
         0, 'short side of the input of a network that accepts any size; the other side follows '
         'from the aspect ratio of the image; 0: default of the network', 'px', 0, 8192)
@@ -70,7 +70,8 @@ class DepthConfig(Settings, section='depth'):
         ('CPUExecutionProvider',), 'ONNX Runtime execution providers; the first one that '
         'runs is used')
     threads: int = fixed_setting(
-        0, 'threads within one operator of the network; 0: chosen by ONNX Runtime', '', 0, 256)
+        0, 'threads within one operator of the network; 0: chosen by ONNX Runtime', '', 0, 256,
+        inner=True)
     cache_dir: str = fixed_setting(
         '', 'folder of the downloaded networks; empty: $XDG_CACHE_HOME/plane_detector')
 
@@ -149,8 +150,8 @@ class DirectionsConfig(Settings, section='directions'):
     hold_time: float = setting(
         0.1, 'the lines of an image are kept for the images of this time after it, by their '
         'stamps, with measured depth, where they only tell gravity, and with a network while '
-        'nothing moves; five times longer while the normals of planes show that the camera does '
-        'not turn; 0: lines are found in every image', 's', 0.0, 1.0, inner=True)
+        'nothing moves; five to twenty times longer while the normals of planes show that the '
+        'camera does not turn; 0: lines are found in every image', 's', 0.0, 1.0, inner=True)
 
 
 @dataclass(frozen=True)
@@ -332,7 +333,7 @@ class NodeConfig(Settings):
         'image/compressed', choices=('raw', 'compressed'))
     max_image_pixels: int = setting(
         50_000_000, 'a compressed image of more pixels is refused before it is decoded', 'px', 1,
-        2**30)
+        2**30, inner=True)
     rectify: str = setting(
         'auto', 'undo the lens distortion of CameraInfo; auto: if there is any and the topic is '
         'not named as rectified', choices=('auto', 'true', 'false'))
@@ -354,7 +355,8 @@ class NodeConfig(Settings):
         '', 'frame of the clouds, planes, poses and markers, such as base_link, odom or map, by '
         'TF; empty: that of the image')
     tf_timeout: float = setting(
-        0.2, 'longest time to wait for a transform; then the frame is skipped', 's', 0.0, 10.0)
+        0.2, 'longest time to wait for a transform; then the frame is skipped', 's', 0.0, 10.0,
+        inner=True)
     points_color: str = setting(
         'image', 'colours of ~/points: those of the image, one per plane as in the markers '
         '(label), or both mixed as in the overlay', choices=('image', 'label', 'overlay'))

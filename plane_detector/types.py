@@ -196,6 +196,19 @@ class PlaneSegmentation:
 
 
 @dataclass(frozen=True)
+class GroundPixels:
+    """Where a robot may roll, and where that ends."""
+
+    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if gravity, the unit
+    # or the own floor are not known.
+    mask: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
+    # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
+    # and by how much, (N,); NaN where nothing is seen behind the edge.
+    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True)
 class Detection(PlaneSegmentation):
     """Result of the whole pipeline for one image."""
 
@@ -218,13 +231,23 @@ class Detection(PlaneSegmentation):
     gravity_probability: float = float('nan')
     # (A, 3) float64, perpendicular horizontal axes of the scene, from the lines of the image.
     horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    # (H, W) bool, pixels that a robot may roll on, and lower levels; nowhere if gravity, the unit
-    # or the own floor are not known.
-    ground: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), bool))
-    # (N, 3) float64, points along the edges where the ground ends and the next surface is lower,
-    # and by how much, (N,); NaN where nothing is seen behind the edge.
-    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    # Or what has its attributes: `find_ground` finds them when they are first asked for.
+    ground_pixels: GroundPixels = field(default_factory=GroundPixels)
     drop_note: str = ''  # why there are no drops; empty if they are searched for
     camera_height_m: float = float('nan')  # above the own floor; NaN unknown
     tilt_deg: float = float('nan')  # of the optical axis below the horizon; NaN unknown
+
+    @property
+    def ground(self) -> np.ndarray:
+        """Pixels of the ground, (H, W) bool."""
+        return self.ground_pixels.mask
+
+    @property
+    def drops_m(self) -> np.ndarray:
+        """Points along the edges of the ground, (N, 3) float64."""
+        return self.ground_pixels.drops_m
+
+    @property
+    def drop_depths_m(self) -> np.ndarray:
+        """By how much it is down there, (N,) float64."""
+        return self.ground_pixels.drop_depths_m

@@ -169,8 +169,7 @@ class OnnxSession:
                 raise ValueError(f'depth.input_width and depth.input_height, {wanted},'
                                  f' must be multiples of depth.side_multiple, {multiple}')
         elif not all(self._fixed_size) and not self._network.short_side:
-            raise self.misfit('its input may have any size: set depth.short_side, or '
-                              'depth.input_width and depth.input_height')
+            raise self.misfit('its input may have any size: set depth.short_side')
 
     def misfit(self, what: str) -> ValueError:
         """Return an error with the file, the mismatch, and the interface of the file."""

@@ -4,11 +4,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from plane_detector.config import Config
+from plane_detector.config import Config, GroundConfig
 from plane_detector.directions.gravity_choice import COARSE_DEG, Gravity
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.ground.columns import (
@@ -25,7 +26,7 @@ from plane_detector.planes.classification import (
     classify_planes,
     refine_gravity,
 )
-from plane_detector.types import CameraIntrinsics, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, GroundPixels, PlaneSegmentation
 
 # Tuned by benchmark ground on seeds below 9000, unless derived or given by contract; nothing
 # changes there from .7 to 1.4 times a value unless stated.
@@ -67,12 +68,8 @@ class Ground:
     ----------
     classes : tuple of PlaneClass
         One per plane.
-    mask : (H, W) bool
-        Pixels of the ground; nowhere if gravity, the unit or the own floor are not known.
-    drops_m : (N, 3) float64
-        Points along the edges where the ground ends, in the optical frame.
-    drop_depths_m : (N,) float64
-        By how much the next surface is lower; NaN if none is seen.
+    pixels : GroundPixels or SeenGround
+        The ground of the image and the drops, in the optical frame.
     camera_height_m, tilt_deg : float
         Height above the own floor, and angle of the optical axis below the horizon; NaN unknown.
     note : str
@@ -81,9 +78,7 @@ class Ground:
     """
 
     classes: tuple[PlaneClass, ...]
-    mask: np.ndarray
-    drops_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    drop_depths_m: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    pixels: GroundPixels | SeenGround
     camera_height_m: float = np.nan
     tilt_deg: float = np.nan
     note: str = ''
@@ -140,6 +135,51 @@ class Surfaces:
         return np.column_stack([self.normals, self.offsets, 1 / upright]).astype(np.float32)
 
 
+@dataclass(frozen=True, eq=False)
+class SeenGround:
+    """
+    As :class:`~plane_detector.types.GroundPixels`, found when its attributes are first read.
+
+    They take most of the time of :func:`find_ground`, and only a few users read them.
+    """
+
+    depth_m: np.ndarray
+    labels: np.ndarray
+    rays: tuple[np.ndarray, np.ndarray]
+    table: np.ndarray  # of `Surfaces`
+    is_ground: np.ndarray  # (K + 1,) bool
+    own: int
+    down: np.ndarray
+    limits: GroundConfig
+    error: float  # of 1/z
+    tells_drops: bool
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """Pixels (H, W) of the ground."""
+        return mark_ground(self.depth_m, self.labels, *self.rays, self.table, self.is_ground,
+                           self.own, level_axes(self.down), self.limits.min_height,
+                           np.tan(np.radians(self.limits.max_slope)), self.error)
+
+    @property
+    def drops_m(self) -> np.ndarray:
+        """Points (N, 3) along the edges."""
+        return self._drops[:, :3]
+
+    @property
+    def drop_depths_m(self) -> np.ndarray:
+        """By how much it is down there, (N,)."""
+        return self._drops[:, 3]
+
+    @cached_property
+    def _drops(self) -> np.ndarray:
+        if not self.tells_drops:
+            return np.zeros((0, 5))
+        return _rows(mark_drops(self.depth_m, self.labels, self.mask, *self.rays, self.table,
+                                self.is_ground, self.own, self.down, self.limits.min_drop,
+                                self.error))
+
+
 def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: CameraIntrinsics,
                 gravity: Gravity, config: Config, *, is_metric: bool = True,
                 doubt: str = '') -> Ground:
@@ -168,7 +208,7 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
 
     """
     limits, labels = config.ground, np.ascontiguousarray(found.labels, np.int32)
-    nothing = np.zeros(labels.shape, bool)
+    nothing = GroundPixels(np.zeros(labels.shape, bool))
     if gravity.gravity_camera is None:
         return Ground((PlaneClass.UNKNOWN,) * len(found.planes), nothing,
                       note='the direction of gravity is not known')
@@ -203,22 +243,14 @@ def find_ground(found: PlaneSegmentation, depth_m: np.ndarray, intrinsics: Camer
     if not is_metric:
         return Ground(classes, nothing, tilt_deg=tilt_deg,
                       note='the unit of depth is not known')
-    # 4. Pixels.
+    # 4. and 5. Pixels and drops.
     error = SIGMAS * float(found.disparity_noise)
-    is_ground = joined | lower
-    mask = mark_ground(depth_m, labels, *rays, table, is_ground, own, level_axes(down),
-                       limits.min_height, np.tan(np.radians(limits.max_slope)), error)
-    # 5. Drops.
-    if doubt:
-        return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg, note=doubt)
     error_m = error * TOLD_AT_M * height_m
-    if error_m > LARGEST_ERROR_M:
-        return Ground(classes, mask, camera_height_m=height_m, tilt_deg=tilt_deg,
-                      note=f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off')
-    ends = mark_drops(depth_m, labels, mask, *rays, table, is_ground, own, down,
-                      limits.min_drop, error)
-    drops = _rows(ends)
-    return Ground(classes, mask, drops[:, :3], drops[:, 3], height_m, tilt_deg)
+    if not doubt and error_m > LARGEST_ERROR_M:
+        doubt = f'the floor {TOLD_AT_M:g} m away may be {error_m:.2f} m off'
+    pixels = SeenGround(depth_m, labels, rays, table, joined | lower, own, down, limits, error,
+                        tells_drops=not doubt)
+    return Ground(classes, pixels, height_m, tilt_deg, doubt)
 
 
 def level_axes(down: np.ndarray) -> np.ndarray:

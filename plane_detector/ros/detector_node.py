@@ -26,12 +26,23 @@ from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.process import freeze_loaded_objects
 from plane_detector.ros import parameters
-from plane_detector.ros.diagnostics import DiagnosticsPublisher, Report, Statistics, introduction
+from plane_detector.ros.diagnostics import (
+    DiagnosticsPublisher,
+    Health,
+    Report,
+    Statistics,
+    introduction,
+    slow_network,
+)
 from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
 from plane_detector.ros.frame_processor import FrameProcessor, fit_to_rate
-from plane_detector.ros.frame_requests import FrameRequests, answer_trigger
-from plane_detector.ros.frame_worker import FrameFlow, FrameRecords, FrameWorker
-from plane_detector.ros.health import Health, slow_network
+from plane_detector.ros.frame_worker import (
+    FrameFlow,
+    FrameRecords,
+    FrameRequests,
+    FrameWorker,
+    answer_trigger,
+)
 from plane_detector.ros.inputs.subscriptions import Subscriptions, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
@@ -87,7 +98,8 @@ class PlaneDetectorNode(LifecycleNode):
         self._inputs: Subscriptions | None = None
         self._outputs: OutputPublishers | None = None
         self._query: PointQuery | None = None
-        self._requests = FrameRequests(self._wake)
+        # Answers that another thread gives wake the executor.
+        self._requests = FrameRequests(self.create_guard_condition(lambda: None).trigger)
         self._faults = FaultLog(self.get_logger(), 'frame skipped')
         self._health = Health(self.get_logger())
         self.create_service(Trigger, '~/detect', self._on_detect,
@@ -200,10 +212,6 @@ class PlaneDetectorNode(LifecycleNode):
             response.success, response.message = False, 'the node is not active'
             return response
         return await answer_trigger(response, self._requests.add())
-
-    def _wake(self) -> None:
-        if self.executor is not None:
-            self.executor.wake()
 
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._processor is not None

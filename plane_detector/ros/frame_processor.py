@@ -32,8 +32,9 @@ from plane_detector.types import Detection
 
 # Noise and blur of a network's depth, for timing the stages after it.
 _NOISE_PER_M, _BLUR_PX = 0.005, 12.0
-# A camera that does not turn, as its planes tell: the lines are held for so many times longer.
-_STEADY_TIMES = 5
+# While a camera does not turn, as its planes tell, the lines are held for so many times longer,
+# and each time that they are found again for twice as long, up to 2 s.
+_STEADY_TIMES, _MOST_STEADY_TIMES = 5, 20
 # derived: a tenth of what gravity from an image may be off. With noise of .001, .002 and .004 per
 # metre on real images, 100, 92 and 82 % of the frames of a still camera are within it.
 _TURNED_RAD = math.radians(0.5)
@@ -89,7 +90,7 @@ class FrameProcessor:
         self._before: Detection | None = None
         self._lines_s = -math.inf
         self._normals: dict[int, np.ndarray] = {}  # by label, when the lines were found
-        self._is_steady = False
+        self._hold_times = 1
         self._epoch = 0
         self._is_reset = False
 
@@ -140,22 +141,25 @@ class FrameProcessor:
         frame, seen, stages = begun.frame, begun.observation, StageTimer()
         stages.seconds |= begun.stage_seconds
         if begun.starts_anew:
-            self._lines_s, self._is_steady, self._before = -math.inf, False, None
+            self._lines_s, self._hold_times, self._before = -math.inf, 1, None
             self.detector.reset_directions()
             self.detector.reset_planes()
         with stages('wait'):
             pose, to_target = begun.transforms()
         # 3. Gravity and lines, those found shortly before if nothing moves; then planes.
         stamp_s = 1e-9 * ns_of(frame.image)
-        hold_s = seen.config.directions.hold_time * (_STEADY_TIMES if self._is_steady else 1)
+        hold_s = seen.config.directions.hold_time * self._hold_times
         may_hold = (seen.is_measured or seen.is_still) and 0 < stamp_s - self._lines_s < hold_s
         around = self.detector.look(seen, _down(frame, pose), may_hold)
         detection = self.detector.find_planes(seen, around, _height_m(pose))
         normals = _normals_of(detection)
         if not may_hold:
+            longer = 1 if _has_turned(self._normals, normals) else 2 * self._hold_times
+            self._hold_times = min(max(longer, _STEADY_TIMES), _MOST_STEADY_TIMES)
             self._lines_s, self._normals = stamp_s, normals
-        self._is_steady = (seen.is_measured and detection.gravity_camera is not None
-                           and not _has_turned(self._normals, normals))
+        if (not seen.is_measured or detection.gravity_camera is None
+                or _has_turned(self._normals, normals)):
+            self._hold_times = 1
         if detection.gravity_source == 'measured':
             by_imu = frame.gravity_camera is not None
             detection = replace(detection, gravity_source='imu' if by_imu else 'tf')

@@ -37,7 +37,7 @@ class ScaleEstimate:
     note : str
         Result of the method, or why the others refused; for the log and the diagnostics.
     span : (3,) tuple of float
-        The 10 %, 50 % and 90 % quantiles of disparity.
+        The 10 %, 50 % and 90 % quantiles of disparity; NaN for ``metric``, which needs none.
 
     """
 

@@ -163,7 +163,7 @@ def _metric(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | st
     if evidence.output == 'relative_disparity':
         return 'the network does not give metres'
     note = 'measured depth' if evidence.is_measured else 'metres of the network'
-    return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, note, evidence.span)
+    return ScaleEstimate(1.0, 0.0, 'metric', True, True, np.nan, note, (np.nan,) * 3)
 
 
 def _depth_topic(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:

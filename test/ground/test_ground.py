@@ -109,7 +109,7 @@ def ground_by_pixels(terrain):
     own = found.labels[-1, 320]
     planes = PlaneSegmentation((found.planes[own],), np.where(found.labels == own, 0, -1), 0.0)
     return find_ground(planes, scene.depth_m, scene.intrinsics,
-                       Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).mask
+                       Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).pixels.mask
 
 
 @pytest.mark.parametrize('slope_deg, is_ground', [(10.0, True), (25.0, False)])

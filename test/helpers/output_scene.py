@@ -16,7 +16,7 @@ from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.types import CameraIntrinsics, Detection, Plane, Shape, ShapeType
+from plane_detector.types import CameraIntrinsics, Detection, GroundPixels, Plane, Shape, ShapeType
 
 CAMERA = CameraIntrinsics(80.0, 95.0, 30.5, 45.25, 110, 72)
 WALL, FLOOR, BALL, NOTHING = 0, 1, 2, -1
@@ -73,9 +73,9 @@ def detection(**changes) -> Detection:
     values = {'planes': (plane(WALL), plane(FLOOR)), 'labels': labels, 'disparity_noise': 0.0,
               'depth_m': depth_m, 'scale_method': 'metric', 'track_labels': TRACKS,
               'classes': (PlaneClass.WALL, PlaneClass.FLOOR), 'shapes': (ball,),
-              'shape_labels': (5,), 'ground': labels == FLOOR,
-              'drops_m': np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
-              'drop_depths_m': np.array([0.25, np.nan]), **changes}
+              'shape_labels': (5,), 'ground_pixels': GroundPixels(
+                  labels == FLOOR, np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
+                  np.array([0.25, np.nan])), **changes}
     return Detection(**values)
 
 

@@ -70,7 +70,7 @@ def test_outputs_in_the_target_frame(robot):
 
 def test_a_frame_without_transform_is_skipped_and_logged(robot):
     start(robot, lambda rgb: ROOM.depth_m, transforms=standing_transforms(is_static=False),
-          target_frame='map', tf_timeout=0.05)
+          target_frame='map')
     send(robot, ROOM)
     assert robot.is_logged('no transform from camera_optical_frame to map')
     assert robot.is_logged('the frames are not connected'), 'the reason of TF itself'

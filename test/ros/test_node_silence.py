@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from ros_helpers import camera_info_msg, image_msg
 from std_srvs.srv import Trigger
 
-from plane_detector.ros.frame_requests import ANSWERED_WITHIN_S
+from plane_detector.ros.frame_worker import ANSWERED_WITHIN_S
 from plane_detector.ros.inputs.topic_watch import ImageLoss
 
 

@@ -121,7 +121,7 @@ def rgb_from_compressed_msg(msg: CompressedImage, expected: tuple[int, int],
         raise ValueError(wrong_size(size, expected))
     if size[0] * size[1] > most_pixels:
         raise ValueError(f'the compressed image is {size[0]} x {size[1]}, more than '
-                         f'max_image_pixels, {most_pixels}')
+                         f'{most_pixels} pixels')
     return _decompressed(data, size)
 
 

@@ -226,7 +226,7 @@ class FrameTransforms:
         except Exception as error:  # tf2's classes cannot be imported where it is not installed
             raise ValueError(
                 f'no transform from {header.frame_id} to {frame} at the time of the image, within '
-                f'tf_timeout ({settings.tf_timeout:g} s): {error}') from error
+                f'{settings.tf_timeout:g} s: {error}') from error
         return transform_from_msg(msg)
 
 

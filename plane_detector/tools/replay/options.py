@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter, get_parameter_value, parameter_dict_from_
 from rclpy.parameter import parameter_value_to_python as value_to_python
 
 from plane_detector.config import Config, NodeConfig
-from plane_detector.ros.health import FLOORLESS
+from plane_detector.ros.diagnostics import FLOORLESS
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.ros.parameters import no_such_parameter, updated
 from plane_detector.settings import parameters_of

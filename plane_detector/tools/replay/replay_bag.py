@@ -21,9 +21,8 @@ from tqdm import tqdm
 from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
-from plane_detector.ros.diagnostics import Report, planes_status, status_to_msg
+from plane_detector.ros.diagnostics import Report, gap_of, planes_status, status_to_msg
 from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
-from plane_detector.ros.health import gap_of
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.topics import OUTPUTS

@@ -12,8 +12,7 @@ from node_helpers import send, small_room, start
 from plane_detector.depth.observation import DepthFunction
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import textured
-from plane_detector.ros.diagnostics import Report
-from plane_detector.ros.health import FLOORLESS, Health, gap_of
+from plane_detector.ros.diagnostics import FLOORLESS, Health, Report, gap_of
 
 
 def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640)):
