@@ -37,7 +37,7 @@ def reassigned(model, labels, correlation=CORRELATION):
 
 def test_a_piece_without_a_step_around_it_goes_as_a_whole():
     """Its cells differ from their neighbours by the gap between the planes, if they stay."""
-    model = cells_of(50.0)
+    model = cells_of(49.0)
     labels = np.zeros(model.grid.shape, np.int32)
     labels[20:28, 30:38] = 1
     labels[24:34, 36:40] = 1
