@@ -84,7 +84,7 @@ def _sides_of_intersections(new: RegionGraph, known: RegionGraph) -> np.ndarray:
 
 
 @kernel('void(int32[:, ::1], int64[::1], int64, Tuple((float32[:, ::1], float64[:, ::1], '
-        'int8[:, ::1])), UniTuple(float64, 2), int64)')
+        'int8[:, ::1])), UniTuple(float64, 3), int64)')
 def _take_back(labels, cells, size, model, tolerance, reach):
     """
     Give the new planes the pixels at their borders that the known planes took alone.
@@ -118,6 +118,7 @@ def _take_back(labels, cells, size, model, tolerance, reach):
             square, side = tolerance[0] + tolerance[1] * d**4, sides[k - known, j]
             is_close = side != 0 and (own - other) ** 2 < square
             is_own = side * (own - other) > 0 if is_close else abs(own - d) < abs(other - d)
+            square += tolerance[2] * (planes[k, 0] ** 2 + planes[k, 1] ** 2)
             if is_own and (own - d) ** 2 <= square:
                 labels[row, column] = k
                 queue[last] = row, column, steps + 1

@@ -8,7 +8,7 @@ from cell_helpers import scored
 
 from plane_detector.config import Config
 from plane_detector.evaluation.benchmark.samples import noisy_depth, room
-from plane_detector.evaluation.scenes.rooms import single_wall
+from plane_detector.evaluation.scenes.rooms import VGA, single_wall
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.pipeline import segment_planes
 from plane_detector.segmentation.segment import metric_noise_floor, segment
@@ -67,3 +67,25 @@ def test_a_wall_that_a_sensor_bends_is_one_plane():
 def test_even_steps_of_depth_are_its_noise_floor():
     stepped = np.rint(WALL.depth_m * 50) / 50
     assert noise_of(stepped).depth_floor_m == pytest.approx(0.02 / 12**0.5, rel=1e-3)
+
+
+def corner(lateral_px, seed=0):
+    """Return a wall, a floor and a steep side wall seen by a sensor, 1/z, and their labels."""
+    rng, (v, u) = np.random.default_rng(seed), np.mgrid[0:480, 0:640].astype(float)
+    v += rng.normal(0, lateral_px, v.shape)
+    u += rng.normal(0, lateral_px, u.shape)
+    faces = 0.33 + np.stack([0 * u, 0.0012 * (v - 240), 0.003 * (u - 400)])
+    return faces.max(axis=0) + rng.normal(0, 0.0008, v.shape), faces.argmax(axis=0)
+
+
+@pytest.mark.parametrize('lateral_px', [0.4, 0.7])
+def test_pixels_that_see_aside_are_told_by_steep_surfaces(lateral_px):
+    found = [noise_of(1 / corner(lateral_px, seed)[0]).lateral_px for seed in range(3)]
+    assert np.mean(found) == pytest.approx(lateral_px, rel=0.25)
+    assert noise_of(1 / corner(0.0)[0]).lateral_px < 0.05
+
+
+def test_a_steep_wall_is_a_plane_although_pixels_see_aside():
+    disparity, truth = corner(0.7)
+    labels = segment_planes((1 / disparity).astype(np.float32), VGA).labels
+    assert np.bincount(labels[(truth == 2) & (labels >= 0)]).max() > 0.9 * (truth == 2).sum()

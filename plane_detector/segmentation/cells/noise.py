@@ -3,12 +3,13 @@
 """
 Noise of the disparity, estimated from differences between neighbouring cells.
 
-Noise has three parts. The pixel noise is independent from pixel to pixel; the smooth noise shifts
-and tilts whole cells; the systematic part bends whole planes. Second differences of the means of
-cells in a row or column, and first differences of their slopes, are zero on every plane. Edges and
-curved surfaces make them large, so a low quantile estimates the noise (Donoho and Johnstone 1994
-take the median for signals with few edges). One estimator serves depth of any noise level, exact
-or not.
+Noise has four parts. The pixel noise is independent from pixel to pixel; so is the lateral noise,
+which grows with the slope, as a pixel sees a place beside its own (Nguyen et al. 2012); the smooth
+noise shifts and tilts whole cells; the systematic part bends whole planes. Second differences of
+the means of cells in a row or column, and first differences of their slopes, are zero on every
+plane. Edges and curved surfaces make them large, so a low quantile estimates the noise (Donoho and
+Johnstone 1994 take the median for signals with few edges). One estimator serves depth of any noise
+level, exact or not.
 
 The systematic part is told from the smooth one by how the errors grow with the distance. What a
 blur has made smooth is a field of one length: up to that length the differences between its values
@@ -95,6 +96,9 @@ class Noise:
     bending : float
         Ratio of the errors of a plane as a whole to those about its least-squares plane. The
         deviations of means and slopes contain it.
+    lateral_px : float
+        Of the place in the image that a pixel sees. It adds to the error of a pixel as many times
+        the slope of its surface.
 
     """
 
@@ -105,6 +109,7 @@ class Noise:
     slope_sigma: float = 0.0
     pixel_sigma: float = 0.0
     bending: float = 1.0
+    lateral_px: float = 0.0
 
     @property
     def systematic_sigma(self) -> float:
@@ -165,7 +170,7 @@ class Noise:
         """
         return Noise(self.depth_floor_m / scale, *(scale * sigma for sigma in (
             self.disparity_floor, self.source_sigma, self.mean_sigma, self.slope_sigma,
-            self.pixel_sigma)), bending=self.bending)
+            self.pixel_sigma)), bending=self.bending, lateral_px=self.lateral_px)
 
     def at_cell_size(self, size_px: int, smaller_px: int) -> Noise:
         """

@@ -73,16 +73,17 @@ def _label_cells(frame: Frame, graph: RegionGraph, output: tuple[np.ndarray, int
            sweeps)
 
 
-def pixel_tolerance(frame: Frame) -> tuple[float, float]:
-    """Return the squared tolerance of a pixel's 1/z: t[0] + t[1] / z**4."""
+def pixel_tolerance(frame: Frame) -> tuple[float, float, float]:
+    """Return the squared tolerance of 1/z: t[0] + t[1] / z**4 + t[2] * slope**2 per pixel."""
     noise = frame.noise
     variance = noise.mean_sigma**2 + noise.pixel_sigma**2 + noise.disparity_floor**2
-    return frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2
+    return (frame.threshold**2 * variance, (frame.threshold * noise.depth_floor_m) ** 2,
+            (frame.threshold * noise.lateral_px) ** 2)
 
 
 @kernel('void(Tuple((int32[:, ::1], int64)), Tuple((float32[:, ::1], boolean[:, ::1], int64)), '
         'Tuple((int32[:, ::1], boolean[:, ::1])), Tuple((float64[:, ::1], int8[:, ::1])), '
-        'UniTuple(float64, 2), int64)')
+        'UniTuple(float64, 3), int64)')
 def _label(output, image, cells, planes, tolerance, sweeps):
     """Write the label of every valid pixel, given the labels of cells and those at borders."""
     (found, shift), (disparity, valid, size), (labels, is_open) = output, image, cells
@@ -216,23 +217,26 @@ def _move_planes(planes, near, corner, local):
         local[k, 2] = a * corner[1] + b * corner[0] + planes[label, 2]
 
 
-@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], UniTuple(float64, 2))')
+@kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], UniTuple(float64, 3))')
 def _choose_nearest(pixels, chosen, near, local, tolerance):
     """Write the plane of smallest residual of each pixel, -1 where all are too far."""
     of_noise, of_depth = np.float32(tolerance[0]), np.float32(tolerance[1])
+    of_slope = np.float32(tolerance[2])
     for p in range(len(chosen)):
         square = pixels[2, p] * pixels[2, p]
-        pixels[3, p] = pixels[4, p] = of_noise + of_depth * square * square
+        pixels[3, p], pixels[4, p] = of_noise + of_depth * square * square, np.inf
         chosen[p] = -1
     for k, label in enumerate(near):
         if label < 0:
             break
         a, b, c = local[k, 0], local[k, 1], local[k, 2]
+        lateral = of_slope * (a * a + b * b)
         for p in range(len(chosen)):
             residual = pixels[2, p] - (a * pixels[0, p] + b * pixels[1, p] + c)
-            is_best = residual * residual <= pixels[4, p]
+            square = residual * residual
+            is_best = (square <= pixels[3, p] + lateral) & (square <= pixels[4, p])
             chosen[p] = label if is_best else chosen[p]
-            pixels[4, p] = residual * residual if is_best else pixels[4, p]
+            pixels[4, p] = square if is_best else pixels[4, p]
 
 
 @kernel('void(float32[:, ::1], int32[::1], int32[::1], float32[:, ::1], int8[:, ::1])')
