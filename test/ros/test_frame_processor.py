@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""How often the lines of images with measured depth are sought."""
+"""What is sought for a frame with measured depth: lines now and then, ground for its readers."""
 
 import numpy as np
 import pytest
@@ -9,6 +9,7 @@ from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.config import Config, DepthConfig, NodeConfig
 from plane_detector.directions import finder
+from plane_detector.ground import ground
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import Frame
@@ -28,7 +29,7 @@ def sought(monkeypatch):
     return calls
 
 
-def process(stamps_s, noise, is_turned):
+def process(stamps_s, noise, is_turned, wanted=()):
     """Process noisy frames of the room; those for which is_turned(k) is true are mirrored."""
     processor = FrameProcessor(PlaneDetector(Config(depth=DepthConfig(source='topic'))),
                                NodeConfig(), 'image')
@@ -41,7 +42,7 @@ def process(stamps_s, noise, is_turned):
         processor.process(Frame(
             image_msg(np.ascontiguousarray(rgb), 'rgb8', stamp_s),
             camera_info_msg(ROOM.intrinsics, stamp_s),
-            image_msg(np.ascontiguousarray(depth_m), '32FC1', stamp_s), None, 0), ())
+            image_msg(np.ascontiguousarray(depth_m), '32FC1', stamp_s), None, 0), wanted)
 
 
 @pytest.mark.parametrize('noise', [0.0, 0.001])
@@ -54,3 +55,12 @@ def test_lines_of_a_still_camera_are_sought_ever_less_often(sought, noise):
 def test_lines_are_sought_when_the_camera_has_turned(sought):
     process(np.arange(0, 1.2, 0.04), 0.001, lambda k: k // 3 % 2)
     assert len(sought) >= 9
+
+
+@pytest.mark.parametrize('wanted, is_sought', [(('planes', 'points'), False), (('ground',), True),
+                                               (('points_without_floor',), True)])
+def test_pixels_of_the_ground_are_sought_for_their_readers(monkeypatch, wanted, is_sought):
+    calls, mark = [], ground.mark_ground
+    monkeypatch.setattr(ground, 'mark_ground', lambda *given: calls.append(1) or mark(*given))
+    process([0.0], 0.001, lambda k: False, wanted)
+    assert len(calls) == is_sought

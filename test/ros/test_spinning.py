@@ -138,3 +138,53 @@ def test_the_shared_memory_of_the_middleware_is_released():
     segments = set(done.stdout.split()) - others
     assert segments
     assert not [name for name in segments if os.path.exists(name)]
+
+
+INPUTS = """
+import signal
+from rclpy.node import Node
+from std_msgs.msg import Header
+from std_srvs.srv import Trigger
+from plane_detector.ros.spinning import InputGroup, run
+
+def make_node():
+    node, group, told = Node('node'), InputGroup(), []
+
+    def tell(what):
+        told.append(what)
+        if set(told) >= {'timer', 'awake', 'answer', 'message by run'}:
+            print(*sorted(set(told)), sep=', ', flush=True)
+            signal.raise_signal(signal.SIGTERM)
+
+    def answer(request, response):
+        tell('answer')
+        return response
+
+    def on_message(msg, info):
+        tell('message by run' if group.is_taken else 'message by the executor')
+        guard.trigger()
+
+    def on_time():
+        tell('timer')
+        client.call_async(Trigger.Request())
+        publisher.publish(Header())
+
+    node.create_subscription(Header, 'in', on_message, 1, callback_group=group)
+    node.create_service(Trigger, 'asked', answer)
+    client = node.create_client(Trigger, 'asked')
+    publisher = node.create_publisher(Header, 'in', 1)
+    guard = node.create_guard_condition(lambda: tell('awake'))
+    node.create_timer(0.1, on_time)
+    return node
+
+run(make_node, [])
+"""
+
+
+def test_messages_of_inputs_are_taken_beside_all_that_the_executor_does():
+    from ros_helpers import random_domain
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain())}
+    done = subprocess.run([sys.executable, '-c', INPUTS], env=environment, capture_output=True,
+                          text=True, timeout=STUCK_S, check=False)
+    assert (done.returncode, done.stdout) == (0, 'answer, awake, message by run, timer\n'), (
+        done.stderr)
