@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Figure of the accuracy benchmark, from the same samples as its tables. Needs matplotlib."""
+"""Figures of benchmarks, from the same samples as their tables. Needs matplotlib."""
 
 from __future__ import annotations
 
@@ -25,20 +25,11 @@ def write_figure(samples: Sequence[Sample], folder: Path) -> Path:
     Returns the path of ``accuracy.svg`` in the folder, which is created; ImportError says what to
     install without matplotlib.
     """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
-    matplotlib.use('Agg')
-    # Without date and random ids, so that equal samples give equal files.
-    matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
-    folder.mkdir(parents=True, exist_ok=True)
     methods: dict[str, list[Sample]] = {}
     for one in samples:
         if one.kind == 'rooms':
             methods.setdefault(one.method, []).append(one)
-    figure = Figure(figsize=(12.6, 3.8), layout='constrained')
+    figure = new_figure((12.6, 3.8))
     for axes, draw in zip(figure.subplots(1, 3), (draw_noise, draw_time, draw_size), strict=True):
         for marker, (name, own) in zip(_MARKERS, methods.items(), strict=False):
             draw(axes, own, marker=marker, label=name)
@@ -46,7 +37,24 @@ def write_figure(samples: Sequence[Sample], folder: Path) -> Path:
         axes.grid(alpha=0.3)
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc='outside lower center', ncols=min(3, len(names)))
-    path = folder / 'accuracy.svg'
+    return save_figure(figure, folder / 'accuracy.svg')
+
+
+def new_figure(size_inches: tuple[float, float]) -> Any:
+    """Return an empty figure; ImportError says what to install without matplotlib."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
+    matplotlib.use('Agg')
+    matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
+    return Figure(figsize=size_inches, layout='constrained')
+
+
+def save_figure(figure: Any, path: Path) -> Path:
+    """Write a figure, without date and random ids: equal samples give equal files."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, metadata={'Date': None})
     return path
 
