@@ -12,7 +12,7 @@ Posterior of the vertical and of the azimuth of the scene.
    for which the normals alone are most likely.
 4. The evidence is tempered: edges of one object and normals of one surface are not independent.
 5. The grid is coarse first; its best cells are divided once more. The verticals within 5 degrees
-   of the mean of the largest mode are its mass: the probability that this mean is right.
+   of an answer are its mass: the probability that it is right.
 
 References
 ----------
@@ -45,6 +45,7 @@ MAX_PITCH_DEG, MAX_ROLL_DEG, STEP_DEG = 60.0, 37.5, 7.5
 # Each step is divided by three in the best cells that are not negligible (log of the posterior).
 # tuned: flat from 8 to 1000; at 5 a tenth more answers, and twice as many wrong ones.
 DIVIDED_CELLS, DIVISION, NEGLIGIBLE = 40, 3, 10.0
+CELL_RAD = np.radians(STEP_DEG / DIVISION)
 # Added to all errors for the distance to the next point of the grid. tuned: flat from 2.6 to 3.6,
 # and from 0.7 to 1.
 COARSE_ERROR_DEG, FINE_ERROR_DEG = 3.1, 0.8
@@ -234,7 +235,58 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     return np.nan_to_num(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
-def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarray, Modes]:
+@dataclass(frozen=True)
+class Posterior:
+    """
+    Probability of verticals on a grid.
+
+    Attributes
+    ----------
+    downs : (V, 3) float64
+        Unit vectors.
+    masses : (V,) float64
+        Their sum is 1.
+
+    """
+
+    downs: np.ndarray
+    masses: np.ndarray
+
+    def near(self, down: np.ndarray) -> np.ndarray:
+        """Return which verticals (V,), bool, are within CLOSE_DEG of one."""
+        return self.downs @ down > np.cos(np.radians(CLOSE_DEG))
+
+    def mean_shifted(self, masses: np.ndarray) -> np.ndarray:
+        """Return the mean (3,) of the verticals near it, where most of some masses (V,) are."""
+        best = self.downs[np.argsort(-masses)[:DIVIDED_CELLS]]
+        near = self.downs @ best.T > np.cos(np.radians(CLOSE_DEG))
+        is_near = near[:, (masses @ near).argmax()]
+        for _ in range(2):
+            down = unit(masses[is_near] @ self.downs[is_near])
+            is_near = self.near(down)
+        return down
+
+    def modes(self, down: np.ndarray) -> Modes:
+        """Return the modes, of which the first one is about a given vertical."""
+        left, means, covariances, masses = self.masses, [], [], []
+        while True:
+            is_near = self.near(down)
+            found = left[is_near].sum()
+            if means and found < LEAST_MASS:
+                break
+            across = (self.downs[is_near] - down) * np.sqrt(
+                left[is_near] / max(found, 1e-12))[:, None]
+            means.append(down)
+            covariances.append(across.T @ across + CELL_RAD**2 / 12 * np.eye(3))
+            masses.append(found)
+            left = np.where(is_near, 0.0, left)
+            if left.sum() < LEAST_MASS or len(means) == MOST_MODES:
+                break
+            down = self.mean_shifted(left)
+        return Modes(np.array(means), np.array(covariances), np.array(masses))
+
+
+def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarray, Posterior]:
     """
     Return the posterior of the vertical of an image.
 
@@ -242,7 +294,7 @@ def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarra
     -------
     axes : (3, 3) float64
         Rows: the mean vertical of the main mode, downwards, and the most likely axes about it.
-    modes : Modes
+    posterior : Posterior
 
     """
     tilts = _tilts()
@@ -257,7 +309,14 @@ def upright_posterior(evidence: Evidence, expected: Expected) -> tuple[np.ndarra
     azimuths = (azimuths.ravel()[best, None] + inside).repeat(DIVISION**2, axis=0)
     bases, score = _log_posterior(tilts, azimuths, evidence, expected, FINE_ERROR_DEG)
     mass = np.exp(score - score.max())
-    return _modes(bases, np.radians(azimuths), mass / mass.sum())
+    posterior = Posterior(bases[:, 0], mass.sum(axis=1) / mass.sum())
+    down = posterior.mean_shifted(posterior.masses)
+    best, azimuth = np.unravel_index(
+        np.where(posterior.near(down)[:, None], mass, 0).argmax(), mass.shape)
+    angle = np.radians(azimuths[best, azimuth])
+    x = np.cos(angle) * bases[best, 1] + np.sin(angle) * bases[best, 2]
+    x = unit(x - (x @ down) * down)
+    return np.stack([down, x, np.cross(down, x)]), posterior
 
 
 def _with_stray_share(evidence: Evidence, base: np.ndarray, azimuth_rad: float) -> Evidence:
@@ -314,37 +373,6 @@ def _log_posterior(tilts_deg: np.ndarray, azimuths_deg: np.ndarray, evidence: Ev
     log_prior += np.log(np.cos(np.radians(tilts_deg[:, 0])))  # the area of a cell of the grid
     votes = sum(log_likelihood(bases, np.radians(azimuths_deg), evidence, error_rad))
     return bases, log_prior[:, None] + expected.new * votes
-
-
-def _modes(bases: np.ndarray, azimuths_rad: np.ndarray,
-           mass: np.ndarray) -> tuple[np.ndarray, Modes]:
-    """Return the axes of the main mode, and the modes of the masses (V, A)."""
-    downs, left, close = bases[:, 0], mass.sum(axis=1), np.cos(np.radians(CLOSE_DEG))
-    cell_rad = np.radians(STEP_DEG / DIVISION)
-    means, covariances, masses, members = [], [], [], []
-    while len(means) < MOST_MODES:
-        near = downs @ downs[np.argsort(-left)[:DIVIDED_CELLS]].T > close
-        is_near = near[:, (left @ near).argmax()]
-        for _ in range(2):
-            down = unit(left[is_near] @ downs[is_near])
-            is_near = downs @ down > close
-        found = left[is_near].sum()
-        if means and found < LEAST_MASS:
-            break
-        across = (downs[is_near] - down) * np.sqrt(left[is_near] / found)[:, None]
-        means.append(down)
-        covariances.append(across.T @ across + cell_rad**2 / 12 * np.eye(3))
-        masses.append(found)
-        members.append(is_near)
-        left = np.where(is_near, 0.0, left)
-        if left.sum() < LEAST_MASS:
-            break
-    best, azimuth = np.unravel_index(np.where(members[0][:, None], mass, 0).argmax(), mass.shape)
-    angle = azimuths_rad[best, azimuth]
-    x = np.cos(angle) * bases[best, 1] + np.sin(angle) * bases[best, 2]
-    x = unit(x - (x @ means[0]) * means[0])
-    modes = Modes(np.array(means), np.array(covariances), np.array(masses))
-    return np.stack([means[0], x, np.cross(means[0], x)]), modes
 
 
 def _grid(*axes: np.ndarray) -> np.ndarray:

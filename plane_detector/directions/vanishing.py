@@ -3,7 +3,8 @@
 """
 Directions of a calibrated image: the vertical and pairs of horizontal axes.
 
-1. The main mode of the posterior is fitted to its segments.
+1. The main mode of the posterior is fitted to its segments; the probability is that of the
+   verticals near this answer.
 2. Its level lines may be those of a floor that rises: the upright lines alone tell.
 3. Its upright lines may be those of a thing that leans, a ladder or a fence: all else tells.
    What remains is the probability of the vertical.
@@ -114,8 +115,9 @@ def find_directions(segments: LineSegments, evidence: Evidence | None = None,
     """
     evidence = evidence or collect_evidence(segments)
     expected = expected or Expected()
-    axes, modes = upright_posterior(evidence, expected)
+    axes, posterior = upright_posterior(evidence, expected)
     axes = _fitted(segments, axes, (0, 1, 2)).axes
+    modes = posterior.modes(axes[0])
     level_share, axes, rises = _if_it_rises(axes, evidence)
     gain = _gain(segments, axes, evidence, expected)
     share = level_share * (1 - LEANING) / (1 - LEANING + LEANING * np.exp(-gain))

@@ -17,7 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.report import (
+    add_shared,
+    emit,
+    new_figure,
+    save_figure,
+    table,
+)
 from plane_detector.evaluation.benchmark.samples import COUNTS, Noise, Sample, plan, run_jobs
 from plane_detector.evaluation.metrics import MIN_PIXELS, known_mean
 from plane_detector.evaluation.peers import Ours, all_methods
@@ -139,20 +145,11 @@ def write_figure(samples: Sequence[Sample], folder: Path) -> Path:
     Returns the path of ``accuracy.svg`` in the folder, which is created; ImportError says what to
     install without matplotlib.
     """
-    try:
-        import matplotlib
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
-    matplotlib.use('Agg')
-    # Without date and random ids, so that equal samples give equal files.
-    matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
-    folder.mkdir(parents=True, exist_ok=True)
     methods: dict[str, list[Sample]] = {}
     for one in samples:
         if one.kind == 'rooms':
             methods.setdefault(one.method, []).append(one)
-    figure = Figure(figsize=(12.6, 3.8), layout='constrained')
+    figure = new_figure((12.6, 3.8))
     for axes, draw in zip(figure.subplots(1, 3), (_draw_noise, _draw_time, _draw_size),
                           strict=True):
         for marker, (name, own) in zip(_MARKERS, methods.items(), strict=False):
@@ -161,9 +158,7 @@ def write_figure(samples: Sequence[Sample], folder: Path) -> Path:
         axes.grid(alpha=0.3)
     handles, names = figure.axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc='outside lower center', ncols=min(3, len(names)))
-    path = folder / 'accuracy.svg'
-    figure.savefig(path, metadata={'Date': None})
-    return path
+    return save_figure(figure, folder / 'accuracy.svg')
 
 
 def _draw_noise(axes: Any, own: Sequence[Sample], **style: str) -> None:

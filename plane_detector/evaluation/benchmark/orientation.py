@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +24,13 @@ from plane_detector.depth.observation import DepthFunction
 from plane_detector.directions.finder import CameraImage, find_in_image
 from plane_detector.directions.posterior import CLOSE_DEG
 from plane_detector.directions.vanishing import SceneDirections
-from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.report import (
+    add_shared,
+    emit,
+    new_figure,
+    save_figure,
+    table,
+)
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
@@ -57,6 +63,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument('--only', choices=PARTS, action='append',
                         help='print this part only; may be given again')
+    parser.add_argument('--plots', type=Path, metavar='FOLDER',
+                        help='write calibration.svg there, with the part calibration')
     add_shared(parser, '--scenes', '--first-seed', '--data', '--model', scenes=20)
 
 
@@ -76,7 +84,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         emit(f'Real images: {options.data} is not there.')
     if 'calibration' in parts:
-        report_calibration(options.data, seeds)
+        report_calibration(options.data, seeds, options.plots)
     if 'misleading' in parts:
         report_misleading(seeds)
     if 'rendered' in parts:
@@ -148,8 +156,8 @@ def _axis_errors(axes: np.ndarray, scene: rooms.Scene) -> list[float]:
     return [float(nearest)] if nearest < 10 else []
 
 
-def report_calibration(data: Path, seeds: Sequence[int]) -> None:
-    """Print how many verticals are right, by the probability that is said."""
+def report_calibration(data: Path, seeds: Sequence[int], folder: Path | None) -> None:
+    """Print how many verticals are right, by the probability that is said, and draw it."""
     rng, said = np.random.default_rng(seeds[0]), {}
     whole = (slice(None),) * 2
     for frame in frames(data, (*INDOOR, 'real_unlabelled')) if data.is_dir() else ():
@@ -172,6 +180,31 @@ def report_calibration(data: Path, seeds: Sequence[int]) -> None:
     emit(f'### Verticals within {CLOSE_DEG:.0f} degrees, by the probability that is said',
          table(('images', *(f'{low:g} to {high:g}' for low, high in itertools.pairwise(BINS))),
                rows))
+    if folder:
+        emit(f'Figure: `{write_calibration(said, folder)}`')
+
+
+def write_calibration(said: Mapping[str, Sequence[tuple[float, float]]], folder: Path) -> Path:
+    """Draw the share of right verticals over the probability said; ImportError as accuracy."""
+    figure = new_figure((4.6, 4.2))
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color='grey', linestyle=':', label='as said')
+    for marker, (name, pairs) in zip('os', said.items(), strict=False):
+        probability, error_deg = np.array(pairs).T
+        is_in, is_right = np.digitize(probability, BINS) - 1, error_deg <= CLOSE_DEG
+        bins = np.unique(is_in)
+        right = np.array([is_right[is_in == k].mean() for k in bins])
+        count = np.array([np.sum(is_in == k) for k in bins])
+        # One standard deviation of a share, with one right and one wrong answer added to it.
+        share = (right * count + 1) / (count + 2)
+        axes.errorbar([probability[is_in == k].mean() for k in bins], right,
+                      np.sqrt(share * (1 - share) / (count + 2)), marker=marker, capsize=3,
+                      label=f'{name}, {len(pairs)}')
+    axes.set(xlabel='probability that is said', xlim=(0, 1.02), ylim=(0, 1.05),
+             ylabel=f'share within {CLOSE_DEG:.0f} degrees of the vertical')
+    axes.grid(alpha=0.3)
+    axes.legend(loc='upper left')
+    return save_figure(figure, folder / 'calibration.svg')
 
 
 def _part(shape: tuple[int, int], rng: np.random.Generator) -> tuple[slice, slice]:

@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands share: options, processes, and tables below command, machine and commit."""
+"""What the subcommands share: options, processes, figures, and tables below command, machine
+and commit."""
 
 from __future__ import annotations
 
@@ -119,3 +120,22 @@ def commit() -> str:
     except (OSError, subprocess.CalledProcessError):
         return 'unknown (not a git checkout)'
     return f'{name} with uncommitted changes' if changes else name
+
+
+def new_figure(size_inches: tuple[float, float]) -> Any:
+    """Return an empty figure; ImportError says what to install without matplotlib."""
+    try:
+        import matplotlib
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError(f'{error}: install the extra, plane_detector[benchmark]') from error
+    matplotlib.use('Agg')
+    matplotlib.rcParams.update({'svg.hashsalt': 'plane_detector', 'font.size': 9})
+    return Figure(figsize=size_inches, layout='constrained')
+
+
+def save_figure(figure: Any, path: Path) -> Path:
+    """Write a figure, without date and random ids: equal samples give equal files."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, metadata={'Date': None})
+    return path
