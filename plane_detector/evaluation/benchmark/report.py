@@ -1,7 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the subcommands share: options, processes, figures, and tables below command, machine
-and commit."""
+"""What the subcommands share: options, processes, figures; tables below command and commit."""
 
 from __future__ import annotations
 
