@@ -101,10 +101,10 @@ def _take_back(labels, cells, size, model, tolerance, reach):
         for v in range(top, min(top + size, height)):
             for u in range(left, min(left + size, width)):
                 if labels[v, u] >= known:
-                    queue[last] = v, u, 0
+                    queue[last, 0], queue[last, 1], queue[last, 2] = v, u, 0
                     last += 1
     while first < last and queue[first, 2] < reach:
-        v, u, steps = queue[first]
+        v, u, steps = queue[first, 0], queue[first, 1], queue[first, 2]
         first += 1
         k = labels[v, u]
         for row, column in ((v - 1, u), (v + 1, u), (v, u - 1), (v, u + 1)):
@@ -121,7 +121,7 @@ def _take_back(labels, cells, size, model, tolerance, reach):
             square += tolerance[2] * (planes[k, 0] ** 2 + planes[k, 1] ** 2)
             if is_own and (own - d) ** 2 <= square:
                 labels[row, column] = k
-                queue[last] = row, column, steps + 1
+                queue[last, 0], queue[last, 1], queue[last, 2] = row, column, steps + 1
                 last += 1
 
 
