@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What the node tells of itself: counts and times, one level and one sentence, a table of planes.
+Diagnostics of the node: counts and times, one level and one sentence, a table of planes.
 
 A sentence is logged too when it changes, and names the remedy.
 """
