@@ -35,6 +35,8 @@ MIN_STEP_DEVIATIONS = 1.7
 MIN_OFFSET_DEVIATIONS = 0.5
 # derived: every fifth block of a row or column samples all places within cells of four.
 SAMPLE = np.s_[::BLOCKS + 1, ::BLOCKS + 1]
+# Column of the piece in a run of blocks.
+PIECE = 3
 
 
 def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
@@ -50,16 +52,14 @@ def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
         return regions
     residual, owner = _block_residuals(image.values, image.valid, regions.labels,
                                        grid.planes_in_pixels(regions.coefficients), grid.size_px)
-    count, pieces = cv2.connectedComponents(_off_steps(residual, owner), connectivity=4,
-                                            ltype=cv2.CV_16U)
-    label, blocks, mean = _describe(pieces, owner, residual, count)
+    runs, label, blocks, mean = _find_pieces(_off_steps(residual, owner), owner, residual)
     is_candidate = ((blocks >= frame.min_pixels * (BLOCKS / grid.size_px) ** 2)
                     & (_offsets(label, blocks, mean)
                        > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
     candidates = np.flatnonzero(is_candidate)
     for k in candidates[np.argsort(-blocks[candidates], kind='stable')]:
         new = len(regions.coefficients)
-        labels = _with_piece(regions.labels, pieces, k + 1, label[k], new)
+        labels = _with_piece(regions.labels, runs[runs[:, PIECE] == k], label[k], new)
         if prefer_two_planes(cells, labels, correlation, label[k], new):
             regions = fit_regions(cells, labels, new + 1)
     return regions
@@ -76,36 +76,38 @@ def _block_residuals(disparity, valid, labels, planes, size):
     (rows, columns), side, (height, width) = labels.shape, size // BLOCKS, disparity.shape
     residual = np.zeros((rows * BLOCKS, columns * BLOCKS), np.float32)
     owner = np.full(residual.shape, np.int32(-1))
-    total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.float32)
+    total, count = np.zeros(columns * size, np.float32), np.zeros(columns * size, np.uint8)
     begin = np.empty(max(rows, columns) * BLOCKS, np.int64)
     for i in range(len(begin)):
         begin[i] = i * size // BLOCKS
+    whole, middle = side * side, (side - 1) / 2
     for i in range(rows * BLOCKS):
-        top = begin[i]
+        top, row = begin[i], i // BLOCKS
         for u in range(width):
             total[u] = count[u] = 0
         for v in range(top, min(top + side, height)):
             for u in range(width):
                 total[u] += disparity[v, u]  # 0 where invalid
-                count[u] += np.float32(valid[v, u])
+                count[u] += np.uint8(valid[v, u])
+        below = labels[min(row + int(i % BLOCKS == BLOCKS - 1), rows - 1)]
         for column in range(columns):
-            row, k = i // BLOCKS, labels[i // BLOCKS, column]
+            k, first = labels[row, column], column * BLOCKS
             if k < 0:
                 continue
-            ends_below = i % BLOCKS == BLOCKS - 1 and labels[min(row + 1, rows - 1), column] != k
-            ends_right = labels[row, min(column + 1, columns - 1)] != k
-            for j in range(column * BLOCKS, column * BLOCKS + BLOCKS):
-                left, d, n = begin[j], np.float32(0), np.float32(0)
-                for u in range(left, left + side):
-                    d += total[u]
-                    n += count[u]
-                if 2 * n > side * side:
-                    x, y = left + (side - 1) / 2, top + (side - 1) / 2
-                    if n < side * side:
-                        x, y = _centroid(valid, top, left, side)
-                    residual[i, j] = d / n - (planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
-                    if not (ends_below or (ends_right and j % BLOCKS == BLOCKS - 1)):
-                        owner[i, j] = k
+            a, b, c = planes[k, 0], planes[k, 1], planes[k, 2]
+            for j in range(first, first + BLOCKS):  # np.uint64: no wrap-around check
+                left, d, n = np.uint64(begin[j]), np.float32(0), 0
+                for u in range(np.uint64(side)):
+                    d += total[left + u]
+                    n += count[left + u]
+                if n == whole:
+                    residual[i, j] = d / n - (a * (begin[j] + middle) + b * (top + middle) + c)
+                elif 2 * n > whole:
+                    x, y = _centroid(valid, top, begin[j], side)
+                    residual[i, j] = d / n - (a * x + b * y + c)
+                owner[i, j] = k if 2 * n > whole and below[column] == k else -1
+            if labels[row, min(column + 1, columns - 1)] != k:
+                owner[i, first + BLOCKS - 1] = -1
     return residual, owner
 
 
@@ -140,20 +142,61 @@ def _off_steps(residual: np.ndarray, owner: np.ndarray) -> np.ndarray:
     return inside
 
 
-@kernel('Tuple((int64[::1], int64[::1], float64[::1]))(uint16[:, ::1], int32[:, ::1], '
-        'float32[:, ::1], int64)')
-def _describe(pieces, owner, residual, count):
-    """Return the region, the number of blocks and the mean residual of pieces 1, 2, ..."""
-    label, blocks = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    total = np.zeros(count)
-    for i in range(pieces.shape[0]):
-        for j in range(pieces.shape[1]):
-            piece = pieces[i, j]
-            if piece > 0:
-                label[piece] = owner[i, j]
-                blocks[piece] += 1
-                total[piece] += residual[i, j]
-    return label[1:].copy(), blocks[1:].copy(), total[1:] / blocks[1:]
+@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1], float64[::1]))(uint8[:, ::1], '
+        'int32[:, ::1], float32[:, ::1])')
+def _find_pieces(inside, owner, residual):
+    """
+    Return the runs of connected blocks, and the region, blocks and mean residual of each piece.
+
+    A run (row, first column, one behind the last, piece) is in one row; pieces are numbered in the
+    order of their first runs. One pass over the blocks: OpenCV, and the sums, took twice the time.
+    """
+    (rows, columns), count, above = inside.shape, 0, 0
+    runs = np.empty((rows * ((columns + 1) // 2), 4), np.int32)
+    total = np.zeros(len(runs))
+    for row in range(rows):
+        begin, column = count, 0
+        while column < columns:
+            if not inside[row, column]:
+                column += 1
+                continue
+            first, of_run = column, 0.0
+            while column < columns and inside[row, column]:
+                of_run += residual[row, column]
+                column += 1
+            runs[count, 0], runs[count, 1], runs[count, 2] = row, first, column
+            runs[count, PIECE], total[count] = count, of_run
+            while above < begin and runs[above, 2] <= first:
+                above += 1
+            touching = above
+            while touching < begin and runs[touching, 1] < column:
+                one, other = _first_run(runs, touching), _first_run(runs, count)
+                runs[max(one, other), PIECE] = min(one, other)
+                touching += 1
+            count += 1
+        above = begin
+    n = 0
+    label, blocks, mean = np.empty(count, np.int64), np.zeros(count, np.int64), np.zeros(count)
+    for run in range(count):
+        piece = runs[runs[run, PIECE], PIECE]  # of an earlier run: the number of its piece
+        if runs[run, PIECE] == run:
+            piece, label[n] = n, owner[runs[run, 0], runs[run, 1]]
+            n += 1
+        runs[run, PIECE] = piece
+        blocks[piece] += runs[run, 2] - runs[run, 1]
+        mean[piece] += total[run]
+    for piece in range(n):
+        mean[piece] /= blocks[piece]
+    return runs[:count].copy(), label[:n].copy(), blocks[:n].copy(), mean[:n].copy()
+
+
+@kernel('int64(int32[:, ::1], int64)')
+def _first_run(runs, run):
+    """Return the first run of a piece, and shorten the way there."""
+    while runs[run, PIECE] != run:
+        runs[run, PIECE] = runs[runs[run, PIECE], PIECE]
+        run = runs[run, PIECE]
+    return run
 
 
 def _offsets(label: np.ndarray, blocks: np.ndarray, mean: np.ndarray) -> np.ndarray:
@@ -163,17 +206,23 @@ def _offsets(label: np.ndarray, blocks: np.ndarray, mean: np.ndarray) -> np.ndar
     return np.abs(mean - mean[largest[label]])
 
 
-def _with_piece(labels: np.ndarray, pieces: np.ndarray, piece: int, label: int,
-                new: int) -> np.ndarray:
+def _with_piece(labels: np.ndarray, runs: np.ndarray, label: int, new: int) -> np.ndarray:
     """Return labels, ``new`` in the cells that a piece and half the step around it half fill."""
-    mask, found = cv2.compare(pieces, int(piece), cv2.CMP_EQ), labels.copy()  # 255 in the piece
-    left, top, width, height = cv2.boundingRect(mask)
-    rows, columns = (slice(max(first // BLOCKS - 1, 0), (first + size) // BLOCKS + 2)
-                     for first, size in ((top, height), (left, width)))
+    found, (top, left), (bottom, right) = labels.copy(), runs[:, :2].min(0), runs[:, [0, 2]].max(0)
+    rows, columns = (slice(max(first // BLOCKS - 1, 0), last // BLOCKS + 2)
+                     for first, last in ((top, bottom), (left, right)))
     here = found[rows, columns]
-    filled = cv2.dilate(mask[BLOCKS * rows.start:BLOCKS * rows.stop,
-                             BLOCKS * columns.start:BLOCKS * columns.stop],
-                        np.ones((BLOCKS + 1, BLOCKS + 1), np.uint8))
+    mask = np.zeros((BLOCKS * here.shape[0], BLOCKS * here.shape[1]), np.uint8)
+    _draw(mask, runs, (BLOCKS * rows.start, BLOCKS * columns.start))
+    filled = cv2.dilate(mask, np.ones((BLOCKS + 1, BLOCKS + 1), np.uint8))
     share = cv2.resize(filled, here.shape[::-1], interpolation=cv2.INTER_AREA)
     here[(here == label) & (share >= 128)] = new
     return found
+
+
+@kernel('void(uint8[:, ::1], int32[:, ::1], UniTuple(int64, 2))', is_short=True)
+def _draw(mask, runs, corner):
+    """Write 255 where the runs are, in a part of the blocks."""
+    for run in range(len(runs)):
+        for column in range(runs[run, 1], runs[run, 2]):
+            mask[runs[run, 0] - corner[0], column - corner[1]] = 255
