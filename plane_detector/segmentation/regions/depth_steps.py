@@ -11,6 +11,8 @@ residuals do. A piece that steps cut off becomes a plane if model selection pref
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 
@@ -52,7 +54,7 @@ def split_at_depth_steps(frame: Frame, regions: PlaneRegions,
         return regions
     residual, owner = _block_residuals(image.values, image.valid, regions.labels,
                                        grid.planes_in_pixels(regions.coefficients), grid.size_px)
-    runs, label, blocks, mean = _find_pieces(_off_steps(residual, owner), owner, residual)
+    runs, label, blocks, mean = _find_pieces(residual, owner, *_steps(residual, owner))
     is_candidate = ((blocks >= frame.min_pixels * (BLOCKS / grid.size_px) ** 2)
                     & (_offsets(label, blocks, mean)
                        > MIN_OFFSET_DEVIATIONS * frame.noise.mean_sigma))
@@ -123,45 +125,46 @@ def _centroid(valid, top, left, side):
     return x / count, y / count
 
 
-def _off_steps(residual: np.ndarray, owner: np.ndarray) -> np.ndarray:
+def _steps(residual: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, ...]:
     """
-    Return 255 for the blocks of regions that are on no step, 0 for the others, uint8.
+    Return the steps at the left and at the upper side of each block, and the smallest of note.
 
-    A step is the sum of the blocks on one side minus that on the other side of a block's left or
-    upper side.
+    A step is the sum of the blocks on one side minus that on the other side.
     """
-    inside, sample = cv2.inRange(owner, 0, np.iinfo(np.int32).max), owner[SAMPLE] >= 0
-    if not sample.any():
-        return inside
     apart = np.repeat(np.float32([-1, 1]), BLOCKS // 2)
     along = np.ones(REACH_CELLS * BLOCKS, np.float32)
+    steps, sample = [], owner[SAMPLE] >= 0
     for sides in ((apart, along), (along, apart)):
-        step = cv2.sepFilter2D(residual, -1, *sides, borderType=cv2.BORDER_REPLICATE)
-        limit = MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][sample]))
-        inside &= cv2.inRange(step, -limit, limit)
-    return inside
+        steps.append(cv2.sepFilter2D(residual, -1, *sides, borderType=cv2.BORDER_REPLICATE))
+    limits = [MIN_STEP_DEVIATIONS * SIGMA_PER_MEDIAN * median(np.abs(step[SAMPLE][sample]))
+              if sample.any() else math.inf for step in steps]
+    return *steps, np.float32(limits)
 
 
-@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1], float64[::1]))(uint8[:, ::1], '
-        'int32[:, ::1], float32[:, ::1])')
-def _find_pieces(inside, owner, residual):
+@kernel('Tuple((int32[:, ::1], int64[::1], int64[::1], float64[::1]))(float32[:, ::1], '
+        'int32[:, ::1], float32[:, ::1], float32[:, ::1], float32[::1])')
+def _find_pieces(residual, owner, across, down, limits):
     """
     Return the runs of connected blocks, and the region, blocks and mean residual of each piece.
 
-    A run (row, first column, one behind the last, piece) is in one row; pieces are numbered in the
-    order of their first runs. One pass over the blocks: OpenCV, and the sums, took twice the time.
+    Blocks of no region or on a step are in no piece. A run (row, first column, one behind the
+    last, piece) is in one row; pieces are numbered in the order of their first runs. One pass over
+    the blocks: OpenCV, and the sums, took twice the time.
     """
-    (rows, columns), count, above = inside.shape, 0, 0
+    (rows, columns), count, above = owner.shape, 0, 0
     runs = np.empty((rows * ((columns + 1) // 2), 4), np.int32)
-    total = np.zeros(len(runs))
+    total, is_inside = np.zeros(len(runs)), np.empty(columns, np.bool_)
     for row in range(rows):
+        for u in range(columns):
+            is_inside[u] = ((owner[row, u] >= 0) & (abs(across[row, u]) <= limits[0])
+                            & (abs(down[row, u]) <= limits[1]))
         begin, column = count, 0
         while column < columns:
-            if not inside[row, column]:
+            if not is_inside[column]:
                 column += 1
                 continue
             first, of_run = column, 0.0
-            while column < columns and inside[row, column]:
+            while column < columns and is_inside[column]:
                 of_run += residual[row, column]
                 column += 1
             runs[count, 0], runs[count, 1], runs[count, 2] = row, first, column
