@@ -63,20 +63,25 @@ def test_the_gain_is_that_of_the_likelihood():
     regions = hand_made(model, labels)
     correlation = Correlation.of(model, regions, noise)
     cell, small = seams._cells_about(regions.labels, model.is_planar, (0, 1))
-    x, y, d = model.grid.mean[cell].T
-    one = np.stack([np.ones_like(x), x, y], axis=1)
-    both = np.hstack([one, one * small[:, None]])
-    row, column = np.divmod(cell, 80)
-    covariance = correlation.table[abs(row[:, None] - row), abs(column[:, None] - column)]
-    root = np.linalg.cholesky(covariance)
+    assert len(cell) > seams.NEAREST_CELLS
 
-    def error(design):
-        design, values = np.linalg.solve(root, design), np.linalg.solve(root, d)
-        residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-        return residual @ residual
+    def gain(count):
+        x, y, d = model.grid.mean[cell[:count]].T
+        one = np.stack([np.ones_like(x), x, y], axis=1)
+        both = np.hstack([one, one * small[:count, None]])
+        row, column = np.divmod(cell[:count], 80)
+        covariance = correlation.table[abs(row[:, None] - row), abs(column[:, None] - column)]
+        root = np.linalg.cholesky(covariance)
 
-    expected = error(one) - error(both)
-    assert expected > 10
-    found = seams.log_likelihood_gain(regions.labels, model.table, model.is_planar,
-                                      correlation.table, (0, 1))
-    assert found == pytest.approx(expected, rel=1e-3), 'in single precision'
+        def error(design):
+            design, values = np.linalg.solve(root, design), np.linalg.solve(root, d)
+            residual = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+            return residual @ residual
+
+        return error(one) - error(both)
+
+    for enough, count in ((np.inf, len(cell)), (1.0, seams.NEAREST_CELLS)):
+        assert gain(count) > 10
+        found = seams.log_likelihood_gain(regions.labels, model.table, model.is_planar,
+                                          correlation.table, (0, 1), enough)
+        assert found == pytest.approx(gain(count), rel=1e-3), 'in single precision'
