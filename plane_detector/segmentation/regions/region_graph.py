@@ -41,6 +41,8 @@ VARIANCE, NORMALS, NORMAL_X, NORMAL_Y, NORMAL_SQUARES, NORMALS_D = range(22, 28)
 PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 11, 12, 13, 8],
                      [3, 10, 11, 14, 15, 16, 19], [4, 11, 12, 15, 16, 17, 20],
                      [5, 12, 13, 16, 17, 18, 21], [6, 7, 8, 19, 20, 21, 9]])
+# derived: the two factors of each product.
+FACTORS = np.array([np.argwhere(PRODUCTS == column)[0] for column in range(PRODUCTS.max() + 1)])
 
 
 @dataclass(frozen=True)
@@ -175,29 +177,9 @@ def _sum_up(labels, table, moments, slope, is_planar, count):
 def _add_cell(table, slope, sums, i, k):
     """Add cell i to the sums of region k: numba takes longer to pass rows than to add them up."""
     x, y, d = table[i, MEAN_X], table[i, MEAN_Y], table[i, MEAN_D]
-    xx, xy, yy = x * x, x * y, y * y
-    sums[k, 0] += 1
-    sums[k, 1] += x
-    sums[k, 2] += y
-    sums[k, 3] += xx
-    sums[k, 4] += xy
-    sums[k, 5] += yy
-    sums[k, 6] += d
-    sums[k, 7] += x * d
-    sums[k, 8] += y * d
-    sums[k, 9] += d * d
-    sums[k, 10] += xx * x
-    sums[k, 11] += xx * y
-    sums[k, 12] += yy * x
-    sums[k, 13] += yy * y
-    sums[k, 14] += xx * xx
-    sums[k, 15] += xx * xy
-    sums[k, 16] += xx * yy
-    sums[k, 17] += xy * yy
-    sums[k, 18] += yy * yy
-    sums[k, 19] += xx * d
-    sums[k, 20] += xy * d
-    sums[k, 21] += yy * d
+    terms = 1.0, x, y, x * x, x * y, y * y, d
+    for column in range(len(FACTORS)):
+        sums[k, column] += terms[FACTORS[column, 0]] * terms[FACTORS[column, 1]]
     sums[k, VARIANCE] += 1 / table[i, MEAN_WEIGHT]
     if np.isfinite(slope[i, 0]):
         sums[k, NORMALS] += 1
