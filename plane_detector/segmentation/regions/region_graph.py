@@ -42,7 +42,7 @@ PRODUCTS = np.array([[0, 1, 2, 3, 4, 5, 6], [1, 3, 4, 10, 11, 12, 7], [2, 4, 5, 
                      [3, 10, 11, 14, 15, 16, 19], [4, 11, 12, 15, 16, 17, 20],
                      [5, 12, 13, 16, 17, 18, 21], [6, 7, 8, 19, 20, 21, 9]])
 # derived: the two factors of each product.
-FACTORS = np.array([np.argwhere(PRODUCTS == column)[0] for column in range(PRODUCTS.max() + 1)])
+FACTORS = np.array([np.argwhere(column == PRODUCTS)[0] for column in range(PRODUCTS.max() + 1)])
 
 
 @dataclass(frozen=True)
