@@ -26,10 +26,9 @@ from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_plan
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.gaps import close_gaps
 from plane_detector.segmentation.pixels.labelling import label_pixels
-from plane_detector.segmentation.regions.correlated_errors import reassign_cells
+from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
 from plane_detector.segmentation.regions.curved import find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
-from plane_detector.segmentation.regions.icm import compete_for_cells
 from plane_detector.segmentation.regions.merging import (
     join_nearly_flat,
     merge_bowed_walls,
