@@ -21,10 +21,10 @@ from plane_detector.geometry.projection import depth_to_points
 from plane_detector.process import one_thread
 from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import count_labels, relabel_sequential
+from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.cells.noise import Noise, estimate_noise
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
 from plane_detector.segmentation.cells.plane_fit import fit_planes
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import add_planes, no_planes
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.stopping import raise_if_stopped

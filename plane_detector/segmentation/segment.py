@@ -17,7 +17,7 @@ from plane_detector.geometry.disparity import disparity_range, zero_filled
 from plane_detector.process import retain_freed_memory
 from plane_detector.segmentation.cells.grid import TYPICAL_LENS, DisparityImage, build_cell_grid
 from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.segmentation.cells.model import PlaneRegions
+from plane_detector.segmentation.cells.model import Frame, PlaneRegions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
@@ -35,7 +35,6 @@ from plane_detector.segmentation.regions.merging import (
     merge_coplanar,
 )
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes, sees_creases
 
 # Residuals of exact planes in a disparity of unknown unit, as a share of its range.

@@ -9,10 +9,10 @@ from cell_helpers import EXACT, best_iou, disparity_image, view, wall
 from plane_detector import segment_planes
 from plane_detector.config import Config, SegmentationConfig
 from plane_detector.segmentation.cells.grid import build_cell_grid
+from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.region_graph import RegionGraph
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 from plane_detector.segmentation.segment import MIN_TURN_DEG
 from plane_detector.types import CameraIntrinsics

@@ -1,17 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Cells weighted by their noise, and the planes found on them."""
+"""An image in cells weighted by its noise, and the planes found on them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.segmentation.cells.grid import CellGrid
+from plane_detector.config import Config
+from plane_detector.segmentation.cells.grid import CellGrid, DisparityImage
 from plane_detector.segmentation.cells.labels import relabel_sequential
-from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.noise import DepthKind, Noise
 from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_planes
 
 # derived: columns of WeightedCells.table: means of x, y and d, dd/dx and dd/dy, the inverse
@@ -121,6 +123,48 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
         table[i, SQUARED_ERROR] = (of_mean + of_pixel) * moments[i, N]
         is_planar[i] = usable[i] and residual_rms[i] ** 2 < MAX_PIXEL_VARIANCES * of_pixel
     return table, is_planar
+
+
+@dataclass(frozen=True)
+class Frame:
+    """
+    An image, or a part of one, and what is known of it.
+
+    Attributes
+    ----------
+    image : DisparityImage
+    grid : CellGrid
+        Of this image.
+    noise : Noise
+        Of this image; before the search its lower bound.
+    min_pixels : float
+        Smallest plane.
+    config : Config
+    rng : numpy.random.Generator
+
+    """
+
+    image: DisparityImage
+    grid: CellGrid
+    noise: Noise
+    min_pixels: float
+    config: Config
+    rng: np.random.Generator
+
+    @cached_property
+    def kind(self) -> DepthKind:
+        """Kind of its depth errors."""
+        return self.noise.kind(self.grid.typical_disparity)
+
+    @property
+    def threshold(self) -> float:
+        """Inlier threshold in standard deviations."""
+        return self.config.ransac.inlier_threshold
+
+    @cached_property
+    def cells(self) -> WeightedCells:
+        """The cells of the grid, weighted by the noise."""
+        return weigh_cells(self.grid, self.noise)
 
 
 @kernel('float64(float64[:, ::1], int64, float64, float64, float64)')

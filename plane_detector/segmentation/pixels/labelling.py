@@ -18,9 +18,9 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.labels import at_borders
+from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.cells.noise import DepthKind
 from plane_detector.segmentation.regions.region_graph import MAX_DEVIATIONS, RegionGraph
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import sees_creases
 
 

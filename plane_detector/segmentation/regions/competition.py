@@ -27,6 +27,7 @@ from plane_detector.config import DbscanConfig
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.model import (
     MEAN_WEIGHT,
+    Frame,
     PlaneRegions,
     chi_squared,
     fit_regions,
@@ -34,7 +35,6 @@ from plane_detector.segmentation.cells.model import (
 )
 from plane_detector.segmentation.cells.noise_correlation import MIN_REGION_CELLS, Correlation
 from plane_detector.segmentation.search.dbscan import clusters_and_cells, label_clusters
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS
 
 # Cost of no plane, in squared thresholds.

@@ -18,10 +18,9 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
-from plane_detector.segmentation.cells.model import PlaneRegions, fit_regions
+from plane_detector.segmentation.cells.model import Frame, PlaneRegions, fit_regions
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.regions.model_selection import REACH_CELLS, prefer_two_planes
-from plane_detector.segmentation.search.frame import Frame
 
 # Blocks of pixels along the side of a cell; the compared means are half a cell wide,
 # REACH_CELLS long.

@@ -22,7 +22,7 @@ import numpy as np
 from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import SLOPE_X, SLOPE_Y, PlaneRegions, residual
+from plane_detector.segmentation.cells.model import SLOPE_X, SLOPE_Y, Frame, PlaneRegions, residual
 from plane_detector.segmentation.cells.noise import (
     DepthKind,
     Noise,
@@ -34,7 +34,6 @@ from plane_detector.segmentation.cells.noise_correlation import (
     bending_of,
     in_large_regions,
 )
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.ransac import MAX_TRIALS, add_planes, no_planes
 
 # Too high a start hides planes; too low a start is corrected from the planes.

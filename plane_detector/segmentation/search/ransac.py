@@ -18,7 +18,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.grid import CellGrid
-from plane_detector.segmentation.cells.model import PlaneRegions, chi_squared
+from plane_detector.segmentation.cells.model import Frame, PlaneRegions, chi_squared
 from plane_detector.segmentation.cells.plane_fit import N, add_moments, fit_plane
 from plane_detector.segmentation.search.dbscan import (
     NEAR,
@@ -26,7 +26,6 @@ from plane_detector.segmentation.search.dbscan import (
     grow_cluster,
     neighbour_steps,
 )
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.hypotheses import (
     CELLS,
     FREE,

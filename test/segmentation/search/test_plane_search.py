@@ -12,8 +12,8 @@ from plane_detector import CameraIntrinsics, segment_planes
 from plane_detector.config import Config
 from plane_detector.evaluation.scenes.rooms import single_wall
 from plane_detector.segmentation.cells.grid import build_cell_grid
+from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.cells.noise import DepthKind
-from plane_detector.segmentation.search.frame import Frame
 from plane_detector.segmentation.search.plane_search import search_planes
 
 ROOMS = (3, 7, 11)
