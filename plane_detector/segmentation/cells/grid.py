@@ -85,7 +85,7 @@ class CellGrid:
     sparsity : (R * C, 2) float64
         Additional variances of the cell's mean and slope due to missing pixels, as multiples of
         the variance of a pixel; 0 for full cells.
-    normal_slope : (R * C, 2) float64
+    normal_slope : (R * C, 2) float64, or (0, 2)
         dd/dx and dd/dy by the normals of a network; NaN where it gives none.
     lens : (4,) float64
         Focal lengths along x and y, and x and y of the principal point.
@@ -161,9 +161,8 @@ def build_cell_grid(image: DisparityImage, size: int = 0, wanted: np.ndarray | N
     if wanted is None:
         wanted = np.ones(shape[0] * shape[1], bool)
     moments = _sum_up(image.values, image.valid, size, frame, wanted)
-    no_slopes = np.full((len(wanted), 2), np.nan)
     return CellGrid(size, int(frame[0]), frame[1:], shape, moments,
-                    *_fit_cells(moments, size, int(frame[0])), no_slopes, lens)
+                    *_fit_cells(moments, size, int(frame[0])), np.empty((0, 2)), lens)
 
 
 @kernel('float64[:, ::1](float32[:, ::1], boolean[:, ::1], int64, UniTuple(float64, 3), '

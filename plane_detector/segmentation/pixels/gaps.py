@@ -49,30 +49,32 @@ def _close(labels, unlabelled, model, disparity, valid, limits):
         x, y, z = normal_of(planes[k, 0], planes[k, 1], planes[k, 2], lens)
         # A point at 1/z is off the plane by the distance of the plane times its relative residual.
         largest[k] = distance_m * np.sqrt(x * x + y * y + z * z)
-    end = 0
+    runs, count, end, v = np.empty((len(unlabelled), 3), np.int64), 0, 0, 0
     while end < len(unlabelled):
         pixel = unlabelled[end]
-        v, left, end = pixel // width, pixel % width, end + 1
+        while pixel >= (v + 1) * width:  # faster than a division
+            v += 1
+        left, end = pixel - v * width, end + 1
         right = left + 1
         while right < width and end < len(unlabelled) and unlabelled[end] == pixel + right - left:
             right, end = right + 1, end + 1
+        runs[count, 0], runs[count, 1], runs[count, 2] = v, left, right
+        count += 1
         if (left > 0 and right < width and right - left <= widest
                 and labels[v, left - 1] == labels[v, right]):
             for u in range(left, right):
                 _label_near(labels, v, u, labels[v, right], in_pixels, largest, image)
-    first, last, v = np.zeros(width, np.int64), np.full(width, -1), 0
-    for pixel in unlabelled:
-        while pixel >= (v + 1) * width:
-            v += 1
-        u = pixel - v * width
-        if labels[v, u] >= 0:
-            continue
-        first[u], last[u] = first[u] if last[u] == v - 1 else v, v
-        above = first[u] - 1
-        if (above >= 0 and v + 1 < height and v - above <= widest
-                and labels[v + 1, u] >= 0 and labels[above, u] == labels[v + 1, u]):
-            for row in range(above + 1, v + 1):
-                _label_near(labels, row, u, labels[above, u], in_pixels, largest, image)
+    for run in range(count):
+        v = runs[run, 0]
+        for u in range(runs[run, 1], runs[run, 2] if v + 1 < height else 0):
+            if labels[v + 1, u] < 0 or labels[v, u] >= 0:
+                continue
+            above = v - 1
+            while above >= 0 and v - above <= widest and labels[above, u] < 0:
+                above -= 1
+            if above >= 0 and v - above <= widest and labels[above, u] == labels[v + 1, u]:
+                for row in range(above + 1, v + 1):
+                    _label_near(labels, row, u, labels[above, u], in_pixels, largest, image)
 
 
 @kernel('void(int32[:, ::1], int64, int64, int32, float64[:, ::1], float64[::1], '

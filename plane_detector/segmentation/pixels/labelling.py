@@ -44,7 +44,7 @@ def label_pixels(frame: Frame, graph: RegionGraph) -> np.ndarray:
 
     """
     noise, disparity = frame.noise, frame.image.values
-    found = np.full(disparity.shape, np.int32(-1))
+    found = np.empty(disparity.shape, np.int32)
     sees = sees_creases(frame.grid, noise, frame.threshold)
     # In other depth neighbouring pixels share their error.
     if frame.kind is DepthKind.MEASURED:
@@ -65,7 +65,7 @@ def label_more_pixels(frame: Frame, graph: RegionGraph, labels: np.ndarray, firs
 
 def _label_cells(frame: Frame, graph: RegionGraph, output: tuple[np.ndarray, int],
                  disparity: np.ndarray, sweeps: int) -> None:
-    """Write labels of pixels, counted from the given number on."""
+    """Write labels of pixels, counted from the given number on; from 0 on, of all pixels."""
     grid = frame.grid
     _label(output, (disparity, frame.image.valid, grid.size_px),
            (graph.labels, at_borders(graph.labels, 1)),
@@ -158,7 +158,11 @@ def _lay_out(extent, width, offset, pixels):
 
 @kernel('void(int32[:, ::1], int64, boolean[:, ::1], int32[:, ::1], boolean[:, ::1], int64)')
 def _fill_cells(found, shift, valid, labels, is_open, size):
-    """Write the labels of cells that are not open to their valid pixels."""
+    """
+    Write the labels of cells that are not open to their valid pixels.
+
+    All others keep what they have, but for -1 if the labels are the first.
+    """
     (height, width), (rows, columns) = found.shape, labels.shape
     for row in range(rows):
         end = 0
@@ -166,12 +170,14 @@ def _fill_cells(found, shift, valid, labels, is_open, size):
             start, label, is_shut = end, labels[row, end], not is_open[row, end]
             while end < columns and labels[row, end] == label and is_open[row, end] != is_shut:
                 end += 1
-            name, left, right = np.int32(label + shift), start * size, min(end * size, width)
+            left, right, is_named = start * size, min(end * size, width), is_shut and label >= 0
+            name = np.int32(label + shift if is_named else -1)
             for v in range(row * size, min(row * size + size, height)
-                           if is_shut and label >= 0 else 0):
+                           if is_named or shift == 0 else 0):
                 here, is_valid = found[v, left:right], valid[v, left:right]
                 for u in range(len(here)):
-                    here[u] = name if is_valid[u] else here[u]
+                    other = np.int32(-1) if shift == 0 else here[u]
+                    here[u] = name if is_valid[u] else other
 
 
 @kernel('boolean(int32[:, ::1], int64, int64, int32[::1])')

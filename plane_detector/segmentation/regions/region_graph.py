@@ -181,7 +181,7 @@ def _add_cell(table, slope, sums, i, k):
     for column in range(len(FACTORS)):
         sums[k, column] += terms[FACTORS[column, 0]] * terms[FACTORS[column, 1]]
     sums[k, VARIANCE] += 1 / table[i, MEAN_WEIGHT]
-    if np.isfinite(slope[i, 0]):
+    if len(slope) and np.isfinite(slope[i, 0]):
         sums[k, NORMALS] += 1
         sums[k, NORMAL_X] += slope[i, 0]
         sums[k, NORMAL_Y] += slope[i, 1]
