@@ -103,43 +103,50 @@ def are_certain(planes: Sequence[Plane], down: np.ndarray,
     [False, True]
 
     """
-    return np.array([
-        (_probability(plane, down, np.radians(tolerance_deg)) if np.isnan(plane.class_certainty)
-         else plane.class_certainty) >= MIN_PROBABILITY for plane in planes], bool)
+    known = np.array([plane.class_certainty for plane in planes])
+    is_free, found = np.isnan(known), known.copy()
+    if is_free.any():
+        free = [plane for plane, is_one in zip(planes, is_free.tolist(), strict=True) if is_one]
+        found[is_free] = _probabilities(np.stack([plane.normal for plane in free]),
+                                        np.stack([plane.covariance[:3, :3] for plane in free]),
+                                        down, np.radians(tolerance_deg))
+    return found >= MIN_PROBABILITY
 
 
-def _probability(plane: Plane, down: np.ndarray, tolerance_rad: float) -> float:
-    """Return the probability that a plane is horizontal, vertical or neither as it seems."""
-    cosine = float(np.clip(plane.normal @ down, -1, 1))
-    level = np.linalg.svd(np.stack([down, plane.normal - cosine * down]))[2][1:]
-    sigmas = np.sqrt(np.maximum(np.einsum('ki,ij,kj->k', [down, *level],
-                                          plane.covariance[:3, :3], [down, *level]),
-                                LEAST_SIGMA_RAD**2))
-    from_level, from_upright = np.arccos(abs(cosine)), np.arcsin(abs(cosine))
+def _probabilities(normals: np.ndarray, covariances: np.ndarray, down: np.ndarray,
+                   tolerance_rad: float) -> np.ndarray:
+    """Return the probability that planes (K,) are horizontal, vertical or neither as they seem."""
+    cosine = np.clip(normals @ down, -1, 1)
+    # The standard deviation along down, along the tilt and level across it. A normal along down
+    # tilts in any direction.
+    any_tilt = np.cross(down, np.eye(3)[np.abs(down).argmin()])
+    tilt = normals - cosine[:, None] * down + LEAST_SIGMA_RAD**2 * any_tilt
+    tilt /= np.linalg.norm(tilt, axis=1, keepdims=True)
+    axes = np.stack([np.broadcast_to(down, tilt.shape), tilt, np.cross(down, tilt)], axis=1)
+    variances = ((axes @ covariances) * axes).sum(axis=2).T
+    of_down, of_tilt, across = np.sqrt(np.maximum(variances, LEAST_SIGMA_RAD**2))
+    from_level, from_upright = np.arccos(np.abs(cosine)), np.arcsin(np.abs(cosine))
     # Densities of the normal: of any direction on a hemisphere, on a half circle and at a point.
-    likelihood = np.array([OTHER_SHARE / (2 * np.pi),
-                           UPRIGHT_SHARE / np.pi * _density(from_upright / sigmas[0]) / sigmas[0],
-                           LEVEL_SHARE * _density(from_level / sigmas[1]) * _density(0.0)
-                           / (sigmas[1] * sigmas[2])])
-    free, upright, flat = likelihood / likelihood.sum()
-    seems_upright = _within(from_upright, sigmas[0], tolerance_rad)
-    seems_flat = (_within(from_level, sigmas[1], tolerance_rad)
-                  * _within(0.0, sigmas[2], tolerance_rad))
-    if from_upright <= tolerance_rad:
-        return upright + free * seems_upright
-    if from_level <= tolerance_rad:
-        return flat + free * seems_flat
-    return 1.0
+    likelihood = np.stack([
+        np.full(len(cosine), OTHER_SHARE / (2 * np.pi)),
+        UPRIGHT_SHARE / np.pi * _density(from_upright / of_down) / of_down,
+        LEVEL_SHARE * _density(from_level / of_tilt) * _density(0.0) / (of_tilt * across)])
+    free, upright, flat = likelihood / likelihood.sum(axis=0)
+    seems_upright = _within(from_upright, of_down, tolerance_rad)
+    seems_flat = (_within(from_level, of_tilt, tolerance_rad)
+                  * _within(np.zeros(len(cosine)), across, tolerance_rad))
+    return np.where(from_upright <= tolerance_rad, upright + free * seems_upright,
+                    np.where(from_level <= tolerance_rad, flat + free * seems_flat, 1.0))
 
 
-def _density(deviations: float) -> float:
-    return float(np.exp(-0.5 * deviations**2) / np.sqrt(2 * np.pi))
+def _density(deviations: np.ndarray | float) -> np.ndarray | float:
+    return np.exp(-0.5 * np.square(deviations)) / np.sqrt(2 * np.pi)
 
 
-def _within(off_rad: float, sigma_rad: float, most_rad: float) -> float:
-    """Return the probability that an angle is at most so large on either side."""
-    reach = np.array([most_rad - off_rad, most_rad + off_rad]) / (np.sqrt(2) * sigma_rad)
-    return 0.5 * (erf(reach[0]) + erf(reach[1]))
+def _within(off_rad: np.ndarray, sigma_rad: np.ndarray, most_rad: float) -> np.ndarray:
+    """Return the probability that angles (K,) are at most so large on either side."""
+    reach = np.stack([most_rad - off_rad, most_rad + off_rad]) / (np.sqrt(2) * sigma_rad)
+    return 0.5 * np.array([[erf(one) for one in side] for side in reach.tolist()]).sum(axis=0)
 
 
 def lowest_level(planes: Sequence[Plane], down: np.ndarray) -> Plane | None:
