@@ -4,12 +4,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from enum import IntEnum
-from math import erf
 
 import numpy as np
 
+from plane_detector.compilation import kernel
 from plane_detector.types import Plane
 
 # Largest inclination of a plane that still counts as horizontal or vertical.
@@ -103,50 +104,76 @@ def are_certain(planes: Sequence[Plane], down: np.ndarray,
     [False, True]
 
     """
+    if not planes:
+        return np.zeros(0, bool)
     known = np.array([plane.class_certainty for plane in planes])
-    is_free, found = np.isnan(known), known.copy()
-    if is_free.any():
-        free = [plane for plane, is_one in zip(planes, is_free.tolist(), strict=True) if is_one]
-        found[is_free] = _probabilities(np.stack([plane.normal for plane in free]),
-                                        np.stack([plane.covariance[:3, :3] for plane in free]),
-                                        down, np.radians(tolerance_deg))
-    return found >= MIN_PROBABILITY
+    free = _probabilities(np.array([plane.normal for plane in planes], float),
+                          np.array([plane.covariance for plane in planes], float),
+                          np.asarray(down, float), np.radians(tolerance_deg))
+    return np.where(np.isnan(known), free, known) >= MIN_PROBABILITY
 
 
-def _probabilities(normals: np.ndarray, covariances: np.ndarray, down: np.ndarray,
-                   tolerance_rad: float) -> np.ndarray:
+@kernel('float64[::1](float64[:, ::1], float64[:, :, ::1], float64[::1], float64)', is_short=True)
+def _probabilities(normals, covariances, down, tolerance_rad):
     """Return the probability that planes (K,) are horizontal, vertical or neither as they seem."""
-    cosine = np.clip(normals @ down, -1, 1)
-    # The standard deviation along down, along the tilt and level across it. A normal along down
-    # tilts in any direction.
-    any_tilt = np.cross(down, np.eye(3)[np.abs(down).argmin()])
-    tilt = normals - cosine[:, None] * down + LEAST_SIGMA_RAD**2 * any_tilt
-    tilt /= np.linalg.norm(tilt, axis=1, keepdims=True)
-    axes = np.stack([np.broadcast_to(down, tilt.shape), tilt, np.cross(down, tilt)], axis=1)
-    variances = ((axes @ covariances) * axes).sum(axis=2).T
-    of_down, of_tilt, across = np.sqrt(np.maximum(variances, LEAST_SIGMA_RAD**2))
-    from_level, from_upright = np.arccos(np.abs(cosine)), np.arcsin(np.abs(cosine))
-    # Densities of the normal: of any direction on a hemisphere, on a half circle and at a point.
-    likelihood = np.stack([
-        np.full(len(cosine), OTHER_SHARE / (2 * np.pi)),
-        UPRIGHT_SHARE / np.pi * _density(from_upright / of_down) / of_down,
-        LEVEL_SHARE * _density(from_level / of_tilt) * _density(0.0) / (of_tilt * across)])
-    free, upright, flat = likelihood / likelihood.sum(axis=0)
-    seems_upright = _within(from_upright, of_down, tolerance_rad)
-    seems_flat = (_within(from_level, of_tilt, tolerance_rad)
-                  * _within(np.zeros(len(cosine)), across, tolerance_rad))
-    return np.where(from_upright <= tolerance_rad, upright + free * seems_upright,
-                    np.where(from_level <= tolerance_rad, flat + free * seems_flat, 1.0))
+    found, axes, sigmas = np.empty(len(normals)), np.empty((3, 3)), np.empty(3)
+    for k in range(len(normals)):
+        normal, covariance = normals[k], covariances[k]
+        cosine = normal[0] * down[0] + normal[1] * down[1] + normal[2] * down[2]
+        cosine = min(max(cosine, -1.0), 1.0)
+        _set_axes(normal, down, cosine, axes)
+        for axis in range(3):
+            variance = 0.0
+            for i in range(3):
+                for j in range(3):
+                    variance += axes[axis, i] * covariance[i, j] * axes[axis, j]
+            sigmas[axis] = np.sqrt(max(variance, LEAST_SIGMA_RAD**2))
+        from_level, from_upright = math.acos(abs(cosine)), math.asin(abs(cosine))
+        # Densities of the normal: of any direction on a hemisphere, on a half circle, at a point.
+        free = OTHER_SHARE / (2 * np.pi)
+        upright = UPRIGHT_SHARE / np.pi * _density(from_upright / sigmas[0]) / sigmas[0]
+        level = (LEVEL_SHARE * _density(from_level / sigmas[1]) * _density(0.0)
+                 / (sigmas[1] * sigmas[2]))
+        found[k] = 1.0
+        if from_upright <= tolerance_rad:
+            found[k] = ((upright + free * _within(from_upright, sigmas[0], tolerance_rad))
+                        / (free + upright + level))
+        elif from_level <= tolerance_rad:
+            seems_level = (_within(from_level, sigmas[1], tolerance_rad)
+                           * _within(0.0, sigmas[2], tolerance_rad))
+            found[k] = (level + free * seems_level) / (free + upright + level)
+    return found
 
 
-def _density(deviations: np.ndarray | float) -> np.ndarray | float:
-    return np.exp(-0.5 * np.square(deviations)) / np.sqrt(2 * np.pi)
+@kernel('void(float64[::1], float64[::1], float64, float64[:, ::1])')
+def _set_axes(normal, down, cosine, axes):
+    """Write down, the level direction that a normal tilts to (any if it does not), and across."""
+    length2, least = 0.0, 0
+    for i in range(3):
+        axes[0, i], axes[1, i] = down[i], normal[i] - cosine * down[i]
+        length2 += axes[1, i] ** 2
+        least = i if abs(down[i]) < abs(down[least]) else least
+    if length2 < LEAST_SIGMA_RAD**2:
+        for i in range(3):
+            axes[1, i] = (1.0 if i == least else 0.0) - down[least] * down[i]
+        length2 = 1 - down[least] ** 2
+    for i in range(3):
+        axes[1, i] /= np.sqrt(length2)
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        axes[2, i] = axes[0, j] * axes[1, k] - axes[0, k] * axes[1, j]
 
 
-def _within(off_rad: np.ndarray, sigma_rad: np.ndarray, most_rad: float) -> np.ndarray:
-    """Return the probability that angles (K,) are at most so large on either side."""
-    reach = np.stack([most_rad - off_rad, most_rad + off_rad]) / (np.sqrt(2) * sigma_rad)
-    return 0.5 * np.array([[erf(one) for one in side] for side in reach.tolist()]).sum(axis=0)
+@kernel('float64(float64)')
+def _density(deviations):
+    return np.exp(-0.5 * deviations * deviations) / np.sqrt(2 * np.pi)
+
+
+@kernel('float64(float64, float64, float64)')
+def _within(off_rad, sigma_rad, most_rad):
+    """Return the probability that an angle is at most so large on either side."""
+    scale = np.sqrt(2) * sigma_rad
+    return 0.5 * (math.erf((most_rad - off_rad) / scale) + math.erf((most_rad + off_rad) / scale))
 
 
 def lowest_level(planes: Sequence[Plane], down: np.ndarray) -> Plane | None:
