@@ -262,7 +262,7 @@ class FrameFlow:
         """Whether the next frame is requested, or all are and an output has subscribers."""
         if self._records.requests.are_waiting or self._query.is_waiting:
             return True
-        return self._live.settings.mode == 'continuous' and bool(self._outputs.wanted())
+        return self._live.settings.mode == 'continuous' and self._outputs.is_any_wanted()
 
     def _begin(self, frame: Frame) -> Callable[[], None]:
         """Do the first half of the work on a frame; return a function that does the second."""

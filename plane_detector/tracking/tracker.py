@@ -123,7 +123,8 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
     labels, gone = labels_of_found(known.tracks, match, len(pixels), config.keep_frames)
     tracks = [Track(label, where, _streak(known.tracks, match.get(k)))
               for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
-    tracks += [replace(known.tracks[k], missed=known.tracks[k].missed + 1) for k in gone]
+    tracks += [Track(one.label, one.pixels, one.streak, one.missed + 1)
+               for one in map(known.tracks.__getitem__, gone)]
     planes = found.planes
     if config.smoothing > 0:
         planes = _smoothed(planes, known, after, match, config.smoothing)
