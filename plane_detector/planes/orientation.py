@@ -92,8 +92,6 @@ class Orientations:
         That the true normal is within CLOSE_RAD of the chosen one.
     class_probability : (K,) float64
         That the plane is horizontal, vertical or neither as this normal.
-    log_evidence : float
-        Log likelihood of these directions by all normals of the network.
 
     """
 
@@ -102,7 +100,6 @@ class Orientations:
     sigmas_rad: np.ndarray
     probability: np.ndarray
     class_probability: np.ndarray
-    log_evidence: float
 
 
 @dataclass(frozen=True)
@@ -114,10 +111,36 @@ class _Hypotheses:
     log_prior: np.ndarray   # (K, C), -inf where impossible
 
 
-def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
-                  evidence: LineEvidence, samples: RegionSamples) -> Orientations:
+@dataclass(frozen=True)
+class ScoredOrientations:
     """
-    Find the most likely normal of every plane.
+    Hypotheses of all planes about the axes of a scene.
+
+    Attributes
+    ----------
+    directions : SceneDirections
+        With the axes.
+    hypotheses : _Hypotheses
+    scores : (K, C) float64
+        Log of prior times likelihood, at the most likely error of the network.
+    variances : (K,) float64
+        Of the network's normals for that error, rad^2.
+    log_evidence : float
+        Log likelihood of these axes by all normals of the network.
+
+    """
+
+    directions: SceneDirections
+    hypotheses: _Hypotheses
+    scores: np.ndarray
+    variances: np.ndarray
+    log_evidence: float
+
+
+def score_orientations(planes: tuple[Plane, ...], directions: SceneDirections,
+                       evidence: LineEvidence, samples: RegionSamples) -> ScoredOrientations:
+    """
+    Score the hypotheses of every plane.
 
     Parameters
     ----------
@@ -136,8 +159,8 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
-    variances = normal_variances(planes, samples, SIGMAS_RAD[:, None])
-    of_network = variances - _fit_variance(planes)
+    of_network = network_variances(planes, samples, SIGMAS_RAD[:, None])
+    variances = fit_variances(planes) + of_network
     outliers = _outliers(of_network, samples.image_shares)
     scores = _log_likelihood(hypotheses, variances, outliers[..., None]) - lost
     # Whatever its lines: a region is turned within its error.
@@ -145,31 +168,37 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
     best = int(np.argmax(evidence_of))
-    every = np.arange(len(planes))
-    alone = hypotheses.normals[every, scores[best].argmax(1)]
-    likely = scores[best] + _same_surface(hypotheses, alone, samples)
+    return ScoredOrientations(directions, hypotheses, scores[best], variances[best],
+                              float(evidence_of[best]))
+
+
+def most_likely(scored: ScoredOrientations, samples: RegionSamples) -> Orientations:
+    """Return the most likely normal of every plane, and how probable it is."""
+    hypotheses, variances = scored.hypotheses, scored.variances
+    every = np.arange(len(variances))
+    alone = hypotheses.normals[every, scored.scores.argmax(1)]
+    likely = scored.scores + _same_surface(hypotheses, alone, samples)
     chosen = likely.argmax(1)
     # The network's normal is at least as wrong as it is far from the chosen one.
-    variance = np.maximum(variances[best], hypotheses.angle_rad[every, chosen] ** 2)
-    axis_variance = np.trace(directions.covariance) / 2
+    variance = np.maximum(variances, hypotheses.angle_rad[every, chosen] ** 2)
+    axis_variance = np.trace(scored.directions.covariance) / 2
     share = axis_variance / (axis_variance + variance)
     normals = _unit(hypotheses.normals[every, chosen] * (1 - share)[:, None]
                     + hypotheses.normals[:, -1] * share[:, None])
     posterior = np.exp(likely - likely.max(1, keepdims=True))
     posterior /= posterior.sum(1, keepdims=True)
     return Orientations(
-        normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances[best]),
-        _probability(hypotheses, posterior, chosen, variances[best]),
-        _class_probability(hypotheses, posterior, normals @ directions.gravity_camera,
-                           directions.gravity_camera, variances[best]),
-        float(evidence_of[best]))
+        normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances),
+        _probability(hypotheses, posterior, chosen, variances),
+        _class_probability(hypotheses, posterior, normals, scored.directions.gravity_camera,
+                           variances))
 
 
-def _class_probability(hypotheses: _Hypotheses, posterior: np.ndarray, cosine: np.ndarray,
+def _class_probability(hypotheses: _Hypotheses, posterior: np.ndarray, normals: np.ndarray,
                        down: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Return the probability (K,) that planes are as level or upright as normals (K,) seem."""
+    """Return the probability (K,) that planes are as level or upright as normals (K, 3) seem."""
     level, upright, right = np.radians([90 - TOLERANCE_DEG, TOLERANCE_DEG, 90])
-    rise = np.arcsin(np.minimum(np.abs(cosine), 1))
+    rise = np.arcsin(np.minimum(np.abs(normals @ down), 1))
     low = np.select([rise >= level, rise <= upright], [level, -upright], upright)[:, None]
     high = np.select([rise >= level, rise <= upright], [2 * right - level, upright], level)
     rises = np.arcsin(np.minimum(np.abs(hypotheses.normals @ down), 1))
@@ -190,14 +219,13 @@ def _probability(hypotheses: _Hypotheses, posterior: np.ndarray, chosen: np.ndar
     return (posterior * is_close * near[:, hypotheses.freedoms]).sum(1)
 
 
-def normal_variances(planes: tuple[Plane, ...], samples: RegionSamples,
-                     sigmas_rad: np.ndarray | float) -> np.ndarray:
-    """Return the variances (..., K) of the normals, rad^2, for errors (..., 1) of the network."""
-    tilts = _tilts_rad(planes, samples)
-    return _fit_variance(planes) + 1 / (1 / sigmas_rad**2 + 1 / tilts**2)
+def network_variances(planes: tuple[Plane, ...], samples: RegionSamples,
+                      sigmas_rad: np.ndarray | float) -> np.ndarray:
+    """Return the variances (..., K) of normals, rad^2, by errors (..., 1) of the network."""
+    return 1 / (1 / sigmas_rad**2 + 1 / _tilts_rad(planes, samples) ** 2)
 
 
-def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
+def fit_variances(planes: tuple[Plane, ...]) -> np.ndarray:
     """Return the variance (K,) of the fitted normals, rad^2."""
     covariances = np.stack([plane.covariance[:3, :3] for plane in planes])
     return np.trace(covariances, axis1=1, axis2=2) / 2

@@ -10,8 +10,8 @@ import pytest
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
-from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
-from plane_detector.planes.orientation import orient_planes
+from plane_detector.planes.line_evidence import LineEvidence, lines_in_regions
+from plane_detector.planes.orientation import most_likely, score_orientations
 from plane_detector.planes.region_samples import RegionSamples
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -65,7 +65,7 @@ def orient(planes, found, evidence):
     spots = RegionSamples(np.stack([-p.normal for p in planes]).repeat(2, axis=0),
                           bent(np.full(2 * count, 0.5)), np.arange(count).repeat(2),
                           np.ones(2 * count), np.full(count, SHARE))
-    return orient_planes(planes, found, evidence, spots)
+    return most_likely(score_orientations(planes, found, evidence, spots), spots)
 
 
 def test_planes_near_an_axis_are_turned_to_it():
@@ -82,7 +82,7 @@ def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
     assert leaning.normal @ AXES[0] > 0
     lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]))
     pieces = replace(samples_of((leaning,), below), image_shares=np.array([0.01]))
-    found = orient_planes((leaning,), directions(), lines, pieces)
+    found = most_likely(score_orientations((leaning,), directions(), lines, pieces), pieces)
     assert angle_deg(found.normals[0], -AXES[0]) < 1
 
 
@@ -123,7 +123,7 @@ def test_lines_belong_to_the_regions_on_their_sides():
     labels[:, 50:] = 1
     segments = segments_from_pixels(np.array([[[20.0, 10.0], [20.0, 90.0]],
                                               [[60.0, 30.0], [90.0, 30.0]]]), camera)
-    evidence = collect_evidence(segments, np.eye(3)[:2], labels, 2)
+    evidence = lines_in_regions(segments, labels, 2).along(np.eye(3)[:2])
     # The upright line runs along y and is in region 0, the level one along x and in region 1.
     assert evidence.shares[0] == pytest.approx([0, 0.8 / (0.8 + 0.15)])
     assert evidence.shares[1] == pytest.approx([0.3 / (0.3 + 0.15), 0])
