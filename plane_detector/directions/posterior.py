@@ -373,8 +373,7 @@ def _log_prior(tilts_deg: np.ndarray, expected: Expected,
     if expected.down is not None:
         bases = bases @ turn_between(np.array([0.0, 1.0, 0.0]), expected.down).T
         spread_deg = np.full(2, np.hypot(expected.sigma_deg, error_deg))
-    log_prior = (-0.5 * ((tilts_deg / spread_deg) ** 2).sum(axis=1)
-                 - np.log(2 * np.pi * np.prod(np.radians(spread_deg))))
+    log_prior = _log_normal(tilts_deg, spread_deg)
     if expected.before is not None:
         rest = max(1 - expected.before.masses.sum(), 0.0)
         seen = (expected.before.density(bases[:, 0], np.radians(error_deg))
@@ -385,6 +384,18 @@ def _log_prior(tilts_deg: np.ndarray, expected: Expected,
 
 def _grid(*axes: np.ndarray) -> np.ndarray:
     return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing='ij')], axis=1)
+
+
+def held_density(down: np.ndarray) -> float:
+    """Return the prior density of a vertical (3,) of a camera held upright, 1/sr."""
+    tilt_deg = np.degrees([np.arcsin(np.clip(down[2], -1, 1)), np.arctan2(-down[0], down[1])])
+    return float(np.exp(_log_normal(tilt_deg, HELD_DEG)))
+
+
+def _log_normal(tilts_deg: np.ndarray, spread_deg: np.ndarray) -> np.ndarray:
+    """Return the log of the normal density of pitch and roll (..., 2), 1/sr."""
+    return (-0.5 * ((tilts_deg / spread_deg) ** 2).sum(axis=-1)
+            - np.log(2 * np.pi * np.prod(np.radians(spread_deg))))
 
 
 def _bases(tilts_deg: np.ndarray) -> np.ndarray:

@@ -14,9 +14,8 @@ from plane_detector.planes.line_evidence import lines_in_regions
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
 from plane_detector.planes.orientation import (
     ScoredOrientations,
-    fit_variances,
     most_likely,
-    network_variances,
+    normal_variances,
     score_orientations,
 )
 from plane_detector.planes.plane_axes import OWN_SIGMA_RAD, PLANE_VOTE, axes_of_planes
@@ -99,8 +98,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
 
     best = scored(lines)
     own, log_prior = axes_of_planes(
-        normals, fit_variances(planes) + network_variances(planes, samples, OWN_SIGMA_RAD),
-        lines.directions)
+        normals, normal_variances(planes, samples, OWN_SIGMA_RAD), lines.directions)
     if own is not None:
         other = scored(replace(lines, directions=own))
         if PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior > 0:
