@@ -344,10 +344,11 @@ def _with_normal_error(evidence: Evidence) -> Evidence:
     tilts = tilts[np.abs(tilts[:, 1]) < 3 * HELD_DEG[1]]
     alone = replace(evidence, lines=evidence.lines[:0],
                     normals=np.ascontiguousarray(evidence.normals[::2]))
-    azimuths = np.tile(np.arange(0, 90, 2 * STEP_DEG), (len(tilts), 1))
+    azimuths = np.radians(np.tile(np.arange(0, 90, 2 * STEP_DEG), (len(tilts), 1)))
+    bases, log_prior = _log_prior(tilts, Expected(), COARSE_ERROR_DEG)
     tried = [replace(alone, normal_rad=np.radians(sigma_deg)) for sigma_deg in NORMAL_DEG]
-    peaks = [_log_posterior(tilts, azimuths, one, Expected(), COARSE_ERROR_DEG)[1].max()
-             for one in tried]
+    peaks = [(log_prior[:, None] + log_likelihood(
+        bases, azimuths, one, np.radians(COARSE_ERROR_DEG))[1]).max() for one in tried]
     return replace(evidence, normal_rad=tried[int(np.argmax(peaks))].normal_rad)
 
 
@@ -360,23 +361,41 @@ def _tilts() -> np.ndarray:
 def _log_posterior(tilts_deg: np.ndarray, azimuths_deg: np.ndarray, evidence: Evidence,
                    expected: Expected, error_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Return bases (V, 3, 3) of tilts (V, 2), and the log posterior (V, A) of azimuths (V, A)."""
-    bases, spread_deg, error_rad = _bases(tilts_deg), HELD_DEG, np.radians(error_deg)
+    bases, log_prior = _log_prior(tilts_deg, expected, error_deg)
+    votes = sum(log_likelihood(bases, np.radians(azimuths_deg), evidence, np.radians(error_deg)))
+    return bases, log_prior[:, None] + expected.new * votes
+
+
+def _log_prior(tilts_deg: np.ndarray, expected: Expected,
+               error_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return bases (V, 3, 3) of tilts (V, 2), and their log prior (V,)."""
+    bases, spread_deg = _bases(tilts_deg), HELD_DEG
     if expected.down is not None:
         bases = bases @ turn_between(np.array([0.0, 1.0, 0.0]), expected.down).T
         spread_deg = np.full(2, np.hypot(expected.sigma_deg, error_deg))
-    log_prior = (-0.5 * ((tilts_deg / spread_deg) ** 2).sum(axis=1)
-                 - np.log(2 * np.pi * np.prod(np.radians(spread_deg))))
+    log_prior = _log_normal(tilts_deg, spread_deg)
     if expected.before is not None:
         rest = max(1 - expected.before.masses.sum(), 0.0)
-        seen = expected.before.density(bases[:, 0], error_rad) + rest * np.exp(log_prior)
+        seen = (expected.before.density(bases[:, 0], np.radians(error_deg))
+                + rest * np.exp(log_prior))
         log_prior += expected.kept * (np.log(seen) - log_prior)
-    log_prior += np.log(np.cos(np.radians(tilts_deg[:, 0])))  # the area of a cell of the grid
-    votes = sum(log_likelihood(bases, np.radians(azimuths_deg), evidence, error_rad))
-    return bases, log_prior[:, None] + expected.new * votes
+    return bases, log_prior + np.log(np.cos(np.radians(tilts_deg[:, 0])))  # area of a grid cell
 
 
 def _grid(*axes: np.ndarray) -> np.ndarray:
     return np.stack([grid.ravel() for grid in np.meshgrid(*axes, indexing='ij')], axis=1)
+
+
+def held_density(down: np.ndarray) -> float:
+    """Return the prior density of a vertical (3,) of a camera held upright, 1/sr."""
+    tilt_deg = np.degrees([np.arcsin(np.clip(down[2], -1, 1)), np.arctan2(-down[0], down[1])])
+    return float(np.exp(_log_normal(tilt_deg, HELD_DEG)))
+
+
+def _log_normal(tilts_deg: np.ndarray, spread_deg: np.ndarray) -> np.ndarray:
+    """Return the log of the normal density of pitch and roll (..., 2), 1/sr."""
+    return (-0.5 * ((tilts_deg / spread_deg) ** 2).sum(axis=-1)
+            - np.log(2 * np.pi * np.prod(np.radians(spread_deg))))
 
 
 def _bases(tilts_deg: np.ndarray) -> np.ndarray:
@@ -445,9 +464,12 @@ def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad
                 level[z] = weight * (
                     _near(c * x0 + s * y0, c * x1 + s * y1, c * x2 + s * y2, spread)
                     + _near(c * y0 - s * x0, c * y1 - s * x1, c * y2 - s * x2, spread))
+            alone = lines[i, 7] * np.log(1 + weight * down) if down > 0 else 0.0
             for z in range(azimuths):
-                if level[z] > 0:
-                    others[v, z] += lines[i, 7] * np.log(1 + level[z])
+                if level[z] == 0:
+                    upright[v, z] += alone
+                    continue
+                others[v, z] += lines[i, 7] * np.log(1 + level[z])
                 if down > 0:
                     upright[v, z] += lines[i, 7] * np.log(1 + weight * down / (1 + level[z]))
         product[:] = 1.0  # of at most 100 factors between 0.3 and 5

@@ -73,7 +73,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('gravity_camera / height_m', 'gravity_camera * height_m', 'height multiplied')),
     'scale/sensor_depth.py': (
         (', -beta / alpha,', ', -beta,', 'shift from measured depth without its scale'),),
-    'scale/manhattan.py': (
+    'scale/right_angles.py': (
         ('middle = -0.5', 'middle = 0.5', 'sign of the shift from right angles'),),
     'scale/disparity_planes.py': (
         ('self.coefficients + [0.0, 0.0, shift]',

@@ -64,28 +64,34 @@ class LineEvidence:
         return (cannot * self.shares[:, None, :MAIN_AXES]).sum(-1)
 
 
-def collect_evidence(segments: LineSegments, axes: np.ndarray, labels: np.ndarray,
-                     count: int) -> LineEvidence:
+@dataclass(frozen=True)
+class RegionLines:
     """
-    Assign the lines of the image to regions.
+    Lines of the image and the regions beside them.
 
-    Parameters
+    Attributes
     ----------
     segments : LineSegments
-    axes : (A, 3) float64
-        Unit directions.
-    labels : (H, W) int
-        -1 for no region.
-    count : int
-        Number of regions.
+    lengths : (K, N) float64
+        Of each segment in each region, half of it for either side, at unit focal length.
 
     """
-    length = _region_shares(segments, labels, count).T * segments.lengths
-    sine = np.abs(misalignment(segments, axes))
-    along = np.arange(len(axes)) == sine.argmin(1)[:, None]
-    along &= sine < np.sin(np.radians(AXIS_TOLERANCE_DEG))
-    total = length.sum(1, keepdims=True) + HALF_LENGTH
-    return LineEvidence(axes, length @ along / total)
+
+    segments: LineSegments
+    lengths: np.ndarray
+
+    def along(self, axes: np.ndarray) -> LineEvidence:
+        """Return the evidence of the segments that are along one of some axes (A, 3)."""
+        sine = np.abs(misalignment(self.segments, axes))
+        along = np.arange(len(axes)) == sine.argmin(1)[:, None]
+        along &= sine < np.sin(np.radians(AXIS_TOLERANCE_DEG))
+        total = self.lengths.sum(1, keepdims=True) + HALF_LENGTH
+        return LineEvidence(axes, self.lengths @ along / total)
+
+
+def lines_in_regions(segments: LineSegments, labels: np.ndarray, count: int) -> RegionLines:
+    """Assign the lines of the image to regions by their labels (H, W), -1 for none."""
+    return RegionLines(segments, _region_shares(segments, labels, count).T * segments.lengths)
 
 
 def _region_shares(segments: LineSegments, labels: np.ndarray, count: int) -> np.ndarray:

@@ -44,15 +44,18 @@ LEVEL_PRIOR, AXIS_PRIOR, UPRIGHT_PRIOR, ROOF_PRIOR, FREE_PRIOR = 0.25, 0.2, 0.2,
 # with half of it pictures on walls, which networks treat as windows, are rotated across the walls.
 LINE_WEIGHT = 12.0
 # Share of the pieces whose normal from the network is unrelated to the true one, times their share
-# of the image, and the largest such share, where the error of the network is large. tuned: as
+# of the image, and the largest such share, where the error of the normal is large. tuned: as
 # above, three seeds, flat from 0.005 to 0.008. Of the pure pieces below 0.03 of the image a fifth
-# is more than 60 degrees off, of those above 0.06 none.
+# is more than 60 degrees off, of those above 0.06 none. The error is that of the network and of
+# the fit: pieces cut out of a larger surface are where noise is largest.
 OUTLIER_SIZE, MAX_OUTLIER_SHARE = 0.006, 0.6
 # Odds that a piece belongs to a larger one with the same normal if that one continues exactly at
-# its depth, and the spread of the log ratio of depths within such a surface.
-# tuned: as above, flat from 3 to 8 and from 0.12 to 0.2. In the tuned frames such a piece is found
-# at the right hypotheses twice as often as at the wrong ones.
-SAME_SURFACE_ODDS, SURFACE_DEPTH_SHARE = 4.0, 0.15
+# its depth, and the spread of the log ratio of depths within such a surface by the error of the
+# network's normals; the noise of the piece is added.
+# tuned: as above, flat from 3 to 8 and, for networks with an error of 12 degrees, from 0.12 to
+# 0.2. In the tuned frames such a piece is found at the right hypotheses twice as often as at the
+# wrong ones.
+SAME_SURFACE_ODDS, SURFACE_DEPTH_PER_RAD = 4.0, 0.15 / np.radians(12.0)
 # Normals closer than this are equal; hypotheses of one kind differ by rounding only.
 SAME_NORMAL_COSINE = np.cos(np.radians(6.0))
 # A normal is right within this angle. tuned: python -m
@@ -92,8 +95,6 @@ class Orientations:
         That the true normal is within CLOSE_RAD of the chosen one.
     class_probability : (K,) float64
         That the plane is horizontal, vertical or neither as this normal.
-    log_evidence : float
-        Log likelihood of these directions by all normals of the network.
 
     """
 
@@ -102,7 +103,6 @@ class Orientations:
     sigmas_rad: np.ndarray
     probability: np.ndarray
     class_probability: np.ndarray
-    log_evidence: float
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,39 @@ class _Hypotheses:
     log_prior: np.ndarray   # (K, C), -inf where impossible
 
 
-def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
-                  evidence: LineEvidence, samples: RegionSamples) -> Orientations:
+@dataclass(frozen=True)
+class ScoredOrientations:
     """
-    Find the most likely normal of every plane.
+    Hypotheses of all planes about the axes of a scene.
+
+    Attributes
+    ----------
+    directions : SceneDirections
+        With the axes.
+    hypotheses : _Hypotheses
+    scores : (K, C) float64
+        Log of prior times likelihood, at the most likely error of the network.
+    sigma_rad : float
+        That error.
+    variances : (K,) float64
+        Of the network's normals for it, rad^2.
+    log_evidence : float
+        Log likelihood of these axes by all normals of the network.
+
+    """
+
+    directions: SceneDirections
+    hypotheses: _Hypotheses
+    scores: np.ndarray
+    sigma_rad: float
+    variances: np.ndarray
+    log_evidence: float
+
+
+def score_orientations(planes: tuple[Plane, ...], directions: SceneDirections,
+                       evidence: LineEvidence, samples: RegionSamples) -> ScoredOrientations:
+    """
+    Score the hypotheses of every plane.
 
     Parameters
     ----------
@@ -137,39 +166,44 @@ def orient_planes(planes: tuple[Plane, ...], directions: SceneDirections,
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
     variances = normal_variances(planes, samples, SIGMAS_RAD[:, None])
-    of_network = variances - _fit_variance(planes)
-    outliers = _outliers(of_network, samples.image_shares)
+    outliers = _outliers(variances, samples.image_shares)
     scores = _log_likelihood(hypotheses, variances, outliers[..., None]) - lost
     # Whatever its lines: a region is turned within its error.
     scores[hypotheses.angle_rad > MOST_TILTS * np.sqrt(variances)[..., None]] = -np.inf
     prior = -0.5 * (np.log(SIGMAS_RAD / EXPECTED_SIGMA_RAD) / LOG_SIGMA_SPREAD) ** 2
     evidence_of = np.logaddexp.reduce(scores, axis=2).sum(axis=1) + prior
     best = int(np.argmax(evidence_of))
-    every = np.arange(len(planes))
-    alone = hypotheses.normals[every, scores[best].argmax(1)]
-    likely = scores[best] + _same_surface(hypotheses, alone, samples)
+    return ScoredOrientations(directions, hypotheses, scores[best], SIGMAS_RAD[best],
+                              variances[best], float(evidence_of[best]))
+
+
+def most_likely(scored: ScoredOrientations, samples: RegionSamples) -> Orientations:
+    """Return the most likely normal of every plane, and how probable it is."""
+    hypotheses, variances = scored.hypotheses, scored.variances
+    every = np.arange(len(variances))
+    alone = hypotheses.normals[every, scored.scores.argmax(1)]
+    likely = scored.scores + _same_surface(hypotheses, alone, scored.sigma_rad, samples)
     chosen = likely.argmax(1)
     # The network's normal is at least as wrong as it is far from the chosen one.
-    variance = np.maximum(variances[best], hypotheses.angle_rad[every, chosen] ** 2)
-    axis_variance = np.trace(directions.covariance) / 2
+    variance = np.maximum(variances, hypotheses.angle_rad[every, chosen] ** 2)
+    axis_variance = np.trace(scored.directions.covariance) / 2
     share = axis_variance / (axis_variance + variance)
     normals = _unit(hypotheses.normals[every, chosen] * (1 - share)[:, None]
                     + hypotheses.normals[:, -1] * share[:, None])
     posterior = np.exp(likely - likely.max(1, keepdims=True))
     posterior /= posterior.sum(1, keepdims=True)
     return Orientations(
-        normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances[best]),
-        _probability(hypotheses, posterior, chosen, variances[best]),
-        _class_probability(hypotheses, posterior, normals @ directions.gravity_camera,
-                           directions.gravity_camera, variances[best]),
-        float(evidence_of[best]))
+        normals, hypotheses.freedoms[chosen] < 2, np.sqrt(variances),
+        _probability(hypotheses, posterior, chosen, variances),
+        _class_probability(hypotheses, posterior, normals, scored.directions.gravity_camera,
+                           variances))
 
 
-def _class_probability(hypotheses: _Hypotheses, posterior: np.ndarray, cosine: np.ndarray,
+def _class_probability(hypotheses: _Hypotheses, posterior: np.ndarray, normals: np.ndarray,
                        down: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Return the probability (K,) that planes are as level or upright as normals (K,) seem."""
+    """Return the probability (K,) that planes are as level or upright as normals (K, 3) seem."""
     level, upright, right = np.radians([90 - TOLERANCE_DEG, TOLERANCE_DEG, 90])
-    rise = np.arcsin(np.minimum(np.abs(cosine), 1))
+    rise = np.arcsin(np.minimum(np.abs(normals @ down), 1))
     low = np.select([rise >= level, rise <= upright], [level, -upright], upright)[:, None]
     high = np.select([rise >= level, rise <= upright], [2 * right - level, upright], level)
     rises = np.arcsin(np.minimum(np.abs(hypotheses.normals @ down), 1))
@@ -192,15 +226,10 @@ def _probability(hypotheses: _Hypotheses, posterior: np.ndarray, chosen: np.ndar
 
 def normal_variances(planes: tuple[Plane, ...], samples: RegionSamples,
                      sigmas_rad: np.ndarray | float) -> np.ndarray:
-    """Return the variances (..., K) of the normals, rad^2, for errors (..., 1) of the network."""
-    tilts = _tilts_rad(planes, samples)
-    return _fit_variance(planes) + 1 / (1 / sigmas_rad**2 + 1 / tilts**2)
-
-
-def _fit_variance(planes: tuple[Plane, ...]) -> np.ndarray:
-    """Return the variance (K,) of the fitted normals, rad^2."""
+    """Return the variances (..., K) of normals, rad^2, by errors (..., 1) of the network."""
     covariances = np.stack([plane.covariance[:3, :3] for plane in planes])
-    return np.trace(covariances, axis1=1, axis2=2) / 2
+    of_fit = np.trace(covariances, axis1=1, axis2=2) / 2
+    return of_fit + 1 / (1 / sigmas_rad**2 + 1 / _tilts_rad(planes, samples) ** 2)
 
 
 def _tilts_rad(planes: tuple[Plane, ...], samples: RegionSamples) -> np.ndarray:
@@ -209,17 +238,18 @@ def _tilts_rad(planes: tuple[Plane, ...], samples: RegionSamples) -> np.ndarray:
     return np.maximum(TILT_PER_BEND * bend, 1e-6)
 
 
-def _outliers(of_network: np.ndarray, image_shares: np.ndarray) -> np.ndarray:
-    """Return the share (S, K) of normals unrelated to the true ones, by their variances."""
+def _outliers(variances: np.ndarray, image_shares: np.ndarray) -> np.ndarray:
+    """Return the share (S, K) of normals unrelated to the true ones, by their variances (S, K)."""
     share = np.minimum(OUTLIER_SIZE / np.maximum(image_shares, 1e-6), MAX_OUTLIER_SHARE)
-    return share * of_network / (of_network + EXPECTED_SIGMA_RAD**2)
+    return share * variances / (variances + EXPECTED_SIGMA_RAD**2)
 
 
-def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray,
+def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray, sigma_rad: float,
                   samples: RegionSamples) -> np.ndarray:
     """Return the log odds (K, C) that a larger piece, with normals (K, 3), is the same surface."""
     distance = samples.distances_to_planes(normals, samples.offsets(normals))
-    odds = SAME_SURFACE_ODDS * np.exp(-0.5 * (distance / SURFACE_DEPTH_SHARE) ** 2)
+    spread = np.hypot(SURFACE_DEPTH_PER_RAD * sigma_rad, samples.roughness[:, None])
+    odds = SAME_SURFACE_ODDS * np.exp(-0.5 * (distance / spread) ** 2)
     is_larger = samples.image_shares > samples.image_shares[:, None]
     same = (hypotheses.normals @ normals.T > SAME_NORMAL_COSINE) & is_larger[:, None]
     same &= (hypotheses.freedoms < 2)[:, None]

@@ -21,6 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from plane_detector.directions.posterior import held_density
 from plane_detector.directions.vanishing import MIN_PROBABILITY, SceneDirections
 
 # Error of the normals of a depth good enough to contradict lines, whatever its bend allows.
@@ -30,12 +31,13 @@ OWN_SIGMA_RAD = np.radians(1.0)
 # even seeds 400 to 410 and 300 to 311: from 0.7 to 1 own axes are right where they are taken; of
 # 26 frames through fastdepth none is given its own axes up to 0.85, one wrong ones at 1.
 PLANE_VOTE = 0.85
-# Probability that the vertical of the lines is wrong although they are sure, as calibrated.
+# Probability that the vertical of the lines is wrong although they are sure, as calibrated. The
+# true one is then that of a camera held upright, at any azimuth.
 WRONG = 0.02
 # The largest planes propose axes if they are perpendicular within this angle; the fit moves these.
 PROPOSING, PROPOSAL_RAD, FIT_ROUNDS = 8, np.radians(10.0), 3
-# derived: of the verticals, those nearer to the one of the lines than either other axis; azimuths.
-ALL_VERTICALS, ALL_AZIMUTHS = 4 * np.pi / 6, np.pi / 2
+# derived: of the axes, whose signs and order have no meaning.
+ALL_AZIMUTHS = np.pi / 2
 
 
 def axes_of_planes(normals: np.ndarray, variances: np.ndarray,
@@ -107,14 +109,14 @@ def _log_prior(own: SceneDirections, variance: float, lines: SceneDirections) ->
     sharp = min(1.0, variance / of_lines)
     is_wrong = 1 - lines.probability + WRONG
     off_rad = np.arccos(np.clip(own.gravity_camera @ lines.gravity_camera, -1, 1))
-    down = ((1 - is_wrong) * sharp * np.exp(-0.5 * off_rad**2 / of_lines)
-            + is_wrong * 2 * np.pi * variance / ALL_VERTICALS)
-    azimuth = np.sqrt(2 * np.pi * variance) / ALL_AZIMUTHS
+    right = (1 - is_wrong) * sharp * np.exp(-0.5 * off_rad**2 / of_lines)
+    wrong = is_wrong * 2 * np.pi * variance * held_density(own.gravity_camera)
+    anywhere = azimuth = np.sqrt(2 * np.pi * variance) / ALL_AZIMUTHS
     if len(lines.pairs):
         off_rad = _angle_rad(own.pairs[0] @ lines.pairs[0, 0]).min()
         azimuth = (MIN_PROBABILITY * np.sqrt(sharp) * np.exp(-0.5 * off_rad**2 / of_lines)
-                   + (1 - MIN_PROBABILITY) * azimuth)
-    return float(np.log(down) + np.log(azimuth))
+                   + (1 - MIN_PROBABILITY) * anywhere)
+    return float(np.log(right * azimuth + wrong * anywhere))
 
 
 def _angle_rad(cosine: np.ndarray) -> np.ndarray:

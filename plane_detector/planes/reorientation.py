@@ -10,9 +10,14 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.directions.finder import ImageDirections
-from plane_detector.planes.line_evidence import collect_evidence
+from plane_detector.planes.line_evidence import lines_in_regions
 from plane_detector.planes.measurement import measure_planes, ray_plane_jacobian
-from plane_detector.planes.orientation import Orientations, normal_variances, orient_planes
+from plane_detector.planes.orientation import (
+    ScoredOrientations,
+    most_likely,
+    normal_variances,
+    score_orientations,
+)
 from plane_detector.planes.plane_axes import OWN_SIGMA_RAD, PLANE_VOTE, axes_of_planes
 from plane_detector.planes.region_samples import MIN_COSINE, sample_regions
 from plane_detector.segmentation.cells.labels import rename_labels
@@ -86,17 +91,19 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     samples = sample_regions(regions, planes, intrinsics)
     normals = np.stack([plane.normal for plane in planes])
 
-    def oriented(axes: ImageDirections) -> Orientations:
-        evidence = collect_evidence(axes.segments, axes.all_axes, regions.labels, len(planes))
-        return orient_planes(planes, axes.directions, evidence, samples)
+    beside = lines_in_regions(lines.segments, regions.labels, len(planes))
 
-    found = oriented(lines)
+    def scored(axes: ImageDirections) -> ScoredOrientations:
+        return score_orientations(planes, axes.directions, beside.along(axes.all_axes), samples)
+
+    best = scored(lines)
     own, log_prior = axes_of_planes(
         normals, normal_variances(planes, samples, OWN_SIGMA_RAD), lines.directions)
     if own is not None:
-        other = oriented(replace(lines, directions=own))
-        if PLANE_VOTE * (other.log_evidence - found.log_evidence) + log_prior > 0:
-            found = other
+        other = scored(replace(lines, directions=own))
+        if PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior > 0:
+            best = other
+    found = most_likely(best, samples)
     offsets = np.array([plane.offset_m for plane in planes])
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.scale.manhattan import ManhattanVote
+from plane_detector.scale.right_angles import ShiftVote
 
 # Smallest share of the floor in the pixels of all planes; a smaller one is noise, or a table top
 # in front of a floor outside the image.
@@ -143,7 +143,7 @@ def _gravity_covariance(floor: DisparityPlanes, gravity_camera: np.ndarray, heig
     return covariance
 
 
-def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, gravity_camera: np.ndarray,
+def fit_floor_of_frame(planes: DisparityPlanes, vote: ShiftVote, gravity_camera: np.ndarray,
                        height_m: float) -> FloorFit | None:
     """
     Find the floor with right angles and a coarse direction of gravity.
@@ -151,7 +151,7 @@ def fit_floor_of_frame(planes: DisparityPlanes, vote: ManhattanVote, gravity_cam
     Parameters
     ----------
     planes : DisparityPlanes
-    vote : ManhattanVote
+    vote : ShiftVote
         Shift and axes from the right angles.
     gravity_camera : (3,) floating
         Coarse unit direction of gravity, which selects the axis.

@@ -23,8 +23,11 @@ from plane_detector.geometry.robust import quantiles
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
 from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
-from plane_detector.scale.known_axes import estimate_shift
-from plane_detector.scale.manhattan import ManhattanVote, estimate_manhattan_shift
+from plane_detector.scale.right_angles import (
+    ShiftVote,
+    estimate_manhattan_shift,
+    estimate_shift,
+)
 from plane_detector.scale.sensor_depth import fit_measured_depth
 
 COARSE_GRAVITY_DEG = 5.0
@@ -206,7 +209,7 @@ def _manhattan(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | 
         evidence, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
 
 
-def _vote(evidence: ScaleEvidence) -> ManhattanVote:
+def _vote(evidence: ScaleEvidence) -> ShiftVote:
     """Return the shift from gravity, from gravity and axes, or from right angles alone."""
     if evidence.knows_gravity_well:
         axes = np.vstack([evidence.down, evidence.level_axes])
@@ -218,7 +221,7 @@ def _vote(evidence: ScaleEvidence) -> ManhattanVote:
                                     evidence.down_tolerance_deg)
 
 
-def _manhattan_metric(evidence: ScaleEvidence, vote: ManhattanVote,
+def _manhattan_metric(evidence: ScaleEvidence, vote: ShiftVote,
                       height_m: float) -> ScaleEstimate | None:
     if height_m == 0 or evidence.down is None:
         return None

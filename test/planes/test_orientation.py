@@ -10,8 +10,8 @@ import pytest
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
-from plane_detector.planes.line_evidence import LineEvidence, collect_evidence
-from plane_detector.planes.orientation import orient_planes
+from plane_detector.planes.line_evidence import LineEvidence, lines_in_regions
+from plane_detector.planes.orientation import most_likely, score_orientations
 from plane_detector.planes.region_samples import RegionSamples
 from plane_detector.types import CameraIntrinsics, Plane
 
@@ -65,7 +65,7 @@ def orient(planes, found, evidence):
     spots = RegionSamples(np.stack([-p.normal for p in planes]).repeat(2, axis=0),
                           bent(np.full(2 * count, 0.5)), np.arange(count).repeat(2),
                           np.ones(2 * count), np.full(count, SHARE))
-    return orient_planes(planes, found, evidence, spots)
+    return most_likely(score_orientations(planes, found, evidence, spots), spots)
 
 
 def test_planes_near_an_axis_are_turned_to_it():
@@ -82,7 +82,7 @@ def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
     assert leaning.normal @ AXES[0] > 0
     lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]))
     pieces = replace(samples_of((leaning,), below), image_shares=np.array([0.01]))
-    found = orient_planes((leaning,), directions(), lines, pieces)
+    found = most_likely(score_orientations((leaning,), directions(), lines, pieces), pieces)
     assert angle_deg(found.normals[0], -AXES[0]) < 1
 
 
@@ -117,13 +117,31 @@ def test_lines_outvote_a_normal_that_is_plainly_wrong():
     assert abs(found.normals[0] @ AXES[2]) > 0.999
 
 
+@pytest.mark.parametrize(('depth_share', 'expected_deg'), [(1.0, 0.0), (1.1, 36.0)])
+def test_a_piece_that_noise_cuts_out_of_a_wall_is_the_wall(depth_share, expected_deg):
+    wall = plane(-AXES[2], 0.3)
+    exact = [plane(turned(-AXES[2], off_deg, AXES[0]), 0.3) for off_deg in (-0.3, 0.3, -0.2, 0.2)]
+    piece = plane(turned(-AXES[2], 36, np.array([0.64, 0.6, 0.48])), 7.0)
+    planes = (wall, *exact, piece)
+    rays = np.array([[x, y, 1.0] for x in (-0.01, 0.01) for y in np.linspace(-0.01, 0.01, 20)])
+    samples = samples_of(planes, rays)
+    disparity = -rays @ wall.normal / wall.offset_m
+    noise = 1 + 0.01 * np.random.default_rng(0).standard_normal((len(planes), len(rays)))
+    noise[-1] /= depth_share
+    samples = replace(samples, disparity=(disparity * noise).ravel(),
+                      image_shares=np.array([0.3, 0.1, 0.1, 0.1, 0.1, 0.005]))
+    scored = score_orientations(planes, directions(), no_lines(len(planes)), samples)
+    found = most_likely(scored, samples)
+    assert angle_deg(found.normals[-1], wall.normal) == pytest.approx(expected_deg, abs=1.0)
+
+
 def test_lines_belong_to_the_regions_on_their_sides():
     camera = CameraIntrinsics(100.0, 100.0, 49.5, 49.5, 100, 100)
     labels = np.zeros((100, 100), np.int32)
     labels[:, 50:] = 1
     segments = segments_from_pixels(np.array([[[20.0, 10.0], [20.0, 90.0]],
                                               [[60.0, 30.0], [90.0, 30.0]]]), camera)
-    evidence = collect_evidence(segments, np.eye(3)[:2], labels, 2)
+    evidence = lines_in_regions(segments, labels, 2).along(np.eye(3)[:2])
     # The upright line runs along y and is in region 0, the level one along x and in region 1.
     assert evidence.shares[0] == pytest.approx([0, 0.8 / (0.8 + 0.15)])
     assert evidence.shares[1] == pytest.approx([0.3 / (0.3 + 0.15), 0])

@@ -78,6 +78,22 @@ def test_without_horizontal_axes_of_the_lines_any_azimuth_is_as_likely():
     assert abs(priors[0] - priors[1]) < 1e-9
 
 
+def test_if_the_vertical_of_the_lines_is_wrong_so_may_be_their_azimuth():
+    normals = planes(np.random.default_rng(4))
+    variances = np.full(len(normals), SIGMA_RAD**2)
+    priors = [axes_of_planes(normals, variances, lines(rotation(15, [0, 0, 1]) @ turn))[1]
+              for turn in (np.eye(3), rotation(30, ROOM[1]))]
+    assert abs(priors[0] - priors[1]) < 1e-3
+
+
+def test_axes_without_support_of_the_lines_are_those_of_a_camera_held_upright():
+    level, wrong = planes(np.random.default_rng(5)) @ ROOM.T, rotation(15, [1, 0, 0])
+    variances = np.full(len(level), SIGMA_RAD**2)
+    held, on_its_side = (axes_of_planes(level @ roll.T, variances, lines(roll @ wrong @ ROOM))[1]
+                         for roll in (np.eye(3), rotation(25, [0, 0, 1])))
+    assert on_its_side < held - 1
+
+
 def test_parallel_planes_have_no_axes():
     normals = np.tile(ROOM[1], (3, 1))
     assert axes_of_planes(normals, np.full(3, SIGMA_RAD**2), lines(np.eye(3)))[0] is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.scale.disparity_planes import DisparityPlanes
-from plane_detector.scale.known_axes import estimate_shift
+from plane_detector.scale.right_angles import estimate_shift
 
 DOWN = np.array([0.05, 0.95, 0.3]) / np.linalg.norm([0.05, 0.95, 0.3])
 ACROSS = np.cross(DOWN, [0.3, 0.0, 1.0])
@@ -32,8 +32,12 @@ def test_exact_planes_give_the_exact_shift():
     found = estimate_shift(planes([-DOWN, -AXES[2], AXES[1]], [1.5, 4.0, 2.0], [0.4, 0.4, 0.2]),
                            -0.5, AXES)
     assert found.tau == pytest.approx(TAU, abs=1e-9)
-    assert found.sigma < 1e-6
     assert not found.refusal
+    # Right angles of buildings are accurate to a degree: so is each plane at this sigma.
+    raw = -DOWN / 1.5
+    turned = raw + [0, 0, found.sigma]
+    cosine = raw @ turned / np.linalg.norm(raw) / np.linalg.norm(turned)
+    assert 0.1 < np.degrees(np.arccos(cosine)) < 1.0
 
 
 def test_furniture_does_not_change_the_shift():

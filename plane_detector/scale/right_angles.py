@@ -1,0 +1,323 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Shift of a disparity from right angles: to known directions, or between the planes alone.
+
+The normal of a plane (p, q, r) of D = p x + q y + r is proportional to (p, q, r + tau).
+
+1. Proposals. If axes are known, each plane proposes the shifts for which it is perpendicular to
+   one of them, tau = (p ax + q ay) / (ax^2 + ay^2) az - r, and for which it is vertical,
+   tau = -(p gx + q gy) / gz - r. If not, every two planes propose those for which they are
+   perpendicular, the roots of tau^2 + (r1 + r2) tau + p1 p2 + q1 q2 + r1 r2 = 0, and with them
+   three axes: the Manhattan world of Coughlan and Yuille (1999).
+2. Each proposal is scored by the pixels of all planes perpendicular to its axes; with known axes
+   vertical planes count, too.
+3. The best one is fitted to its planes: the shift, and a rotation of the axes if not known.
+4. A room without right angles leaves many planes off the axes, or has several shifts with similar
+   scores; the vote then refuses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from plane_detector.scale.disparity_planes import DisparityPlanes
+
+MAX_PLANES = 16
+MIN_PIXEL_SHARE = 0.004
+# A normal is off its axis beyond 3 sigma of its fit, limited to this range.
+MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG = 2.0, 5.0
+SYSTEMATIC_DEG = 1.0
+POORLY_KNOWN_DEG = 4.0
+MIN_ALIGNED_SHARE = 0.68
+MIN_AXIS_SHARE = 0.04
+MIN_DISTINCT_PLANES = 3
+# A shift is not determined if its standard deviation turns a large plane by more.
+MAX_UNSURE_DEG = 5.0
+# The answer is ambiguous if another shift has this share of the votes.
+RIVAL_SHARE = 0.85
+# Also if another one has as many planes horizontal or vertical, within this share of the pixels: a
+# low camera in a hexagonal room sees a floor that is horizontal for any shift.
+UPRIGHT_MARGIN = 0.03
+# A vertical plane of any azimuth fixes one of two degrees of freedom, so it has less weight.
+UPRIGHT_WEIGHT = 0.5
+# tuned: python -m plane_detector.evaluation.benchmark scale --first-seed 300: at 0.5 50 of 50 and
+# 29 of 30 answers on Kinect and NYU frames, median error of the wall-floor angle 1.5 and 1.2
+# degrees; at 0.6 49 and 27, 1.5 and 1.2, at 0.4 50 and 30, 1.5 and 2.2; no room is bent at any.
+MIN_EXPLAINED_SHARE = 0.5
+# derived: some shift makes any single plane perpendicular to an axis.
+MIN_AGREEING = 2
+ROUNDS = 6
+# Sine of the angle to the optical axis; an axis closer to it does not determine the shift.
+MIN_ASLANT = 0.1
+
+
+@dataclass(frozen=True)
+class ShiftVote:
+    """
+    Shift estimated from right angles.
+
+    Attributes
+    ----------
+    tau : float
+        1/z is proportional to D + tau; NaN if the vote refuses.
+    sigma : float
+        Standard deviation of tau.
+    axes : (A, 3) float64
+        Rows: unit axes in the camera frame.
+    refusal : str
+        Why there is no answer; empty if there is one.
+
+    """
+
+    tau: float
+    sigma: float
+    axes: np.ndarray
+    refusal: str
+
+    @classmethod
+    def refused(cls, reason: str) -> ShiftVote:
+        """Return a vote without an answer."""
+        return cls(np.nan, np.nan, np.full((3, 3), np.nan), reason)
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """C shifts, each with A axes, and how well N planes fit them: 1 exactly, 0 not at all."""
+
+    tau: np.ndarray          # (C,)
+    axes: np.ndarray         # (C, A, 3)
+    along: np.ndarray        # (C, N, A) normals along the axes
+    across: np.ndarray       # (C, N, A) normals across the axes
+    weight: np.ndarray       # (C, N) pixel share, less where the normal is poorly known
+
+    def take(self, index: np.ndarray) -> _Judged:
+        return _Judged(self.tau[index], self.axes[index], self.along[index], self.across[index],
+                       self.weight[index])
+
+
+def estimate_shift(planes: DisparityPlanes, lowest_disparity: float,
+                   axes: np.ndarray) -> ShiftVote:
+    """
+    Find the shift that agrees with known directions, or refuse with a reason.
+
+    Parameters
+    ----------
+    planes : DisparityPlanes
+    lowest_disparity : float
+        Disparity of the farthest pixels; depth must be positive there.
+    axes : (A, 3) float64
+        Gravity first, then horizontal axes, if any.
+
+    """
+    planes = _largest(planes)
+    tau = _shifts_to_axes(planes.coefficients, axes)
+    tau = tau[tau > -lowest_disparity]
+    if not len(tau):
+        return ShiftVote.refused('no plane can lie along the known directions')
+    tried = _judge(planes, tau, np.broadcast_to(axes, (len(tau), *axes.shape)))
+    score = _support(tried).sum((1, 2))
+    winner, sigma = _refined(planes, tried.take([score.argmax()]), -lowest_disparity, False)
+    support = _support(winner)[0]
+    rival = score[_is_apart(planes, winner, tried)].max(initial=0.0)
+    # A vertical plane agrees as well as any other; it only tells less of the shift.
+    explained = (support / [1, UPRIGHT_WEIGHT]).sum() / winner.weight.sum()
+    if explained < MIN_EXPLAINED_SHARE:
+        return ShiftVote.refused(f'only {explained:.0%} of the planes agree with the known '
+                                 'directions')
+    if support[:, 0].max() < MIN_AXIS_SHARE:
+        return ShiftVote.refused('no large plane lies across a known direction')
+    if np.count_nonzero(support.sum(1)) < MIN_AGREEING:
+        return ShiftVote.refused('one plane lies along the known directions for some shift in '
+                                 'any room')
+    if rival > RIVAL_SHARE * support.sum():
+        return ShiftVote.refused('another shift agrees as well with the known directions')
+    return ShiftVote(float(winner.tau[0]), sigma, axes, '')
+
+
+def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
+                             gravity_camera: np.ndarray | None = None,
+                             down_tolerance_deg: float = 0.0) -> ShiftVote:
+    """
+    Find the shift that aligns the planes with three perpendicular axes, or refuse.
+
+    Parameters
+    ----------
+    planes : DisparityPlanes
+    lowest_disparity : float
+        Disparity of the farthest pixels; depth must be positive there.
+    gravity_camera : (3,) floating, optional
+        Unit direction of gravity; one of the axes must agree with it.
+    down_tolerance_deg : float
+        Largest angle between them.
+
+    """
+    planes = _largest(planes)
+    tau, axes = _shifts_of_pairs(planes.coefficients, -lowest_disparity)
+    if gravity_camera is not None:
+        off_deg = np.degrees(np.arccos(np.abs(axes @ gravity_camera).max(1).clip(0, 1)))
+        upright = off_deg <= down_tolerance_deg + MAX_TOLERANCE_DEG
+        tau, axes = tau[upright], axes[upright]
+    if len(planes) < MIN_DISTINCT_PLANES or not len(tau):
+        return ShiftVote.refused('fewer than three planes, or none of them can be perpendicular')
+    tried = _judge(planes, tau, axes)
+    best = _votes(tried).argmax()
+    winner, sigma = _refined(planes, tried.take([best]), -lowest_disparity, True)
+    objection = _objection(planes, winner, tried, sigma)
+    return ShiftVote.refused(objection) if objection else ShiftVote(
+        float(winner.tau[0]), sigma, winner.axes[0], '')
+
+
+def _largest(planes: DisparityPlanes) -> DisparityPlanes:
+    """Return the planes that may vote, the largest first."""
+    order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
+    return planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
+
+
+def _shifts_to_axes(coefficients: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Return the shifts (C,) for which some plane is vertical or perpendicular to an axis."""
+    p, q, r = coefficients.T[:, :, None]
+    x, y, z = axes[axes[:, 0] ** 2 + axes[:, 1] ** 2 > MIN_ASLANT**2].T
+    shifts = [(p * x + q * y) / (x * x + y * y) * z - r]
+    down = axes[0]
+    if abs(down[2]) > MIN_ASLANT:
+        shifts.append(-(p * down[0] + q * down[1]) / down[2] - r)
+    return np.concatenate([shift.ravel() for shift in shifts])
+
+
+def _shifts_of_pairs(coefficients: np.ndarray,
+                     lowest_tau: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the shifts (C,) that make some pair perpendicular, and the axes of these pairs."""
+    i, j = np.triu_indices(len(coefficients), 1)
+    first, second = coefficients[i], coefficients[j]
+    middle = -0.5 * (first[:, 2] + second[:, 2])
+    # Noise may make a double root complex (both planes contain the direction of the axis).
+    reach = np.sqrt(np.maximum(middle**2 - (first * second).sum(1), 0.0))
+    tau = np.concatenate([middle - reach, middle + reach])
+    first, second = np.tile(first, (2, 1)), np.tile(second, (2, 1))
+    first[:, 2] += tau
+    second[:, 2] += tau
+    x = _unit(first)
+    y = second - (second * x).sum(1, keepdims=True) * x
+    possible = (tau > lowest_tau) & (np.linalg.norm(y, axis=1) > 1e-9)
+    y = _unit(y)
+    return tau[possible], np.stack([x, y, np.cross(x, y)], axis=1)[possible]
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def _normals(planes: DisparityPlanes, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return normals (C, N, 3), not of unit length, and their errors in degrees (C, N)."""
+    raw = np.repeat(planes.coefficients[None], len(tau), axis=0)
+    raw[..., 2] += tau[:, None]
+    normals, covariance = _unit(raw), planes.covariance
+    along = np.einsum('cni,nij,cnj->cn', normals, covariance, normals)
+    across = np.maximum(np.trace(covariance, axis1=1, axis2=2) - along, 0.0) / 2
+    return raw, np.degrees(np.arctan2(np.sqrt(across), np.linalg.norm(raw, axis=-1)))
+
+
+def _judge(planes: DisparityPlanes, tau: np.ndarray, axes: np.ndarray) -> _Judged:
+    """Return how well the planes fit shifts (C,) and axes (C, A, 3)."""
+    raw, sigma_deg = _normals(planes, tau)
+    cosine = np.abs(np.einsum('cni,cki->cnk', _unit(raw), axes))
+    off_deg = np.degrees(np.arccos(cosine.clip(0, 1)))
+    tolerance_deg = np.clip(3 * sigma_deg, MIN_TOLERANCE_DEG, MAX_TOLERANCE_DEG)[..., None]
+    along, across = (np.where(off <= tolerance_deg, 1.0 - 0.5 * (off / tolerance_deg) ** 2, 0.0)
+                     for off in (off_deg, 90.0 - off_deg))
+    return _Judged(tau, axes, along, across,
+                   planes.pixel_share / (1.0 + (sigma_deg / POORLY_KNOWN_DEG) ** 2))
+
+
+def _votes(judged: _Judged) -> np.ndarray:
+    """Return the weight (C,) of the planes along an axis."""
+    return (judged.along.max(2) * judged.weight).sum(1)
+
+
+def _support(judged: _Judged) -> np.ndarray:
+    """Return the weights (C, N, 2) of planes along an axis, and of vertical ones."""
+    along, upright = judged.along.max(2), UPRIGHT_WEIGHT * judged.across[..., 0]
+    return judged.weight[..., None] * np.stack(
+        [np.where(upright > along, 0.0, along), np.where(upright > along, upright, 0.0)], 2)
+
+
+def _refined(planes: DisparityPlanes, best: _Judged, lowest_tau: float,
+             is_free: bool) -> tuple[_Judged, float]:
+    """Fit a shift to the planes along its axes, which turn with them if free; with its sigma."""
+    start = best
+    for _ in range(ROUNDS):
+        raw, sigma_deg = _normals(planes, best.tau)
+        length, normals = np.linalg.norm(raw[0], axis=1)[:, None], _unit(raw[0])
+        axes = best.axes[0]
+        near = axes[best.along[0].argmax(1)]
+        near = near * np.sign((near * normals).sum(1, keepdims=True))
+        weight = (best.along[0].max(1) / (sigma_deg[0] ** 2 + SYSTEMATIC_DEG**2))[:, None]
+        # Derivatives of normal - axis by a share of the shift, and by a rotation of the axes.
+        reach = length.max()
+        by_shift = reach / length * ([0.0, 0.0, 1.0] - normals[:, 2:] * normals)
+        by_turn = np.stack([np.cross(near, one) for one in np.eye(3)], axis=2)
+        design = np.concatenate([by_shift[..., None], by_turn][:1 + is_free], axis=2)
+        root = np.degrees(np.sqrt(weight))
+        design, misfit = (root[..., None] * design).reshape(-1, design.shape[2]), root * (
+            normals - near)
+        step = np.linalg.lstsq(design, -misfit.ravel(), rcond=1e-9)[0]
+        tau = best.tau + reach * step[:1]
+        if is_free:
+            axes = axes @ cv2.Rodrigues(step[1:])[0].T
+        best = _judge(planes, tau, axes[None])
+    variance = np.linalg.pinv(design.T @ design, rcond=1e-12)[0, 0]
+    return (best if tau > lowest_tau else start), float(reach * np.sqrt(variance))
+
+
+def _is_apart(planes: DisparityPlanes, winner: _Judged, tried: _Judged) -> np.ndarray:
+    """Return which shifts (C,), bool, turn the planes too far to be that of the winner."""
+    return _turn_deg(planes, winner.tau, tried.tau) @ planes.pixel_share > MAX_TOLERANCE_DEG
+
+
+def _turn_deg(planes: DisparityPlanes, tau: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the angle by which each plane turns from a shift (1,) to others, (C, N) degrees."""
+    here, there = _unit(_normals(planes, tau)[0]), _unit(_normals(planes, other)[0])
+    return np.degrees(np.arccos((here * there).sum(-1).clip(-1, 1)))
+
+
+def _objection(planes: DisparityPlanes, winner: _Judged, tried: _Judged, sigma: float) -> str:
+    """Return why the best shift of three perpendicular axes is not reliable; empty if it is."""
+    along, share = winner.along[0], winner.weight[0] / winner.weight[0].sum()
+    is_aligned = along.max(1) > 0
+    aligned = share[is_aligned].sum()
+    if aligned < MIN_ALIGNED_SHARE:
+        return f'only {aligned:.0%} of the planes lie along three perpendicular axes'
+    of_axis = np.bincount(along.argmax(1)[is_aligned], share[is_aligned], 3)
+    if np.count_nonzero(of_axis >= MIN_AXIS_SHARE) < 2 or _distinct(
+            planes.take(np.flatnonzero(is_aligned))) < MIN_DISTINCT_PLANES:
+        return 'two planes are perpendicular for some shift in any room; a third must agree'
+    large = planes.pixel_share >= MIN_AXIS_SHARE
+    unsure_deg = _turn_deg(planes, winner.tau, winner.tau + sigma)[0, large].max(initial=0.0)
+    if unsure_deg > MAX_UNSURE_DEG:
+        return f'the right angles leave the angle of a plane uncertain by {unsure_deg:.0f} degrees'
+    apart = _is_apart(planes, winner, tried)
+    if _votes(tried)[apart].max(initial=0.0) > RIVAL_SHARE * _votes(winner)[0]:
+        return 'another shift gives as many right angles'
+    if _upright(tried)[apart].max(initial=0.0) > _upright(winner)[0] - UPRIGHT_MARGIN:
+        return 'another shift makes as many planes vertical, with other angles between them'
+    return ''
+
+
+def _upright(judged: _Judged) -> np.ndarray:
+    """Return the weight (C,) of the planes along or across the best single axis."""
+    fit = np.maximum(judged.along, judged.across)
+    return (fit * judged.weight[..., None]).sum(1).max(1)
+
+
+def _distinct(planes: DisparityPlanes) -> int:
+    """Count the planes, without those that continue a larger one."""
+    centers = np.column_stack([planes.centers, np.ones(len(planes))])
+    predicted = planes.coefficients @ centers.T
+    spread = np.ptp(predicted.diagonal()) + 1e-30
+    same = np.abs(predicted - predicted.diagonal()[None, :]) < 0.03 * spread
+    coplanar = np.triu(same & same.T, 1)
+    return int((~coplanar.any(0)).sum())
