@@ -15,6 +15,7 @@ from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.ground.ground import find_ground
+from plane_detector.planes.patches import fill_patches
 from plane_detector.scale.temporal_filter import ScaleState
 from plane_detector.segmentation.segment import metric_noise_floor
 from plane_detector.shapes.detector import ShapeDetector
@@ -163,7 +164,11 @@ class PlaneDetector:
         with stages('tracking'):
             # 6. Labels that are stable from image to image.
             planes, track_labels = self._tracker.update(planes, config.tracking)
-        return Detection(planes.planes, planes.labels, planes.disparity_noise,
+        with stages('patches'):
+            # 7. Pixels off all planes, if the colours show better where a surface ends.
+            labels = fill_patches(planes.labels, regions.patches, planes.planes, depth_m,
+                                  seen.intrinsics)
+        return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
                          scale_event=self._scale.event, classes=ground.classes, shapes=shapes,

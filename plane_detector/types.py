@@ -145,7 +145,8 @@ class Plane:
     normal: np.ndarray  # (3,) float64, of length 1, pointing to the camera
     offset_m: float  # distance from camera to plane, at least 0
     centroid_m: np.ndarray  # (3,) float64, mean of the pixels' points, projected onto the plane
-    inlier_count: int  # pixels with this plane's label; at least 1
+    # Pixels that it was measured from, at least 1; more may have its label, see ``fill_patches``.
+    inlier_count: int
     rms_m: float  # root mean square distance of those pixels' points from the plane
     area_m2: float  # that those pixels cover on the plane
     covariance: np.ndarray  # (4, 4) float64, of (normal, offset_m) from the fit

@@ -21,7 +21,7 @@ from plane_detector.segmentation.cells.model import Frame, PlaneRegions
 from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quantisation
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
-from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
 from plane_detector.segmentation.pixels.gaps import close_gaps
@@ -121,11 +121,13 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     correlation = (Correlation.of(frame.cells, regions, frame.noise)
                    if frame.kind is DepthKind.MEASURED else None)
     labels, planes = _label(frame, regions, correlation)
+    patches = NO_PATCHES
     if guide is not None:
-        snapped = snap_to_image_edges(labels, guide, image.values, planes, frame.noise)
+        snapped, patches = snap_to_image_edges(labels, guide, image.values, planes, frame.noise)
         labels = np.where(image.valid, snapped, -1)
     correlated_px = correlation.correlated_cells * grid.size_px**2 if correlation else 0.0
-    return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px)
+    return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px,
+                        patches=patches)
 
 
 def _label(frame: Frame, regions: PlaneRegions,

@@ -55,7 +55,7 @@ HELD_S = 0.5
 _SHIFTS = 0, 1, 2, 1
 """Sideways positions of consecutive images of a view, in units of the motion."""
 _STAGES = ('convert', 'depth', 'directions', 'segmentation', 'measurement', 'ground', 'tracking',
-           'messages', 'publish', 'total')
+           'patches', 'messages', 'publish', 'total')
 _ROOM = 'room'
 _RELIABLE = QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
 _INPUTS = {'camera_info': CameraInfo, 'depth': Image, 'image': Image}

@@ -4,13 +4,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from plane_detector.segmentation.cells.grid import CellGrid
 from plane_detector.segmentation.cells.noise import Noise
 from plane_detector.segmentation.cells.plane_fit import DD, XD, YD, D, N, X, Y
+
+# derived: a sixteenth of the pixels; a patch that is narrower on the image holds few of them.
+PATCH_SCALE = 4
+NO_PATCHES = np.zeros((0, 0), np.int32)
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,9 @@ class PixelRegions:
     class_certainty : float or (K,) float64
         Probability that they are horizontal, vertical or neither as their planes, where not the
         depth alone decides; NaN: it does.
+    patches : (h, w) int32
+        For every PATCH_SCALE-th row and column, the patch of one colour of the image, each one
+        surface of the scene; 0 none. Of no size if only the depth decides.
 
     """
 
@@ -49,6 +56,7 @@ class PixelRegions:
     correlated_px: float = 0.0
     certainty: float | np.ndarray = 1.0
     class_certainty: float | np.ndarray = np.nan
+    patches: np.ndarray = field(default_factory=NO_PATCHES.copy)
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:
         """Return the same regions in the unit of 1/z = scale * disparity + shift, scale > 0."""

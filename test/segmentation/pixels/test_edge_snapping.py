@@ -28,7 +28,7 @@ def snapped_labels(labels, guide):
     """Snap with a depth that is on all planes, and so contradicts none."""
     planes = np.zeros((labels.max(initial=0) + 1, 3))
     return snap_to_image_edges(labels, guide, np.zeros(labels.shape, np.float32), planes,
-                               Noise(0.001))
+                               Noise(0.001))[0]
 
 
 def covering(true, labels):
@@ -77,8 +77,8 @@ def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column,
         disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
     disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
     planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
-    snapped = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes,
-                                  Noise(1e-3, pixel_sigma=sigma, mean_sigma=sigma))
+    snapped, _ = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes,
+                                     Noise(1e-3, pixel_sigma=sigma, mean_sigma=sigma))
     assert np.median(snapped.argmax(axis=1)) == pytest.approx(column, abs=1)
 
 
@@ -92,6 +92,27 @@ def test_a_crease_moves_only_where_the_noise_hides_it(sigma, column):
     labels = (off_px >= 0).astype(np.int32)
     disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
     planes = np.array([[0.0, 0.0, 0.5], [0.161, 0.0, 0.5]])
-    snapped = snap_to_image_edges(labels, GuideImage(rgb, 6.0), disparity, planes,
-                                  Noise(1e-5, pixel_sigma=sigma, mean_sigma=3 * sigma))
+    snapped, _ = snap_to_image_edges(labels, GuideImage(rgb, 6.0), disparity, planes,
+                                     Noise(1e-5, pixel_sigma=sigma, mean_sigma=3 * sigma))
     assert np.median(snapped.argmax(axis=1)) == pytest.approx(column, abs=1)
+
+
+@pytest.mark.parametrize('blur_px', [4.0, 0.0])
+def test_colours_make_patches_only_where_depth_edges_are_blurred(blur_px):
+    """A dark square on the left half, which the depth does not show, is a patch of its own."""
+    rgb = np.full((120, 160, 3), 60, np.uint8)
+    rgb[:, 80:], rgb[40:80, 20:60] = 190, 130
+    disparity = np.full((120, 160), 0.5, np.float32)
+    disparity[:, 80:] = 0.25
+    labels = (disparity < 0.4).astype(np.int32)
+    if blur_px:
+        disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
+    planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
+    _, patches = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes,
+                                     Noise(1e-3))
+    assert patches.shape == ((30, 40) if blur_px else (0, 0))
+    if blur_px:
+        left, square, right = patches[:8, :18], patches[12:18, 7:13], patches[:, 22:]
+        assert all((part == part[0, 0]).all() for part in (left, square, right))
+        assert len({left[0, 0], square[0, 0], right[0, 0]}) == 3
+        assert patches.min() > 0

@@ -1,0 +1,64 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""Pixels on no plane take the plane of most of their patch, if their depth allows it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from plane_detector.planes.patches import fill_patches
+from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES
+from plane_detector.types import CameraIntrinsics, Plane
+
+CAMERA = CameraIntrinsics.from_field_of_view(42, 30, 60.0)
+SHAPE = (CAMERA.height, CAMERA.width)
+
+
+def wall(distance_m):
+    return Plane(np.array([0, 0, -1.0]), distance_m, np.array([0, 0, distance_m]), 9, 0.0, 1.0,
+                 np.eye(4), 1.0)
+
+
+def two_walls():
+    """Return patches, walls at 2 and 3 m on the left and right half, labels and depth of these."""
+    patches = np.ones((8, 11), np.int32)
+    patches[:, 5:] = 2
+    labels = np.zeros(SHAPE, np.int32)
+    labels[:, 20:] = 1
+    return patches, (wall(2.0), wall(3.0)), labels, np.where(labels == 0, 2.0, 3.0)
+
+
+def test_a_hole_takes_the_plane_of_its_own_patch():
+    patches, planes, labels, depth_m = two_walls()
+    given = labels.copy()
+    given[10:20, 10:30] = -1
+    filled = fill_patches(given, patches, planes, 1.1 * depth_m, CAMERA)
+    np.testing.assert_array_equal(filled, labels)
+    assert (given[10:20, 10:30] == -1).all()
+
+
+@pytest.mark.parametrize('depth_m', [1.4, 2.6, np.nan])
+def test_depth_of_another_surface_is_not_filled(depth_m):
+    patches, planes, labels, depths_m = two_walls()
+    labels[10:20, 5:15], depths_m[10:20, 5:15] = -1, depth_m
+    np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
+
+
+@pytest.mark.parametrize('label', [-1, 2])
+def test_a_patch_mostly_on_no_plane_or_on_a_shape_stays(label):
+    patches, planes, labels, depths_m = two_walls()
+    labels[:, 4:20], labels[:2, 4:20] = label, -1
+    np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
+
+
+def test_pixels_of_no_patch_stay():
+    patches, planes, labels, depths_m = two_walls()
+    patches[2:5], labels[8:20, :10] = 0, -1
+    np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
+
+
+def test_without_patches_or_planes_the_labels_are_returned():
+    patches, planes, labels, depths_m = two_walls()
+    assert fill_patches(labels, NO_PATCHES, planes, depths_m, CAMERA) is labels
+    assert fill_patches(labels, patches, (), depths_m, CAMERA) is labels
