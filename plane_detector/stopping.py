@@ -5,19 +5,16 @@ Work that another thread can stop.
 
 Python cannot end a thread. Long work therefore runs under a `Stop`, and either checks it between
 its steps (`raise_if_stopped`) or registers a callback that interrupts it (`Stop.calling`). C++
-code that does neither keeps running in its thread; `leave` then ends the process without waiting.
+code that does neither keeps running; :mod:`plane_detector.ending` ends its process.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Generic, NoReturn, TypeVar
+from typing import Generic, TypeVar
 
 Result = TypeVar('Result')
 
@@ -175,41 +172,3 @@ class Background(Generic[Result]):
         finally:
             self._running.discard(self)
             self._on_end()
-
-
-@contextmanager
-def quiet_interrupt() -> Iterator[None]:
-    """
-    Let SIGINT end the process at once, without a traceback, while this block imports a program.
-
-    The imports take a second, and KeyboardInterrupt would be raised somewhere in them. Nothing
-    changes in another thread than the main one, or if SIGINT is ignored or handled already.
-    """
-    if (threading.current_thread() is not threading.main_thread()
-            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
-        yield
-        return
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def leave(exit_code: int) -> int:
-    """
-    Return the exit code, or end the process at once if work is running that cannot be stopped.
-
-    Such work is in C++, and the regular shutdown of the interpreter would crash while it runs.
-    Call this last, after files are closed and the middleware is shut down.
-    """
-    if Background.is_any_running():
-        end_process(exit_code)
-    return exit_code
-
-
-def end_process(exit_code: int) -> NoReturn:
-    """End the process at once, without the regular shutdown of the interpreter."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(exit_code)

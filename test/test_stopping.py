@@ -79,7 +79,8 @@ def test_a_background_call_stops_at_its_next_check():
 def test_a_process_exits_despite_work_that_ignores_the_stop(work):
     program = f"""
 import sys, time
-from plane_detector.stopping import Background, leave
+from plane_detector.ending import leave
+from plane_detector.stopping import Background
 call = Background(lambda: {work}, 'work')
 call.wait(0.2)
 print('whole', end='')

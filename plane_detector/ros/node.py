@@ -7,7 +7,7 @@ from __future__ import annotations
 import sys
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.ending import quiet_interrupt
 
 USAGE = """\
 usage: ros2 run plane_detector node [--ros-args [-r FROM:=TO] [-p NAME:=VALUE]

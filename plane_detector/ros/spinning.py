@@ -1,21 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-A node as a process: spinning, signals, exit within limited time, exit code.
-
-SIGINT and SIGTERM are recorded, and the main thread ends at its next check. An exception raised by
-a signal would be lost in a destructor or an error handler, and give a traceback during shutdown.
-If the main thread does not end in time, or at a second signal, another thread ends the process.
-"""
+"""A node as a process: it spins until a signal, and takes the messages of its inputs."""
 
 from __future__ import annotations
 
 import gc
-import os
-import select
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -30,9 +20,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from plane_detector.ending import end_process, stopped_by_signals
 from plane_detector.process import load_numba_alone, retain_freed_memory, use_one_thread
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.stopping import end_process
+from plane_detector.stopping import Stop
 
 _SPIN_S = 0.2
 # Time after which a thread gives the interpreter to one that waits for it. Every compiled loop
@@ -40,40 +31,6 @@ _SPIN_S = 0.2
 # times in each frame. tuned: frames per second of all stages in one process on two loaded cores,
 # 10.6 at 5 ms, 14.2 at 1 ms, flat from 0.2 to 1 ms, with the same core time per frame.
 _SWITCH_INTERVAL_S = 0.001
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-MOST_ENDING_S = 2.5
-"""Longest time from the first signal to the end of the process."""
-
-
-class _Ending:
-    """Handling of SIGINT and SIGTERM; once per process."""
-
-    def __init__(self) -> None:
-        self.is_asked = False
-        self._watched, self._written = os.pipe()
-        os.set_blocking(self._written, False)
-
-    def begin(self) -> None:
-        """Install the handlers; Python's C code also writes each signal to a pipe at once."""
-        signal.set_wakeup_fd(self._written, warn_on_full_buffer=False)
-        for number in _SIGNALS:
-            if signal.getsignal(number) is not signal.SIG_IGN:  # as SIGINT under nohup
-                signal.signal(number, self._note)
-        threading.Thread(target=self._watch, name='ending', daemon=True).start()
-
-    def finish(self) -> None:
-        """Ignore further signals, because the interpreter's exit restores the default handlers."""
-        for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-
-    def _note(self, _number: int, _stack: Any) -> None:
-        self.is_asked = True
-
-    def _watch(self) -> None:
-        """End the process some time after the first signal, or at the second one."""
-        (number,) = os.read(self._watched, 1)
-        select.select([self._watched], [], [], MOST_ENDING_S)
-        os._exit(128 + number)
 
 
 class InputGroup(ReentrantCallbackGroup):
@@ -103,29 +60,30 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> NoRetur
     """
     Run a node, made when rclpy is initialised, until SIGINT or SIGTERM; once per process.
 
-    Python handles both signals instead of rclpy. After the first one the node has `MOST_ENDING_S`
-    to end; a second one ends the process at once. An exception of a callback is logged with its
-    traceback, and the node goes on.
+    An exception of a callback is logged with its traceback, and the node goes on.
 
     This function does not return: the process exits with code 1 if the node cannot be made with
     these arguments or raises `CannotRunError`, otherwise 0. The regular exit of the interpreter
     would take a second or more to unload all libraries, and crash if one of them is still running.
     """
-    ending, exit_code = _Ending(), 0
-    ending.begin()
+    with stopped_by_signals() as stop:
+        end_process(_exit_code(make_node, args, stop))
+
+
+def _exit_code(make_node: Callable[[], Node], args: list[str] | None, stop: Stop) -> int:
+    """Run a node until the stop."""
     try:
         prepare_process()
         _init(args)
-        _spin(_made(make_node), ending)
+        _spin(_made(make_node), stop)
     except ExternalShutdownException:
         pass
     except CannotRunError as error:
         print(f'the node cannot start: {error}', file=sys.stderr)
-        exit_code = 1
+        return 1
     finally:
         _close_middleware()
-        ending.finish()
-    end_process(exit_code)
+    return 0
 
 
 def prepare_process() -> None:
@@ -160,13 +118,13 @@ def _close_middleware() -> None:
     gc.collect()  # the node and its executor refer to each other
 
 
-def _spin(node: Node, ending: _Ending) -> None:
+def _spin(node: Node, stop: Stop) -> None:
     """Spin until a signal, in short waits: Python handles signals only between them."""
     executor, faults = SingleThreadedExecutor(), FaultLog(node.get_logger(), 'error in a callback')
     executor.add_node(node)
     spun_s = 0.0
     try:
-        while rclpy.ok() and not ending.is_asked:
+        while rclpy.ok() and not stop.is_set:
             inputs = [one for one in node.subscriptions
                       if isinstance(one.callback_group, InputGroup)]
             try:

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.ending import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     from plane_detector.config import DepthConfig

@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.ending import INTERRUPTED, quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     import rclpy
@@ -28,7 +28,6 @@ with quiet_interrupt(), explained_imports():
     from plane_detector.ros.inputs.subscriptions import input_topics
 
 _FILE = 'plane_detector.rviz'
-_INTERRUPTED = 130
 _NODE, _FRAME = 'plane_detector/', 'Fixed Frame: camera_optical_frame'
 
 
@@ -83,7 +82,7 @@ def main(args: list[str] | None = None) -> int:
             print(error, file=sys.stderr)
             return 1
         except KeyboardInterrupt:
-            return _INTERRUPTED
+            return INTERRUPTED
         finally:
             node.destroy_node()
             rclpy.try_shutdown()

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping
 from typing import TextIO
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.ending import quiet_interrupt
 
 with quiet_interrupt(), explained_imports():
     import numpy as np

@@ -20,7 +20,7 @@ PROGRAM = """
 import signal, sys, time
 import rclpy
 from rclpy.node import Node
-from plane_detector.ros import spinning
+from plane_detector import ending
 from plane_detector.ros.spinning import run
 
 def end():
@@ -83,7 +83,7 @@ def test_a_signal_ends_a_node_with_a_blocked_main_thread(name):
 
 
 def test_a_second_signal_ends_the_node_at_once():
-    work = 'spinning.MOST_ENDING_S = 1000; end(); end(); time.sleep(1000)'
+    work = 'ending.MOST_ENDING_S = 1000; end(); end(); time.sleep(1000)'
     assert ended(work) == (128 + signal.SIGTERM, '')
 
 

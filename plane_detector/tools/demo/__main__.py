@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import quiet_interrupt
+from plane_detector.ending import quiet_interrupt, run_program, until_signal
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     import cv2
@@ -41,7 +41,6 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     )
     from plane_detector.tools.demo.session import Received, Session
     from plane_detector.tools.files import csv_row, depth_panel, write_ply
-    from plane_detector.tools.program import run_program, until_signal
     from plane_detector.tools.show import plane_lines
     from plane_detector.types import CameraIntrinsics
 

@@ -11,13 +11,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from plane_detector.dependencies import explained_imports
-from plane_detector.stopping import end_process, quiet_interrupt
+from plane_detector.ending import (
+    FAILED,
+    INTERRUPTED,
+    end_process,
+    quiet_interrupt,
+    run_program,
+    until_signal,
+)
 
 with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.config import NodeConfig
     from plane_detector.depth.networks import NETWORKS
     from plane_detector.ros.outputs.topics import OUTPUTS
-    from plane_detector.tools.program import FAILED, INTERRUPTED, run_program, until_signal
     from plane_detector.tools.replay import many_bags
     from plane_detector.tools.replay.bag_reader import bag_name
     from plane_detector.tools.replay.options import DEFAULT_OUTPUTS, ReplayOptions, load_settings
@@ -39,7 +45,8 @@ USAGE = """
   replay [options] --output-folder FOLDER INPUT...      the same"""
 EXIT_CODES = """
 exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
-frames or damaged messages were skipped; 130 ended by a signal.
+frames or damaged messages were skipped; 130 ended by a signal; 128 + its number: at once, because
+this took too long or another signal came.
 """
 _INCOMPLETE = 3
 

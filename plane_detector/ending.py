@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+How the node and the programs end: soon after a signal, quietly, with an exit code.
+
+SIGINT and SIGTERM request a `Stop`, and the main thread ends at its next check. An exception
+raised by a signal would be lost in a destructor or an error handler, and give a traceback during
+shutdown. If the main thread does not end in time, or at a second signal, another thread ends the
+process.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NoReturn, TypeVar
+
+from plane_detector.stopping import Background, Stop, Stopped
+
+Result = TypeVar('Result')
+FAILED, INTERRUPTED = 1, 130
+MOST_ENDING_S = 2.5
+"""Longest time from the first signal to the end of the process."""
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_OVER = b'\0'
+
+
+@contextmanager
+def quiet_interrupt() -> Iterator[None]:
+    """
+    Let SIGINT end the process at once, without a traceback, while this block imports a program.
+
+    The imports take a second, and KeyboardInterrupt would be raised somewhere in them. Nothing
+    changes in another thread than the main one, or if SIGINT is ignored or handled already.
+    """
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[Stop]:
+    """
+    Yield a stop that SIGINT and SIGTERM request while this block runs in the main thread.
+
+    The process ends with 128 plus the number of the signal at a second one, or if the block has
+    not ended `MOST_ENDING_S` after the first. An ignored signal, as SIGINT under nohup, stays
+    ignored.
+    """
+    stop, (watched, written) = Stop(), os.pipe()
+    os.set_blocking(written, False)
+    # Python's C code writes each signal to the pipe at once, whatever the main thread is doing.
+    descriptor = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
+    before = {number: signal.signal(number, lambda *_: stop.set()) for number in _SIGNALS
+              if signal.getsignal(number) is not signal.SIG_IGN}
+    watcher = threading.Thread(target=_watch, args=(watched, stop), name='ending', daemon=True)
+    watcher.start()
+    try:
+        yield stop
+    finally:
+        signal.set_wakeup_fd(descriptor)
+        os.write(written, _OVER)
+        watcher.join()
+        os.close(written)
+        os.close(watched)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _watch(watched: int, stop: Stop) -> None:
+    """Request the stop at the first signal; end the process at the second one or in time."""
+    number = os.read(watched, 1)
+    if number == _OVER:
+        return
+    # The main thread may be in C++ and not come to its handler; `set` may wait for `uncut` work.
+    threading.Thread(target=stop.set, daemon=True).start()
+    ready, _, _ = select.select([watched], [], [], MOST_ENDING_S)
+    if not ready or os.read(watched, 1) != _OVER:
+        os._exit(128 + number[0])
+
+
+def until_signal(function: Callable[[], Result]) -> Result:
+    """
+    Return the result of a function, to which the stop of `stopped_by_signals` applies.
+
+    Raises
+    ------
+    Stopped
+        A signal stopped it.
+
+    """
+    with stopped_by_signals() as stop, stop.applies():
+        return function()
+
+
+def run_program(name: str, function: Callable[[], int],
+                *expected: type[Exception]) -> int:
+    """Return the exit code of a program; an expected error is told in one line."""
+    try:
+        return leave(function())
+    except (KeyboardInterrupt, Stopped):
+        return leave(INTERRUPTED)
+    except (OSError, ValueError, ModuleNotFoundError, *expected) as error:
+        print(f'{name}: {error}', file=sys.stderr)
+        return leave(FAILED)
+
+
+def leave(exit_code: int) -> int:
+    """
+    Return the exit code, or end the process at once if work is running that cannot be stopped.
+
+    Such work is in C++, and the regular shutdown of the interpreter would crash while it runs.
+    Call this last, after files are closed and the middleware is shut down.
+    """
+    if Background.is_any_running():
+        end_process(exit_code)
+    return exit_code
+
+
+def end_process(exit_code: int) -> NoReturn:
+    """End the process at once, without the regular shutdown of the interpreter."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(exit_code)
