@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stopping of work, and a process that exits despite work that does not stop."""
 
+import signal
 import subprocess
 import sys
 import threading
@@ -89,3 +90,25 @@ sys.exit(leave(3))
     done = subprocess.run([sys.executable, '-c', program], cwd=ROOT, timeout=STUCK_S,
                           capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (3, 'whole', '')
+
+
+@pytest.mark.parametrize('ignored', [False, True])
+def test_a_signal_ends_a_program_whose_main_thread_hears_nothing(ignored):
+    """But not one that is ignored, as SIGINT under nohup."""
+    program = f"""
+import signal, time
+from plane_detector import ending
+ending.MOST_ENDING_S = 0.1
+signal.signal(signal.SIGINT, signal.SIG_IGN if {ignored} else signal.default_int_handler)
+
+def work():
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.raise_signal(number)
+        time.sleep(1)
+
+ending.until_signal(work)
+"""
+    done = subprocess.run([sys.executable, '-c', program], cwd=ROOT, timeout=STUCK_S,
+                          capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (
+        128 + (signal.SIGTERM if ignored else signal.SIGINT), '', '')
