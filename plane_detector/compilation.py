@@ -85,12 +85,14 @@ class Kernel:
     @property
     def is_cached(self) -> bool:
         """Whether another process has compiled it."""
-        return any((cache_folder() / self.digest).glob('*/*.nbi'))
+        # Numba writes the index (nbi) first.
+        return any((cache_folder() / self.digest).glob('*/*.nbc'))
 
     @cached_property
     def digest(self) -> str:
         """Name of its cache folder."""
         digest = _digest_of_file(self._function.__code__.co_filename).copy()
+        digest.update(f'{self.__name__}\n'.encode())
         for name in self._function.__code__.co_names:
             value = self._function.__globals__.get(name)
             if isinstance(value, Kernel):

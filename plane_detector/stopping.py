@@ -73,9 +73,10 @@ class Stop:
             The stop was requested before.
 
         """
-        with self.uncut():
-            self._callbacks.append(callback)
+        self._callbacks.append(callback)  # first: a signal handler may set the stop at any line
         try:
+            if self.is_set:
+                raise Stopped
             yield
         finally:
             self._callbacks.remove(callback)
