@@ -51,11 +51,13 @@ LINE_WEIGHT = 12.0
 OUTLIER_SIZE, MAX_OUTLIER_SHARE = 0.006, 0.6
 # Odds that a piece belongs to a larger one with the same normal if that one continues exactly at
 # its depth, and the spread of the log ratio of depths within such a surface by the error of the
-# network's normals; the noise of the piece is added.
+# network's normals; the noise of the piece is added. It is at most that of a network with an error
+# of 12 degrees: an object that a worse one shows as a slab is not a part of the floor.
 # tuned: as above, flat from 3 to 8 and, for networks with an error of 12 degrees, from 0.12 to
 # 0.2. In the tuned frames such a piece is found at the right hypotheses twice as often as at the
 # wrong ones.
-SAME_SURFACE_ODDS, SURFACE_DEPTH_PER_RAD = 4.0, 0.15 / np.radians(12.0)
+SAME_SURFACE_ODDS, MAX_SURFACE_DEPTH_SHARE = 4.0, 0.15
+SURFACE_DEPTH_PER_RAD = MAX_SURFACE_DEPTH_SHARE / np.radians(12.0)
 # Normals closer than this are equal; hypotheses of one kind differ by rounding only.
 SAME_NORMAL_COSINE = np.cos(np.radians(6.0))
 # A normal is right within this angle. tuned: python -m
@@ -249,6 +251,7 @@ def _same_surface(hypotheses: _Hypotheses, normals: np.ndarray, sigma_rad: float
     """Return the log odds (K, C) that a larger piece, with normals (K, 3), is the same surface."""
     distance = samples.distances_to_planes(normals, samples.offsets(normals))
     spread = np.hypot(SURFACE_DEPTH_PER_RAD * sigma_rad, samples.roughness[:, None])
+    spread = np.minimum(spread, MAX_SURFACE_DEPTH_SHARE)
     odds = SAME_SURFACE_ODDS * np.exp(-0.5 * (distance / spread) ** 2)
     is_larger = samples.image_shares > samples.image_shares[:, None]
     same = (hypotheses.normals @ normals.T > SAME_NORMAL_COSINE) & is_larger[:, None]

@@ -3,6 +3,7 @@
 """Tests of the orientation of planes by depth, lines and axes."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
+from plane_detector.planes import orientation
 from plane_detector.planes.line_evidence import LineEvidence, lines_in_regions
 from plane_detector.planes.orientation import most_likely, score_orientations
 from plane_detector.planes.region_samples import RegionSamples
@@ -149,3 +151,16 @@ def test_lines_belong_to_the_regions_on_their_sides():
     contradiction = evidence.contradiction(normals)
     assert contradiction[0] == pytest.approx([0.8 / 0.95, 0])
     assert contradiction[1] == pytest.approx([0, 0.3 / 0.45])
+
+
+def test_an_object_before_the_floor_is_no_part_of_it_however_poor_the_network():
+    """Its depth is three times the largest spread off, and its noise twice that."""
+    level = np.array([[0.0, -1.0, 0.0]] * 2)
+    hypotheses = SimpleNamespace(normals=level[:, None], freedoms=np.zeros(1))
+    samples = SimpleNamespace(
+        offsets=lambda normals: np.ones(2), roughness=np.full(2, 0.3),
+        image_shares=np.array([0.1, 0.3]),
+        distances_to_planes=lambda normals, offsets: np.array([[0.0, 0.45], [0.45, 0.0]]))
+    log_odds = orientation._same_surface(hypotheses, level, np.radians(20.0), samples)
+    assert 0 < log_odds[0, 0] < 0.1
+    assert log_odds[1, 0] == 0, 'the larger one is no part of the smaller one'
