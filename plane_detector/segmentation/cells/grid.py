@@ -85,8 +85,8 @@ class CellGrid:
     sparsity : (R * C, 2) float64
         Additional variances of the cell's mean and slope due to missing pixels, as multiples of
         the variance of a pixel; 0 for full cells.
-    normal_slope : (R * C, 2) float64, or (0, 2)
-        dd/dx and dd/dy by the normals of a network; NaN where it gives none.
+    normal_slope : (R * C, 2) float64
+        dd/dx and dd/dy by the normals of a network, NaN where it gives none; (0, 2) without it.
     lens : (4,) float64
         Focal lengths along x and y, and x and y of the principal point.
 

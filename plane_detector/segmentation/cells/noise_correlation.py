@@ -114,7 +114,7 @@ class Correlation:
 
     @cached_property
     def _powers(self) -> np.ndarray:
-        """The power of the distance in rows and columns (R, C): half of what it takes."""
+        """The power of the distance of cells by rows and columns (R, C), dearer than the rest."""
         square = np.add.outer(*(np.arange(float(side)) ** 2 for side in self.shape))
         return square ** (self.power / 2)
 
