@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from plane_detector.directions.drawing import draw_directions
 from plane_detector.drawing import PALETTE, colour_depth, figure, overlay, tint
+from plane_detector.tools.demo.directions import draw_directions
 from plane_detector.types import CameraIntrinsics
 
 GREY = np.full((120, 160, 3), 128, np.uint8)

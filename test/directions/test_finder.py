@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.directions.finder import CameraImage, DirectionFinder, Need
-from plane_detector.evaluation.scenes.rooms import hexagon_room, random_room
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, find_in_image
+from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, textured
 
 IMAGES, GREY_LEVELS = 12, 5.0
@@ -27,3 +27,11 @@ def test_the_upright_of_a_still_camera_does_not_flicker(make, seed):
         found.append(around.gravity.gravity_camera)
     cosine = np.array(found) @ np.array(found).T
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < FLICKER_DEG
+
+
+@pytest.mark.parametrize('seed', [303, 304, 313])
+def test_the_slopes_of_a_roof_do_not_outvote_floor_and_gable(seed):
+    scene = textured(attic, seed)
+    image = CameraImage(scene.rgb, scene.intrinsics, disparity=1 / scene.depth_m)
+    found = find_in_image(image).directions
+    assert found.gravity_camera @ scene.gravity_camera > np.cos(np.radians(1.0))

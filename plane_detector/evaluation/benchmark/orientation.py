@@ -47,6 +47,7 @@ PARTS = ('gravity', 'calibration', 'rendered', 'planes', 'misleading')
 # Of the probability that is said.
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.01)
 PARTS_PER_FRAME = 6
+DEPTH_NOISE_PER_M, WRONG_DEG = (0.0, 0.002, 0.008), 6.0
 MISLEADING_NOISE_PER_M, BLUR_PX = (0.0, 0.002, 0.008), 3.0
 PURE = 0.8
 PLAIN = 'doors, planks and tiles'
@@ -112,8 +113,9 @@ def report_gravity(name: str, found: Sequence[Frame]) -> None:
          table(('frame', 'error (deg)', 'probability', 'horizontal axes'), rows))
 
 
-def _directions(rgb: np.ndarray, intrinsics: CameraIntrinsics) -> SceneDirections:
-    return find_in_image(CameraImage(rgb, intrinsics)).directions
+def _directions(rgb: np.ndarray, intrinsics: CameraIntrinsics,
+                disparity: np.ndarray | None = None) -> SceneDirections:
+    return find_in_image(CameraImage(rgb, intrinsics, disparity=disparity)).directions
 
 
 def _summary(errors: Sequence[float], asked: int) -> str:
@@ -130,17 +132,34 @@ def report_rendered(seeds: Sequence[int]) -> None:
     for name, make in SCENES.items():
         scenes = [textures.textured(make, seed) for seed in seeds]
         seen = [_directions(scene.rgb, scene.intrinsics) for scene in scenes]
-        gravity = [angle_deg(one.gravity_camera, scene.gravity_camera)
-                   for one, scene in zip(seen, scenes, strict=True)
-                   if one.gravity_camera is not None]
         axes = [error for one, scene in zip(seen, scenes, strict=True) if len(one.pairs)
                 for error in _axis_errors(one.pairs[0], scene)]
-        rows.append([name, _summary(gravity, len(seeds)), _summary(axes, len(axes))])
+        rows.append([name, _summary(_gravity_errors(seen, scenes), len(seeds)),
+                     _summary(axes, len(axes)), *(_with_depth(scenes, seeds, sigma)
+                                                  for sigma in DEPTH_NOISE_PER_M)])
     answers = sum(_directions(textures.clutter(np.random.default_rng(seed), textures.VGA),
                               textures.VGA).gravity_camera is not None for seed in seeds)
-    rows.append(['strokes of all directions', f'{answers} of {len(seeds)} answer', '-'])
+    rows.append(['strokes of all directions', f'{answers} of {len(seeds)} answer', '-',
+                 *'-' * len(DEPTH_NOISE_PER_M)])
     emit('### Directions of rendered rooms with lines',
-         table(('scene', 'gravity', 'horizontal axes, if a wall or slope is within 10 deg'), rows))
+         table(('scene', 'gravity', 'horizontal axes, if a wall or slope is within 10 deg',
+                *(f'gravity, depth with noise {sigma:g}' for sigma in DEPTH_NOISE_PER_M)), rows))
+
+
+def _with_depth(scenes: Sequence[rooms.Scene], seeds: Sequence[int], sigma: float) -> str:
+    """Return a summary of the errors of gravity from lines and depth."""
+    seen = []
+    for scene, seed in zip(scenes, seeds, strict=True):
+        depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng([seed, 2]))
+        seen.append(_directions(scene.rgb, scene.intrinsics, (1 / depth_m).astype(np.float32)))
+    errors = _gravity_errors(seen, scenes)
+    return f'{_summary(errors, len(seeds))}, {np.sum(np.array(errors) > WRONG_DEG)} wrong'
+
+
+def _gravity_errors(seen: Sequence[SceneDirections], scenes: Sequence[rooms.Scene]) -> list[float]:
+    """Return the errors, degrees, of the directions of gravity that are given."""
+    return [angle_deg(one.gravity_camera, scene.gravity_camera)
+            for one, scene in zip(seen, scenes, strict=True) if one.gravity_camera is not None]
 
 
 def _axis_errors(axes: np.ndarray, scene: rooms.Scene) -> list[float]:

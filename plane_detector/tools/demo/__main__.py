@@ -27,12 +27,12 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector import drawing
     from plane_detector.config import DepthConfig
     from plane_detector.depth.networks import NETWORKS, resolve
-    from plane_detector.directions.drawing import draw_directions
     from plane_detector.directions.finder import CameraImage, find_in_image
     from plane_detector.directions.vanishing import SceneDirections
     from plane_detector.planes.classification import PlaneClass
     from plane_detector.ros.spinning import CannotRunError
     from plane_detector.segmentation.baselines import ransac_alone
+    from plane_detector.tools.demo.directions import draw_directions
     from plane_detector.tools.demo.photographs import (
         Lens,
         Photograph,
