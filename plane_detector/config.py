@@ -163,7 +163,7 @@ class SegmentationConfig(Settings, section='segmentation'):
         'pyRANSAC-3D, then DBSCAN, with metric thresholds', choices=('disparity', 'paper'))
     max_planes: int = setting(32, 'maximum number of planes', '', 1, 255)
     min_plane_share: float = setting(
-        0.004, 'size of the smallest plane, as a share of the pixels', '', 0.0, 1.0)
+        0.003, 'size of the smallest plane, as a share of the pixels', '', 0.0, 1.0)
     disparity_noise: float = setting(
         0.0, 'standard deviation of 1/depth; 0: estimated from the image, but at least the '
         'noise stated for the network', '1/m', 0.0, 10.0)
