@@ -51,7 +51,7 @@ def judged(thing, depth_of, angles_deg=(0, -15, 4)):
 @pytest.mark.parametrize('angles_deg', [(0, 0, 0), (0, -15, 4)])
 def test_a_ball_has_no_plane(radius, angles_deg, keep):
     share, iou = judged(ball(radius), lambda scene: KEEP[keep](scene.depth_m), angles_deg)
-    assert share > 0.97 and iou > 0.95
+    assert share > 0.95 and iou > 0.95
 
 
 @pytest.mark.parametrize(('thing', 'least', 'least_iou'), [
