@@ -128,7 +128,7 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
     labels, planes = _label(frame, regions, correlation)
     patches = NO_PATCHES
     if guide is not None and guide.is_usable:
-        seen = guide, image.values, planes, frame.noise
+        seen = guide, image.values, grid.planes_in_pixels(planes), frame.noise
         is_blurred = blurs_steps(labels, *seen)
         patches = patches_of_one_colour(guide) if is_blurred else NO_PATCHES
         labels = snap_to_image_edges(labels, *seen, is_blurred)

@@ -101,7 +101,7 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
         Usable. Pixels farther than its reach from a border keep their label.
     disparity : (H, W) float32
     planes : (K, 3) float64
-        a, b, c of each label in the coordinates of the cells.
+        a, b, c of d = a u + b v + c of each label, in columns and rows of the image.
     noise : Noise
         Its floors, and what is stated for the source, bound the misfit of a plane below.
     is_blurred : bool
@@ -268,6 +268,4 @@ def _is_between(labels, disparity, planes, new, off, reach, v, u):
 @kernel('float64(float64[::1], float32[:, ::1], int64, int64)')
 def _off(plane, disparity, v, u):
     """Return the disparity of a pixel less that of a plane there."""
-    height, width = disparity.shape
-    return disparity[v, u] - (plane[0] * (u - (width - 1) / 2)
-                              + plane[1] * (v - (height - 1) / 2)) / width - plane[2]
+    return disparity[v, u] - (plane[0] * u + plane[1] * v + plane[2])

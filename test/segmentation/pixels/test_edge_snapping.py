@@ -98,7 +98,7 @@ def test_a_crease_moves_only_where_the_noise_hides_it(sigma, column):
     disparity = (0.5 + 0.001 * np.maximum(off_px, 0)).astype(np.float32)
     labels = (off_px >= 0).astype(np.int32)
     disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
-    planes = np.array([[0.0, 0.0, 0.5], [0.161, 0.0, 0.5]])
+    planes = np.array([[0.0, 0.0, 0.5], [0.001, 0.0, 0.42]])
     snapped = snap_to_image_edges(labels, GuideImage(rgb, 6.0), disparity, planes,
                                   Noise(1e-5, pixel_sigma=sigma, mean_sigma=3 * sigma),
                                   is_blurred=False)
