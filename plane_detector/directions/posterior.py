@@ -234,10 +234,9 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     size = intrinsics.width // step, intrinsics.height // step
     every = 1 if step % 8 else 2  # pixel of a row; half of them are enough in large cells
     thinned = disparity[:size[1] * step:every, :size[0] * step:every]
-    is_valid = thinned > 0
     total, share = (
-        cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        for image in (np.where(is_valid, thinned, 0), is_valid))
+        cv2.resize(image.astype(np.float32, copy=False), size, interpolation=cv2.INTER_AREA)
+        for image in (np.fmax(thinned, 0), thinned > 0))
     inverse = np.where(share > LEAST_VALID, total / np.maximum(share, LEAST_VALID), np.nan)
     middle = (step - every) / 2
     x = (np.arange(1, size[0] - 1) * step + middle - intrinsics.cx) / intrinsics.fx

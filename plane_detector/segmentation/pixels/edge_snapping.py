@@ -58,6 +58,7 @@ SAME_SIGMAS = 0.7
 STEP_PIXEL_SIGMAS, STEP_SMOOTH_SIGMAS = 8.0, 2.0
 # Edges are sharp up to this width. derived: a pixel on the edge has a depth between both surfaces.
 SHARP_PX = 1.0
+NOT_MOVED = -2  # among the labels proposed for pixels
 
 
 @dataclass(frozen=True)
@@ -115,13 +116,12 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
     """
     small = np.ascontiguousarray(labels[::SCALE, ::SCALE])
     markers = _markers(small, at_borders(small, round(guide.reach_px / SCALE)))
-    snapped = _watershed(cv2.GaussianBlur(guide.small_rgb, (0, 0), SMOOTHING_PX), markers.copy())
-    moved = _moved(labels, markers, snapped)
-    _undo_contradicted(moved, labels, disparity, planes, round(guide.reach_px), is_blurred,
-                       (noise.depth_floor_m,
-                        noise.disparity_floor + MOST_DEVIATIONS * noise.source_sigma,
-                        SAME_SIGMAS * noise.mean_sigma))
-    return moved
+    basins = _watershed(cv2.GaussianBlur(guide.small_rgb, (0, 0), SMOOTHING_PX), markers.copy())
+    proposed = np.where((markers == 0) & (basins > 0), basins - 2, NOT_MOVED)
+    return _moved(labels, proposed, disparity, planes, round(guide.reach_px), is_blurred,
+                  (noise.depth_floor_m,
+                   noise.disparity_floor + MOST_DEVIATIONS * noise.source_sigma,
+                   SAME_SIGMAS * noise.mean_sigma))
 
 
 @kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1])')
@@ -130,24 +130,13 @@ def _markers(labels, band):
     is_wide, markers = np.zeros(labels.max() + 2, np.bool_), labels + np.int32(2)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
-            is_wide[labels[v, u] + 1] |= not band[v, u]
+            if not band[v, u]:
+                is_wide[labels[v, u] + 1] = True
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
             if band[v, u] and is_wide[labels[v, u] + 1]:
                 markers[v, u] = 0
     return markers
-
-
-@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], int32[:, ::1])')
-def _moved(labels, markers, basins):
-    """Return the labels with those of the basins where there was no marker."""
-    moved = labels.copy()
-    for v in range(labels.shape[0]):
-        for u in range(labels.shape[1]):
-            y, x = v // SCALE, u // SCALE
-            if markers[y, x] == 0 and basins[y, x] > 0:
-                moved[v, u] = basins[y, x] - 2
-    return moved
 
 
 def _watershed(rgb: np.ndarray, markers: np.ndarray) -> np.ndarray:
@@ -210,29 +199,29 @@ def _step_widths(labels, disparity, planes, reach, least):
     return widths[:found]
 
 
-@kernel('void(int32[:, ::1], int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, boolean, '
-        'UniTuple(float64, 3))')
-def _undo_contradicted(moved, labels, disparity, planes, reach, is_blurred, floors):
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, '
+        'boolean, UniTuple(float64, 3))')
+def _moved(labels, proposed, disparity, planes, reach, is_blurred, floors):
     """
-    Restore the labels of moved pixels whose depth contradicts the new label.
+    Return the labels with those proposed (h, w) where the depth does not contradict them.
 
     A plane is contradicted by depth that is not on it, and no plane by depth that is on the old
     one. Blurred depth between a plane and another one within the reach, and on neither,
     contradicts none; sharp depth on the old plane contradicts all that differ from it there.
     """
-    height, width = labels.shape
+    moved, (height, width) = labels.copy(), labels.shape
     sums, pixels = np.zeros(len(planes)), np.ones(len(planes))
     for v in range(0, height, 2):
         for u in range(0, width, 2):
             k = labels[v, u]
-            if k >= 0 and moved[v, u] == k:
+            if k >= 0 and _proposed(labels, proposed, v, u) == k:
                 # Mean deviations: a few wrong pixels hardly count.
                 sums[k] += abs(_off(planes[k], disparity, v, u))
                 pixels[k] += 1
     most = MOST_DEVIATIONS * sums / pixels
     for v in range(height):
         for u in range(width):
-            old, new = labels[v, u], moved[v, u]
+            old, new = labels[v, u], _proposed(labels, proposed, v, u)
             if new == old:
                 continue
             floor = floors[0] * disparity[v, u] ** 2 + floors[1]
@@ -248,8 +237,15 @@ def _undo_contradicted(moved, labels, disparity, planes, reach, is_blurred, floo
                                                               reach, v, u)
                 else:
                     is_possible &= is_off_old or abs(off - off_old) <= floors[2]
-            if not is_possible:
-                moved[v, u] = old
+            if is_possible:
+                moved[v, u] = new
+    return moved
+
+
+@kernel('int32(int32[:, ::1], int32[:, ::1], int64, int64)')
+def _proposed(labels, proposed, v, u):
+    new = proposed[v // SCALE, u // SCALE]
+    return labels[v, u] if new == NOT_MOVED else new
 
 
 @kernel('boolean(int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, float64, int64, int64, '
