@@ -149,8 +149,11 @@ class PlaneDetector:
             # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
             depth_m = scaled_depth(seen, scale, config.depth.max_depth)
             regions = rescaled(regions, scale, seen)
+            # Unscaled depth is valid wherever the disparity was.
+            valid = (regions if depth_m is seen.prediction.values
+                     else regions.restricted_to(np.isfinite(depth_m)))
             planes = measured_planes(
-                regions.restricted_to(np.isfinite(depth_m)), seen.intrinsics, config,
+                valid, seen.intrinsics, config,
                 around.lines if is_turned(seen) and scale.has_true_angles else None)
         with stages('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.

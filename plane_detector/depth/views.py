@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+import cv2
 import numpy as np
 
 from plane_detector.types import Prediction
@@ -40,7 +41,8 @@ class View:
     def of(self, image: np.ndarray) -> np.ndarray:
         """Return this part of an image (H, W, ...), contiguous."""
         part = image[self.slices(image.shape[:2])]
-        return np.ascontiguousarray(part[:, ::-1] if self.is_mirrored else part)
+        # numpy takes 1.3 ms to copy a mirrored colour image, OpenCV 0.03.
+        return cv2.flip(part, 1) if self.is_mirrored else np.ascontiguousarray(part)
 
     def slices(self, shape: tuple[int, int]) -> tuple[slice, slice]:
         """Return the rows and columns in an image of this shape."""
@@ -78,17 +80,25 @@ def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> P
     kind = predictions[0].output
     whole = _inverted(predictions[0].values, kind)
     is_valid = np.isfinite(whole)
-    total, weight = np.where(is_valid, whole, 0), is_valid.astype(np.float32)
+    total, weight = _zero_filled(whole, is_valid), is_valid.astype(np.float32)
     for view, prediction in zip(views[1:], predictions[1:], strict=True):
         part, crop = view.slices(whole.shape), _inverted(prediction.values, kind)
-        crop = crop[:, ::-1] if view.is_mirrored else crop
+        crop = cv2.flip(crop, 1) if view.is_mirrored else crop
         crop = crop * _median_ratio(whole[part], crop)
-        share = np.where(np.isfinite(crop), _feather(crop.shape, view.is_at_end), 0)
-        total[part] += np.where(share > 0, share * crop, 0)
+        is_valid = np.isfinite(crop)
+        share = _zero_filled(_feather(crop.shape, view.is_at_end), is_valid)
+        total[part] += share * _zero_filled(crop, is_valid)
         weight[part] += share
     with np.errstate(invalid='ignore'):  # 0 / 0 is NaN, for invalid
         return Prediction(kind, _inverted(total / weight, kind),
                           is_indoor=predictions[0].is_indoor)
+
+
+def _zero_filled(values: np.ndarray, is_valid: np.ndarray) -> np.ndarray:
+    """Return a copy with 0 where values are not valid; faster than numpy.where."""
+    filled = values.copy()
+    filled[~is_valid] = 0
+    return filled
 
 
 def _inverted(values: np.ndarray, kind: str) -> np.ndarray:

@@ -234,10 +234,9 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
     size = intrinsics.width // step, intrinsics.height // step
     every = 1 if step % 8 else 2  # pixel of a row; half of them are enough in large cells
     thinned = disparity[:size[1] * step:every, :size[0] * step:every]
-    is_valid = thinned > 0
     total, share = (
-        cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        for image in (np.where(is_valid, thinned, 0), is_valid))
+        cv2.resize(image.astype(np.float32, copy=False), size, interpolation=cv2.INTER_AREA)
+        for image in (np.fmax(thinned, 0), thinned > 0))
     inverse = np.where(share > LEAST_VALID, total / np.maximum(share, LEAST_VALID), np.nan)
     middle = (step - every) / 2
     x = (np.arange(1, size[0] - 1) * step + middle - intrinsics.cx) / intrinsics.fx
@@ -458,6 +457,7 @@ def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad
     upright, others = np.zeros((count, azimuths)), np.zeros((count, azimuths))
     product, level = np.empty(azimuths), np.empty(azimuths)
     variance = normal_rad * normal_rad + error_rad * error_rad
+    sharp = 1 / variance  # a division takes as long as all else in the loop over azimuths
     # Densities relative to a uniform one: of six directions and of a circle on the sphere.
     of_axis = (1 - OTHER_WALLS) * 4 * np.pi / (6 * 2 * np.pi * variance)
     of_circle = OTHER_WALLS * 4 * np.pi / (2 * np.pi * np.sqrt(2 * np.pi * variance))
@@ -494,12 +494,12 @@ def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad
                 a[0, k] = n[0] * b[0] + n[1] * b[1] + n[2] * b[2]
             square = a[0, 0] * a[0, 0]
             fixed = STRAY_NORMALS + (1 - STRAY_NORMALS) * (
-                of_axis * _bell((1 - square) / variance) + of_circle * _bell(square / variance))
+                of_axis * _bell((1 - square) * sharp) + of_circle * _bell(square * sharp))
             for z in range(azimuths):
                 x = cosines[v, z] * a[0, 1] + sines[v, z] * a[0, 2]
                 y = 1 - square - x * x
                 product[z] *= fixed + (1 - STRAY_NORMALS) * of_axis * (
-                    _bell((1 - x * x) / variance) + _bell((1 - y) / variance))
+                    _bell((1 - x * x) * sharp) + _bell((1 - y) * sharp))
         for z in range(azimuths):
             others[v, z] += np.log(product[z])
     return upright, others
@@ -508,7 +508,7 @@ def _log_likelihood(bases, cosines, sines, lines, normals, error_rad, normal_rad
 @kernel('float64(float64)')
 def _bell(square):
     """Return nearly exp(-square / 2), 0 beyond three standard deviations, without its cost."""
-    inside = max(1 - square / MOST_VARIANCES, 0.0)
+    inside = max(1 - square * (1 / MOST_VARIANCES), 0.0)
     return inside * inside * inside * inside
 
 

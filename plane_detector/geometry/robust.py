@@ -89,12 +89,12 @@ def quantiles(values: np.ndarray, shares: Sequence[float]) -> list[float]:
     [1.0, 2.5, 5.0]
 
     """
-    ordered, found = np.sort(values), []
+    found, last = [], len(values) - 1
     for share in shares:
-        place = share * (len(ordered) - 1)
+        place = share * last
         low = int(place)
-        first, second = float(ordered[low]), float(ordered[min(low + 1, len(ordered) - 1)])
-        found.append(first + (place - low) * (second - first))
+        first, second = order_statistics(values, min(low + 1, last))
+        found.append(second if low == last else first + (place - low) * (second - first))
     return found
 
 

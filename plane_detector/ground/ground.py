@@ -20,7 +20,6 @@ from plane_detector.ground.columns import (
     rows_of,
 )
 from plane_detector.planes.classification import (
-    TOLERANCE_DEG,
     PlaneClass,
     are_certain,
     classify_planes,
@@ -352,16 +351,15 @@ def _classes(found: PlaneSegmentation, surfaces: Surfaces, above: np.ndarray, jo
              steepest_deg: float) -> tuple[PlaneClass, ...]:
     """Return the class of each plane."""
     classes = np.array([*classify_planes(found.planes, surfaces.down), PlaneClass.FLOOR])
-    is_sure_level, is_sure_slope = (
-        np.array([*are_certain(found.planes, surfaces.down, most_deg), True])
-        for most_deg in (TOLERANCE_DEG, steepest_deg))
+    is_sure_slope = np.array([*are_certain(found.planes, surfaces.down, steepest_deg), True])
     is_level = surfaces.slopes_deg <= LEVEL_DEG
     # Steps are reached from the ground, or from other steps.
     is_step, linked = joined.copy(), risers >= MIN_JOINS
     near = is_level & (abs(above) <= STEP_RANGE_M * unit_m)
     while (more := is_step | (near & linked[is_step].any(axis=0))).sum() > is_step.sum():
         is_step = more
-    classes[is_step & ~joined & is_sure_level] = PlaneClass.STEP
+    # A level plane is OTHER only if that is not certain.
+    classes[is_step & ~joined & (classes != PlaneClass.OTHER)] = PlaneClass.STEP
     classes[joined & ~at_level & ~is_level & is_sure_slope] = PlaneClass.RAMP
     classes[at_level & is_sure_slope] = PlaneClass.FLOOR
     return tuple(PlaneClass(kind) for kind in classes[:-1])

@@ -41,7 +41,7 @@ class Rectangle:
     height_m: float
 
 
-def all_polygons(labels: np.ndarray, intrinsics: CameraIntrinsics,
+def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrinsics,
                  planes: Sequence[Plane]) -> tuple[tuple[Polygon, ...], ...]:
     """
     Return the outlines of each plane: of all its connected parts, and of the holes in them.
@@ -53,6 +53,8 @@ def all_polygons(labels: np.ndarray, intrinsics: CameraIntrinsics,
     ----------
     labels : (H, W) int32
         Index into ``planes``; -1, or another index, for no plane.
+    ends : (K, H, 2) int32
+        Of these labels, by :func:`row_ends`.
     intrinsics : CameraIntrinsics
         Of the image.
     planes : sequence of Plane
@@ -67,20 +69,20 @@ def all_polygons(labels: np.ndarray, intrinsics: CameraIntrinsics,
     --------
     >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
     >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
-    >>> ((polygon,),) = all_polygons(np.zeros((51, 101), np.int32), camera, [wall])
+    >>> labels = np.zeros((51, 101), np.int32)
+    >>> ((polygon,),) = all_polygons(labels, row_ends(labels, 1), camera, [wall])
     >>> polygon.corners_m[2]
     array([2., 1., 2.])
 
     """
-    labels = np.ascontiguousarray(labels, np.int32)
     outlines = []
-    for index, ends in enumerate(_row_ends(labels, len(planes))):
-        rows = np.flatnonzero(ends[:, 1] >= 0)
+    for index, of_plane in enumerate(ends):
+        rows = np.flatnonzero(of_plane[:, 1] >= 0)
         if not len(rows):
             outlines.append([])
             continue
-        top, bottom, left = int(rows[0]), rows[-1] + 1, int(ends[rows, 0].min())
-        mask = labels[top:bottom, left:ends[rows, 1].max() + 1] == index
+        top, bottom, left = int(rows[0]), rows[-1] + 1, int(of_plane[rows, 0].min())
+        mask = labels[top:bottom, left:of_plane[rows, 1].max() + 1] == index
         outlines.append(_simple_outlines(mask, (top, left)))
     flat = [(corners_px, plane) for of_plane, plane in zip(outlines, planes, strict=True)
             for corners_px, _ in of_plane]
@@ -90,19 +92,18 @@ def all_polygons(labels: np.ndarray, intrinsics: CameraIntrinsics,
                  for of_plane in outlines)
 
 
-def hulls(labels: np.ndarray, intrinsics: CameraIntrinsics,
+def hulls(ends: np.ndarray, intrinsics: CameraIntrinsics,
           planes: Sequence[Plane]) -> list[np.ndarray]:
     """
     Return the corners (N, 3) of the convex hull of the pixels of each plane, with their borders.
 
     Parameters
     ----------
-    labels, intrinsics, planes
+    ends, intrinsics, planes
         As for :func:`all_polygons`.
 
     """
-    ends = _row_ends(np.ascontiguousarray(labels, np.int32), len(planes))
-    return _on_planes([_hull_px(ends[index]) for index in range(len(planes))], planes, intrinsics)
+    return _on_planes([_hull_px(of_plane) for of_plane in ends], planes, intrinsics)
 
 
 def _on_planes(pixels: Sequence[np.ndarray], planes: Sequence[Plane],
@@ -149,9 +150,13 @@ def enclosing_rectangle(corners_m: np.ndarray, normal: np.ndarray,
                      max(width_m, height_m), min(width_m, height_m))
 
 
+def row_ends(labels: np.ndarray, count: int) -> np.ndarray:
+    """Return the first and last pixel (K, H, 2) int32 of each label in each row, -1 for none."""
+    return _row_ends(np.ascontiguousarray(labels, np.int32), count)
+
+
 @kernel("int32[:, :, ::1](Array(int32, 2, 'C', readonly=True), int64)")
 def _row_ends(labels, count):
-    """Return the first and the last pixel of each label 0 to count - 1 in each row, -1: none."""
     height, width = labels.shape
     ends = np.full((count, height, 2), np.int32(-1))
     for v in range(height):

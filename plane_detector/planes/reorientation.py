@@ -127,20 +127,18 @@ def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
     planes = np.linalg.solve(ray_plane_jacobian(intrinsics), -(normals / offsets[:, None]).T).T
     planes = np.ascontiguousarray(planes)
     lowest = np.where(changed, MIN_COSINE / offsets, -np.inf)
-    return replace(regions, labels=_seen_from_front(regions.labels, planes, lowest),
-                   coefficients=planes)
+    labels = _seen_from_front(regions.labels, regions.grid.planes_in_pixels(planes), lowest)
+    return replace(regions, labels=labels, coefficients=planes)
 
 
 @kernel('int32[:, ::1](int32[:, ::1], float64[:, ::1], float64[::1])')
 def _seen_from_front(labels, planes, lowest):
     """Return labels without pixels where 1/z on their plane is below the lowest of the plane."""
-    found, (height, width) = labels.copy(), labels.shape
-    for v in range(height):
-        y = (v - (height - 1) / 2) / width
-        for u in range(width):
+    found = labels.copy()
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
             k = labels[v, u]
-            if k >= 0 and (planes[k, 0] * (u - (width - 1) / 2) / width + planes[k, 1] * y
-                           + planes[k, 2] < lowest[k]):
+            if k >= 0 and planes[k, 0] * u + planes[k, 1] * v + planes[k, 2] < lowest[k]:
                 found[v, u] = -1
     return found
 

@@ -23,7 +23,12 @@ from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
-from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
+from plane_detector.segmentation.pixels.edge_snapping import (
+    GuideImage,
+    blurs_steps,
+    patches_of_one_colour,
+    snap_to_image_edges,
+)
 from plane_detector.segmentation.pixels.gaps import close_gaps
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
@@ -122,9 +127,12 @@ def segment(disparity: np.ndarray, noise_floor: Noise, config: Config,
                    if frame.kind is DepthKind.MEASURED else None)
     labels, planes = _label(frame, regions, correlation)
     patches = NO_PATCHES
-    if guide is not None:
-        snapped, patches = snap_to_image_edges(labels, guide, image.values, planes, frame.noise)
-        labels = np.where(image.valid, snapped, -1)
+    if guide is not None and guide.is_usable:
+        seen = guide, image.values, grid.planes_in_pixels(planes), frame.noise
+        is_blurred = blurs_steps(labels, *seen)
+        patches = patches_of_one_colour(guide) if is_blurred else NO_PATCHES
+        labels = snap_to_image_edges(labels, *seen, is_blurred)
+        labels[~image.valid] = -1
     correlated_px = correlation.correlated_cells * grid.size_px**2 if correlation else 0.0
     return PixelRegions(image.values, labels, planes, grid, frame.noise, correlated_px,
                         patches=patches)

@@ -9,7 +9,7 @@ import pytest
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.pipeline import segment_planes
-from plane_detector.planes.outline import all_polygons, enclosing_rectangle, hulls
+from plane_detector.planes.outline import all_polygons, enclosing_rectangle, hulls, row_ends
 from plane_detector.types import CameraIntrinsics, Plane
 
 CAMERA = CameraIntrinsics(100.0, 120.0, 40.0, 50.0, 100, 80)
@@ -23,7 +23,8 @@ def in_pixels(corners_m):
 
 def outlines(mask, plane=WALL):
     """Return the corners in pixels of each outline of a mask, and which are holes."""
-    found, = all_polygons(np.where(mask, 0, -1), CAMERA, [plane])
+    labels = np.where(mask, 0, -1).astype(np.int32)
+    found, = all_polygons(labels, row_ends(labels, 1), CAMERA, [plane])
     for polygon in found:
         assert np.abs(polygon.corners_m @ plane.normal + plane.offset_m).max() < 1e-9
     corners = [{(round(u), round(v)) for u, v in in_pixels(polygon.corners_m)}
@@ -62,14 +63,15 @@ def test_the_hull_is_that_of_the_corners_of_all_pixels():
         v, u = np.nonzero(labels == 0)
         around = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
         corners = (np.stack([u, v], axis=1)[:, None] + around).reshape(-1, 2).astype(np.float32)
-        (hull_m,) = hulls(labels, CAMERA, [WALL])
+        (hull_m,) = hulls(row_ends(labels, 1), CAMERA, [WALL])
         expected = {tuple(corner) for corner in cv2.convexHull(corners)[:, 0].tolist()}
         assert {tuple(corner) for corner in in_pixels(hull_m).round(1).tolist()} == expected
 
 
 def test_a_plane_seen_edge_on_has_finite_corners():
     floor = Plane(np.array([0.0, -1.0, 0.0]), 1.5, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
-    polygon, = all_polygons(np.zeros((80, 100), np.int32), CAMERA, [floor])[0]
+    labels = np.zeros((80, 100), np.int32)
+    polygon, = all_polygons(labels, row_ends(labels, 1), CAMERA, [floor])[0]
     assert np.abs(polygon.corners_m @ floor.normal + floor.offset_m).max() < 1e-9
     assert np.abs(polygon.corners_m).max() < 100 * floor.offset_m
 
@@ -84,7 +86,7 @@ def test_areas_are_those_of_the_pixels_and_within_the_rectangle(sigma, camera):
         rng = np.random.default_rng(seed)
         scene = random_room(rng, camera)
         found = segment_planes(with_disparity_noise(scene.depth_m, sigma, rng), camera)
-        around = hulls(found.labels, camera, found.planes)
+        around = hulls(row_ends(found.labels, len(found.planes)), camera, found.planes)
         assert len(found.planes) >= 3
         for k, (plane, corners_m) in enumerate(zip(found.planes, around, strict=True)):
             v, u = np.nonzero(found.labels == k)
@@ -106,7 +108,8 @@ def test_corners_are_where_the_true_plane_is(sigma):
         rng = np.random.default_rng(seed)
         scene = random_room(rng)
         found = segment_planes(with_disparity_noise(scene.depth_m, sigma, rng), scene.intrinsics)
-        polygons = all_polygons(found.labels, scene.intrinsics, found.planes)
+        ends = row_ends(found.labels, len(found.planes))
+        polygons = all_polygons(found.labels, ends, scene.intrinsics, found.planes)
         for k, of_plane in enumerate(polygons):
             true = np.bincount(scene.labels[found.labels == k] + 1).argmax() - 1
             for polygon in of_plane if true >= 0 else ():

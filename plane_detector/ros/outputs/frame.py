@@ -20,6 +20,7 @@ from plane_detector.planes.outline import (
     all_polygons,
     enclosing_rectangle,
     hulls,
+    row_ends,
 )
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
@@ -62,10 +63,14 @@ class DetectedFrame:
         return replace(found, planes=tuple(map(turn.plane, found.planes)), shapes=shapes)
 
     @cached_property
+    def _row_ends(self) -> np.ndarray:
+        return row_ends(self.detection.labels, len(self.detection.planes))
+
+    @cached_property
     def camera_polygons(self) -> tuple[tuple[Polygon, ...], ...]:
         """Outlines of each plane in the frame of the image."""
         found = self.detection
-        return all_polygons(found.labels, self.intrinsics, found.planes)
+        return all_polygons(found.labels, self._row_ends, self.intrinsics, found.planes)
 
     @cached_property
     def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
@@ -76,7 +81,7 @@ class DetectedFrame:
     @cached_property
     def rectangles(self) -> tuple[Rectangle, ...]:
         """Smallest rectangle around the pixels of each plane in the target frame."""
-        around = hulls(self.detection.labels, self.intrinsics, self.detection.planes)
+        around = hulls(self._row_ends, self.intrinsics, self.detection.planes)
         return tuple(enclosing_rectangle(
             self.in_target(np.vstack([corners_m, plane.centroid_m])),
             turned.normal, turned.centroid_m)

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from plane_detector.compilation import kernel
@@ -34,21 +35,10 @@ def _renamed(labels, names):
     return found
 
 
-@kernel('boolean[:, ::1](int32[:, ::1], int64)', is_short=True)
-def at_borders(labels, reach):
-    """Return which labels (H, W) have another one so near in rows and columns, (H, W) bool."""
-    (height, width), found = labels.shape, np.zeros(labels.shape, np.bool_)
-    for down in range(reach + 1):
-        for right in range(-reach if down else 1, reach + 1):
-            left = max(-right, 0)
-            for v in range(height - down):
-                here, there = labels[v, left:], labels[v + down, left + right:]
-                is_one, is_other = found[v, left:], found[v + down, left + right:]
-                for u in range(width - abs(right)):
-                    is_one[u] |= here[u] != there[u]
-                for u in range(width - abs(right)):
-                    is_other[u] |= here[u] != there[u]
-    return found
+def at_borders(labels: np.ndarray, reach: int) -> np.ndarray:
+    """Return which labels (H, W) int32 have another so near in rows and columns, (H, W) bool."""
+    square, values = np.ones((2 * reach + 1,) * 2, np.uint8), labels.astype(np.float32)
+    return cv2.dilate(values, square) != cv2.erode(values, square)
 
 
 def count_labels(grid: CellGrid, labels: np.ndarray, count: int) -> np.ndarray:

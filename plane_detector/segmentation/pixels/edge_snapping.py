@@ -15,7 +15,7 @@ that are none of the depth, too, so the depth decides first which of these pixel
    old one.
 3. If steps are blurred, the depth near a border is none of the scene's: a pixel is moved unless
    its depth contradicts the new plane, and is not between it and another one.
-4. If steps are blurred, the patches of one colour are returned too: the pixels on no plane take
+4. If steps are blurred, the patches of one colour are found too: the pixels on no plane take
    the plane of most of their patch once the planes are known (``planes/patches.py``).
 
 On measured depth borders got worse, so it is not used there.
@@ -24,6 +24,7 @@ On measured depth borders got worse, so it is not used there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -32,7 +33,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import median
 from plane_detector.segmentation.cells.labels import at_borders
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PATCH_SCALE
+from plane_detector.segmentation.cells.pixel_regions import PATCH_SCALE
 
 # Half the size is accurate enough at a quarter of the work.
 # derived: a quarter of the pixels, borders good to two.
@@ -57,6 +58,7 @@ SAME_SIGMAS = 0.7
 STEP_PIXEL_SIGMAS, STEP_SMOOTH_SIGMAS = 8.0, 2.0
 # Edges are sharp up to this width. derived: a pixel on the edge has a depth between both surfaces.
 SHARP_PX = 1.0
+NOT_MOVED = -2  # among the labels proposed for pixels
 
 
 @dataclass(frozen=True)
@@ -75,9 +77,20 @@ class GuideImage:
     rgb: np.ndarray
     reach_px: float
 
+    @cached_property
+    def small_rgb(self) -> np.ndarray:
+        """The image reduced by SCALE."""
+        size = (-(-side // SCALE) for side in self.rgb.shape[1::-1])
+        return cv2.resize(self.rgb, tuple(size), interpolation=cv2.INTER_AREA)
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether borders may be moved: by a pixel of an image that is not tiny."""
+        return round(self.reach_px / SCALE) >= 1 and min(self.small_rgb.shape[:2]) >= 3
+
 
 def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.ndarray,
-                        planes: np.ndarray, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
+                        planes: np.ndarray, noise: Noise, is_blurred: bool) -> np.ndarray:
     """
     Move the borders of planes to the nearest edges of the image.
 
@@ -86,45 +99,44 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
     labels : (H, W) int32
         -1 for no plane; unlabelled areas have borders too.
     guide : GuideImage
-        Pixels farther than its reach from a border keep their label.
+        Usable. Pixels farther than its reach from a border keep their label.
     disparity : (H, W) float32
     planes : (K, 3) float64
-        a, b, c of each label in the coordinates of the cells.
+        a, b, c of d = a u + b v + c of each label, in columns and rows of the image.
     noise : Noise
         Its floors, and what is stated for the source, bound the misfit of a plane below.
+    is_blurred : bool
+        As by :func:`blurs_steps`.
 
     Returns
     -------
-    labels : (H, W) int32
+    (H, W) int32
         No label is lost: a label that is nowhere wider than the reach stays unchanged.
-    patches : (h, w) int32
-        As in :class:`~plane_detector.segmentation.cells.pixel_regions.PixelRegions`; none if the
-        depth is sharp.
 
     """
-    reach = round(guide.reach_px / SCALE)
     small = np.ascontiguousarray(labels[::SCALE, ::SCALE])
-    if reach < 1 or min(small.shape) < 3:
-        return labels, NO_PATCHES
-    # Watershed markers are 1, 2, ...; 0 is unknown.
-    known = small + 2
-    band = at_borders(known, reach)
-    is_wide = np.zeros(int(known.max()) + 1, bool)
-    is_wide[known[~band]] = True
-    narrow = ~is_wide[known]
-    markers = np.where(band & ~narrow, 0, known).astype(np.int32)
-    small_rgb = cv2.resize(guide.rgb, small.shape[::-1], interpolation=cv2.INTER_AREA)
-    snapped = _watershed(cv2.GaussianBlur(small_rgb, (0, 0), SMOOTHING_PX), markers) - 2
-    snapped[~band | narrow | (snapped < -1)] = -2  # not moved
-    moved = snapped.repeat(SCALE, axis=0).repeat(SCALE, axis=1)
-    moved = moved[:labels.shape[0], :labels.shape[1]]
-    moved = np.where(moved == -2, labels, moved)
-    is_blurred = _blur_px(labels, disparity, planes, noise, round(guide.reach_px)) > SHARP_PX
-    _undo_contradicted(moved, labels, disparity, planes, round(guide.reach_px), is_blurred,
-                       (noise.depth_floor_m,
-                        noise.disparity_floor + MOST_DEVIATIONS * noise.source_sigma,
-                        SAME_SIGMAS * noise.mean_sigma))
-    return moved, _patches_of_one_colour(small_rgb) if is_blurred else NO_PATCHES
+    markers = _markers(small, at_borders(small, round(guide.reach_px / SCALE)))
+    basins = _watershed(cv2.GaussianBlur(guide.small_rgb, (0, 0), SMOOTHING_PX), markers.copy())
+    proposed = np.where((markers == 0) & (basins > 0), basins - 2, NOT_MOVED)
+    return _moved(labels, proposed, disparity, planes, round(guide.reach_px), is_blurred,
+                  (noise.depth_floor_m,
+                   noise.disparity_floor + MOST_DEVIATIONS * noise.source_sigma,
+                   SAME_SIGMAS * noise.mean_sigma))
+
+
+@kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1])')
+def _markers(labels, band):
+    """Return the markers of a watershed: label + 2, but 0 near borders of wide regions."""
+    is_wide, markers = np.zeros(labels.max() + 2, np.bool_), labels + np.int32(2)
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            if not band[v, u]:
+                is_wide[labels[v, u] + 1] = True
+    for v in range(labels.shape[0]):
+        for u in range(labels.shape[1]):
+            if band[v, u] and is_wide[labels[v, u] + 1]:
+                markers[v, u] = 0
+    return markers
 
 
 def _watershed(rgb: np.ndarray, markers: np.ndarray) -> np.ndarray:
@@ -135,8 +147,9 @@ def _watershed(rgb: np.ndarray, markers: np.ndarray) -> np.ndarray:
     return np.where(markers > 0, markers, filled).astype(np.int32)
 
 
-def _patches_of_one_colour(rgb: np.ndarray) -> np.ndarray:
-    """Return the patches, from 1, of an image reduced by SCALE; 0 if there are none."""
+def patches_of_one_colour(guide: GuideImage) -> np.ndarray:
+    """Return the patches of the image, as in PixelRegions."""
+    rgb = guide.small_rgb
     height, width = (-(-side * SCALE // PATCH_SCALE) for side in rgb.shape[:2])
     small = cv2.resize(rgb, (width, height), interpolation=cv2.INTER_AREA)
     small = cv2.GaussianBlur(small, (0, 0), SMOOTHING_PX)
@@ -145,13 +158,13 @@ def _patches_of_one_colour(rgb: np.ndarray) -> np.ndarray:
     return _watershed(small, cv2.connectedComponents(is_flat, connectivity=4)[1])
 
 
-def _blur_px(labels: np.ndarray, disparity: np.ndarray, planes: np.ndarray, noise: Noise,
-             reach: int) -> float:
-    """Return the median width of the steps between planes; 0 if none is large enough."""
+def blurs_steps(labels: np.ndarray, guide: GuideImage, disparity: np.ndarray, planes: np.ndarray,
+                noise: Noise) -> bool:
+    """Return whether most of the large steps from plane to plane are wider than SHARP_PX."""
     least = max(STEP_PIXEL_SIGMAS * noise.pixel_sigma, STEP_SMOOTH_SIGMAS * noise.mean_sigma,
                 noise.disparity_floor)
-    widths = _step_widths(labels, disparity, planes, reach, least)
-    return median(widths) if len(widths) else 0.0
+    widths = _step_widths(labels, disparity, planes, round(guide.reach_px), least)
+    return len(widths) > 0 and median(widths) > SHARP_PX
 
 
 @kernel('int64[::1](int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, float64)')
@@ -172,42 +185,43 @@ def _step_widths(labels, disparity, planes, reach, least):
                     continue
                 before = _off(planes[a], disparity, *first)
                 after = _off(planes[b], disparity, *last)
-                inside, is_step = 0, True
+                inside = 0
                 for k in range(-reach, reach + 2):
                     row, column = v + k * down, u + k * right
                     done = _off(planes[a], disparity, row, column) - before
                     step = done - _off(planes[b], disparity, row, column) + after
-                    is_step = is_step and abs(step) > least and disparity[row, column] > 0
+                    if not (abs(step) > least and disparity[row, column] > 0):
+                        break
                     inside += 0.2 * step * step < done * step < 0.8 * step * step
-                if is_step:
+                else:
                     widths[found] = inside
                     found += 1
     return widths[:found]
 
 
-@kernel('void(int32[:, ::1], int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, boolean, '
-        'UniTuple(float64, 3))')
-def _undo_contradicted(moved, labels, disparity, planes, reach, is_blurred, floors):
+@kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, '
+        'boolean, UniTuple(float64, 3))')
+def _moved(labels, proposed, disparity, planes, reach, is_blurred, floors):
     """
-    Restore the labels of moved pixels whose depth contradicts the new label.
+    Return the labels with those proposed (h, w) where the depth does not contradict them.
 
     A plane is contradicted by depth that is not on it, and no plane by depth that is on the old
     one. Blurred depth between a plane and another one within the reach, and on neither,
     contradicts none; sharp depth on the old plane contradicts all that differ from it there.
     """
-    height, width = labels.shape
+    moved, (height, width) = labels.copy(), labels.shape
     sums, pixels = np.zeros(len(planes)), np.ones(len(planes))
     for v in range(0, height, 2):
         for u in range(0, width, 2):
             k = labels[v, u]
-            if k >= 0 and moved[v, u] == k:
+            if k >= 0 and _proposed(labels, proposed, v, u) == k:
                 # Mean deviations: a few wrong pixels hardly count.
                 sums[k] += abs(_off(planes[k], disparity, v, u))
                 pixels[k] += 1
     most = MOST_DEVIATIONS * sums / pixels
     for v in range(height):
         for u in range(width):
-            old, new = labels[v, u], moved[v, u]
+            old, new = labels[v, u], _proposed(labels, proposed, v, u)
             if new == old:
                 continue
             floor = floors[0] * disparity[v, u] ** 2 + floors[1]
@@ -223,8 +237,15 @@ def _undo_contradicted(moved, labels, disparity, planes, reach, is_blurred, floo
                                                               reach, v, u)
                 else:
                     is_possible &= is_off_old or abs(off - off_old) <= floors[2]
-            if not is_possible:
-                moved[v, u] = old
+            if is_possible:
+                moved[v, u] = new
+    return moved
+
+
+@kernel('int32(int32[:, ::1], int32[:, ::1], int64, int64)')
+def _proposed(labels, proposed, v, u):
+    new = proposed[v // SCALE, u // SCALE]
+    return labels[v, u] if new == NOT_MOVED else new
 
 
 @kernel('boolean(int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, float64, int64, int64, '
@@ -243,6 +264,4 @@ def _is_between(labels, disparity, planes, new, off, reach, v, u):
 @kernel('float64(float64[::1], float32[:, ::1], int64, int64)')
 def _off(plane, disparity, v, u):
     """Return the disparity of a pixel less that of a plane there."""
-    height, width = disparity.shape
-    return disparity[v, u] - (plane[0] * (u - (width - 1) / 2)
-                              + plane[1] * (v - (height - 1) / 2)) / width - plane[2]
+    return disparity[v, u] - (plane[0] * u + plane[1] * v + plane[2])

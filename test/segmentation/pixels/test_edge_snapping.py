@@ -8,9 +8,15 @@ import cv2
 import numpy as np
 import pytest
 
+from plane_detector.config import Config
 from plane_detector.evaluation.metrics import overlap, segmentation_covering
 from plane_detector.segmentation.cells.noise import Noise
-from plane_detector.segmentation.pixels.edge_snapping import GuideImage, snap_to_image_edges
+from plane_detector.segmentation.pixels.edge_snapping import (
+    GuideImage,
+    blurs_steps,
+    snap_to_image_edges,
+)
+from plane_detector.segmentation.segment import segment
 
 COLOURS = np.array([[200, 60, 50], [60, 70, 190], [90, 180, 80], [30, 30, 30]], np.uint8)
 
@@ -28,7 +34,7 @@ def snapped_labels(labels, guide):
     """Snap with a depth that is on all planes, and so contradicts none."""
     planes = np.zeros((labels.max(initial=0) + 1, 3))
     return snap_to_image_edges(labels, guide, np.zeros(labels.shape, np.float32), planes,
-                               Noise(0.001))[0]
+                               Noise(0.001), is_blurred=False)
 
 
 def covering(true, labels):
@@ -77,8 +83,9 @@ def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column,
         disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
     disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
     planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
-    snapped, _ = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes,
-                                     Noise(1e-3, pixel_sigma=sigma, mean_sigma=sigma))
+    seen = (GuideImage(rgb, 10.5), disparity, planes,
+            Noise(1e-3, pixel_sigma=sigma, mean_sigma=sigma))
+    snapped = snap_to_image_edges(labels, *seen, blurs_steps(labels, *seen))
     assert np.median(snapped.argmax(axis=1)) == pytest.approx(column, abs=1)
 
 
@@ -91,25 +98,26 @@ def test_a_crease_moves_only_where_the_noise_hides_it(sigma, column):
     disparity = (0.5 + 0.001 * np.maximum(off_px, 0)).astype(np.float32)
     labels = (off_px >= 0).astype(np.int32)
     disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
-    planes = np.array([[0.0, 0.0, 0.5], [0.161, 0.0, 0.5]])
-    snapped, _ = snap_to_image_edges(labels, GuideImage(rgb, 6.0), disparity, planes,
-                                     Noise(1e-5, pixel_sigma=sigma, mean_sigma=3 * sigma))
+    planes = np.array([[0.0, 0.0, 0.5], [0.001, 0.0, 0.42]])
+    snapped = snap_to_image_edges(labels, GuideImage(rgb, 6.0), disparity, planes,
+                                  Noise(1e-5, pixel_sigma=sigma, mean_sigma=3 * sigma),
+                                  is_blurred=False)
     assert np.median(snapped.argmax(axis=1)) == pytest.approx(column, abs=1)
 
 
 @pytest.mark.parametrize('blur_px', [4.0, 0.0])
-def test_colours_make_patches_only_where_depth_edges_are_blurred(blur_px):
+def test_colours_make_patches_only_where_depth_edges_are_blurred(monkeypatch, blur_px):
     """A dark square on the left half, which the depth does not show, is a patch of its own."""
     rgb = np.full((120, 160, 3), 60, np.uint8)
     rgb[:, 80:], rgb[40:80, 20:60] = 190, 130
     disparity = np.full((120, 160), 0.5, np.float32)
     disparity[:, 80:] = 0.25
     labels = (disparity < 0.4).astype(np.int32)
+    planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
+    monkeypatch.setattr('plane_detector.segmentation.segment._label', lambda *_: (labels, planes))
     if blur_px:
         disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
-    planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
-    _, patches = snap_to_image_edges(labels, GuideImage(rgb, 10.5), disparity, planes,
-                                     Noise(1e-3))
+    patches = segment(disparity, Noise(1e-3), Config(), guide=GuideImage(rgb, 10.5)).patches
     assert patches.shape == ((30, 40) if blur_px else (0, 0))
     if blur_px:
         left, square, right = patches[:8, :18], patches[12:18, 7:13], patches[:, 22:]
