@@ -21,19 +21,10 @@ from plane_detector.types import CameraIntrinsics
 
 @dataclass(frozen=True)
 class ImageDirections:
-    """
-    Lines of an image and the directions estimated from them.
-
-    Attributes
-    ----------
-    segments : LineSegments
-    directions : SceneDirections
-        Of this image and those before it.
-
-    """
+    """Lines of an image and the directions estimated from them."""
 
     segments: LineSegments
-    directions: SceneDirections
+    directions: SceneDirections  # of this image and those before it
 
     @property
     def axes(self) -> np.ndarray:
@@ -51,25 +42,14 @@ class ImageDirections:
 
 @dataclass(frozen=True)
 class CameraImage:
-    """
-    An image and what is known of its pixels.
+    """An image and what is known of its pixels."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-        Rectified.
-    intrinsics : CameraIntrinsics
-        Of that image.
-    covered : (H, W) bool or None
-        Pixels that the image covers after rectification; None: all.
-    disparity : (H, W) float32 or None
-        1/z without a shift; NaN invalid. Its normals are evidence for the vertical.
-
-    """
-
-    rgb: np.ndarray
-    intrinsics: CameraIntrinsics
+    rgb: np.ndarray  # (H, W, 3) uint8: rectified
+    intrinsics: CameraIntrinsics  # of that image
+    # (H, W) bool or None: pixels that the image covers after rectification; None: all
     covered: np.ndarray | None = None
+    # (H, W) float32 or None: 1/z without a shift; NaN invalid. Its normals are evidence for the
+    # vertical
     disparity: np.ndarray | None = None
 
 
@@ -108,23 +88,11 @@ class Need(Enum):
 
 @dataclass(frozen=True)
 class Surroundings:
-    """
-    Known directions in the frame of the camera.
+    """Known directions in the frame of the camera."""
 
-    Attributes
-    ----------
-    gravity : Gravity
-        From a sensor, a parameter or the image.
-    lines : ImageDirections or None
-        Of the image; None if they were not needed.
-    seconds : float
-        Time that finding them took.
-
-    """
-
-    gravity: Gravity
-    lines: ImageDirections | None
-    seconds: float = 0.0
+    gravity: Gravity  # from a sensor, a parameter or the image
+    lines: ImageDirections | None  # of the image; None if they were not needed
+    seconds: float = 0.0  # time that finding them took
 
     @property
     def level_axes(self) -> np.ndarray:

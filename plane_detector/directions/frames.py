@@ -20,19 +20,10 @@ SEARCH_ROUNDS, FIT_ROUNDS = 2, 6
 
 @dataclass(frozen=True)
 class FrameFit:
-    """
-    Directions fitted to their segments.
+    """Directions fitted to their segments."""
 
-    Attributes
-    ----------
-    axes : (3, 3) float64
-        Rows: unit directions in the camera frame.
-    covariance : (3, 3) float64
-        Of a small rotation of all axes, in the camera frame, rad^2.
-
-    """
-
-    axes: np.ndarray
+    axes: np.ndarray  # (3, 3) float64: rows: unit directions in the camera frame
+    # (3, 3) float64: of a small rotation of all axes, in the camera frame, rad^2
     covariance: np.ndarray
 
 

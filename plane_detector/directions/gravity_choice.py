@@ -19,28 +19,14 @@ LIKELY_SIGMAS = 2.0
 
 @dataclass(frozen=True)
 class Gravity:
-    """
-    A direction of gravity and its source.
+    """A direction of gravity and its source."""
 
-    Attributes
-    ----------
-    gravity_camera : (3,) float64 or None
-        Unit direction in the optical frame; None if unknown.
-    tolerance_deg : float
-        Its largest error.
-    source : str
-        ``measured``, ``parameter``, ``image`` or ``none``.
-    note : str
-        Why the image does not give it, if it was tried.
-    probability : float
-        That the one of the image is right within 5 degrees; NaN for other sources.
-
-    """
-
+    # (3,) float64 or None: unit direction in the optical frame; None if unknown
     gravity_camera: np.ndarray | None
-    tolerance_deg: float
-    source: str
-    note: str = ''
+    tolerance_deg: float  # its largest error
+    source: str  # ``measured``, ``parameter``, ``image`` or ``none``
+    note: str = ''  # why the image does not give it, if it was tried
+    # that the one of the image is right within 5 degrees; NaN for other sources
     probability: float = float('nan')
 
     @property

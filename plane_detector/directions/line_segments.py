@@ -25,26 +25,12 @@ BORDER_SHARE = 0.03
 
 @dataclass(frozen=True)
 class LineSegments:
-    """
-    Segments in the image plane at unit focal length.
+    """Segments in the image plane at unit focal length."""
 
-    Attributes
-    ----------
-    midpoints : (N, 3) float64
-        Rays (x, y, 1) of the midpoints.
-    tangents : (N, 2) float64
-        Unit vectors along the segments.
-    lengths : (N,) float64
-        In units of the focal length, in descending order.
-    ends_px : (N, 2, 2) float64
-        Start and end as column and row.
-
-    """
-
-    midpoints: np.ndarray
-    tangents: np.ndarray
-    lengths: np.ndarray
-    ends_px: np.ndarray
+    midpoints: np.ndarray  # (N, 3) float64: rays (x, y, 1) of the midpoints
+    tangents: np.ndarray  # (N, 2) float64: unit vectors along the segments
+    lengths: np.ndarray  # (N,) float64: in units of the focal length, in descending order
+    ends_px: np.ndarray  # (N, 2, 2) float64: start and end as column and row
 
     def __len__(self) -> int:
         return len(self.lengths)

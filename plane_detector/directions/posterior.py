@@ -92,26 +92,13 @@ MOST_MODES, LEAST_MASS = 4, 0.02
 
 @dataclass(frozen=True)
 class Modes:
-    """
-    Verticals with most of the mass of a posterior, the largest first; the rest is anywhere.
+    """Verticals with most of the mass of a posterior, the largest first; the rest is anywhere."""
 
-    Attributes
-    ----------
-    downs : (K, 3) float64
-        Unit vectors.
-    covariances : (K, 3, 3) float64
-        rad^2.
-    masses : (K,) float64
-        Probability that the true vertical is within CLOSE_DEG of each.
-    gain : float
-        Log likelihood of all but the upright lines at the main mode.
-
-    """
-
-    downs: np.ndarray
-    covariances: np.ndarray
+    downs: np.ndarray  # (K, 3) float64: unit vectors
+    covariances: np.ndarray  # (K, 3, 3) float64: rad^2
+    # (K,) float64: probability that the true vertical is within CLOSE_DEG of each
     masses: np.ndarray
-    gain: float = 0.0
+    gain: float = 0.0  # log likelihood of all but the upright lines at the main mode
 
     def density(self, downs: np.ndarray, error_rad: float) -> np.ndarray:
         """Return the density (C,) at verticals (C, 3), 1/sr, blurred by an error."""
@@ -127,59 +114,30 @@ class Modes:
 
 @dataclass(frozen=True)
 class Expected:
-    """
-    What is known of the vertical before an image.
+    """What is known of the vertical before an image."""
 
-    Attributes
-    ----------
-    down : (3,) float64 or None
-        Coarse direction of gravity; None: that of a camera held upright.
-    sigma_deg : float
-        Its error; not used without a direction.
-    before : Modes or None
-        Of the images before, in the frame of this camera.
-    pair : (2, 3) float64 or None
-        Horizontal axes of the image before, in the frame of this camera.
-    pair_rad : float
-        Error of their azimuth.
-    kept : float
-        Weight of these in the log of the prior.
-    new : float
-        Weight of the evidence of this image, which may have been seen in the images before.
-
-    """
-
+    # (3,) float64 or None: coarse direction of gravity; None: that of a camera held upright
     down: np.ndarray | None = None
-    sigma_deg: float = 12.0
-    before: Modes | None = None
+    sigma_deg: float = 12.0  # its error; not used without a direction
+    before: Modes | None = None  # of the images before, in the frame of this camera
+    # (2, 3) float64 or None: horizontal axes of the image before, in the frame of this camera
     pair: np.ndarray | None = None
-    pair_rad: float = 0.0
-    kept: float = 0.0
+    pair_rad: float = 0.0  # error of their azimuth
+    kept: float = 0.0  # weight of these in the log of the prior
+    # weight of the evidence of this image, which may have been seen in the images before
     new: float = 1.0
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """
-    Lines and normals of an image.
+    """Lines and normals of an image."""
 
-    Attributes
-    ----------
-    lines : (N, 8) float64
-        Normals of planes through the camera, midpoints, variances and votes of segments.
-    normals : (M, 3) float64
-        Of the surfaces of the depth.
-    normal_rad : float
-        Their error.
-    stray_share : float
-        Of the lines, along no axis.
-
-    """
-
+    # (N, 8) float64: normals of planes through the camera, midpoints, variances and votes of
+    # segments
     lines: np.ndarray
-    normals: np.ndarray
-    normal_rad: float = np.radians(NORMAL_DEG[-1])
-    stray_share: float = STRAY_LINES
+    normals: np.ndarray  # (M, 3) float64: of the surfaces of the depth
+    normal_rad: float = np.radians(NORMAL_DEG[-1])  # their error
+    stray_share: float = STRAY_LINES  # of the lines, along no axis
 
 
 def collect_evidence(segments: LineSegments, surface: np.ndarray | None = None) -> Evidence:
@@ -251,20 +209,10 @@ def surface_normals(disparity: np.ndarray, intrinsics: CameraIntrinsics) -> np.n
 
 @dataclass(frozen=True)
 class Posterior:
-    """
-    Probability of verticals on a grid.
+    """Probability of verticals on a grid."""
 
-    Attributes
-    ----------
-    downs : (V, 3) float64
-        Unit vectors.
-    masses : (V,) float64
-        Their sum is 1.
-
-    """
-
-    downs: np.ndarray
-    masses: np.ndarray
+    downs: np.ndarray  # (V, 3) float64: unit vectors
+    masses: np.ndarray  # (V,) float64: their sum is 1
 
     def near(self, down: np.ndarray) -> np.ndarray:
         """Return which verticals (V,), bool, are within CLOSE_DEG of one."""

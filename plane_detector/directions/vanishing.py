@@ -67,36 +67,18 @@ NO_PAIRS = np.zeros((0, 2, 3))
 
 @dataclass(frozen=True)
 class SceneDirections:
-    """
-    Directions of an image.
+    """Directions of an image."""
 
-    Attributes
-    ----------
-    gravity_camera : (3,) float64 or None
-        Unit direction of gravity in the optical frame.
-    covariance : (3, 3) float64
-        Of that direction, rad^2; singular along it.
-    pairs : (P, 2, 3) float64
-        Pairs of horizontal unit directions at right angles, the best supported first; their signs
-        have no meaning.
-    refusal : str
-        Why there is no direction of gravity; empty if there is one.
-    pair_refusal : str
-        Why there are no horizontal axes; empty if there are.
-    probability : float
-        That the direction of gravity is right within 5 degrees.
-    modes : Modes or None
-        Of the posterior, for the next image.
-
-    """
-
+    # (3,) float64 or None: unit direction of gravity in the optical frame
     gravity_camera: np.ndarray | None
-    covariance: np.ndarray
+    covariance: np.ndarray  # (3, 3) float64: of that direction, rad^2; singular along it
+    # (P, 2, 3) float64: pairs of horizontal unit directions at right angles, the best supported
+    # first; their signs have no meaning
     pairs: np.ndarray
-    refusal: str = ''
-    pair_refusal: str = ''
-    probability: float = 1.0
-    modes: Modes | None = None
+    refusal: str = ''  # why there is no direction of gravity; empty if there is one
+    pair_refusal: str = ''  # why there are no horizontal axes; empty if there are
+    probability: float = 1.0  # that the direction of gravity is right within 5 degrees
+    modes: Modes | None = None  # of the posterior, for the next image
 
 
 def find_directions(segments: LineSegments, evidence: Evidence | None = None,

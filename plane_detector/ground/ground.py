@@ -60,49 +60,29 @@ MIN_EDGE_M = 0.12
 
 @dataclass(frozen=True)
 class Ground:
-    """
-    The ground of one image.
+    """The ground of one image."""
 
-    Attributes
-    ----------
-    classes : tuple of PlaneClass
-        One per plane.
-    pixels : GroundPixels or SeenGround
-        The ground of the image and the drops, in the optical frame.
-    camera_height_m, tilt_deg : float
-        Height above the own floor, and angle of the optical axis below the horizon; NaN unknown.
-    note : str
-        Why there are no drops; empty if they are searched for.
-
-    """
-
-    classes: tuple[PlaneClass, ...]
+    classes: tuple[PlaneClass, ...]  # one per plane
+    # the ground of the image and the drops, in the optical frame
     pixels: GroundPixels | SeenGround
+    # height above the own floor, and angle of the optical axis below the horizon; NaN unknown
     camera_height_m: float = np.nan
     tilt_deg: float = np.nan
-    note: str = ''
+    note: str = ''  # why there are no drops; empty if they are searched for
 
 
 @dataclass(frozen=True)
 class Surfaces:
-    """
-    Planes as surfaces that one may stand on; the last one is the level at the camera's height.
+    """Planes that one may stand on, as surfaces; the last one is level, at the camera's height."""
 
-    Attributes
-    ----------
-    normals, offsets, covariances, centroids : (K + 1, 3), (K + 1,), (K + 1, 4, 4), (K + 1, 3)
-    slopes_deg : (K + 1,) float64
-        Angle between their upper side and the vertical; above 90 for what faces down.
-    down : (3,) float64
-
-    """
-
-    normals: np.ndarray
-    offsets: np.ndarray
-    covariances: np.ndarray
-    centroids: np.ndarray
+    normals: np.ndarray  # (K + 1, 3)
+    offsets: np.ndarray  # (K + 1,)
+    covariances: np.ndarray  # (K + 1, 4, 4)
+    centroids: np.ndarray  # (K + 1, 3)
+    # (K + 1,) float64: angle between their upper side and the vertical; above 90 for what faces
+    # down
     slopes_deg: np.ndarray
-    down: np.ndarray
+    down: np.ndarray  # (3,) float64
 
     @classmethod
     def of(cls, found: PlaneSegmentation, down: np.ndarray, height_m: float) -> Surfaces:

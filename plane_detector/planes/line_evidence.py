@@ -31,19 +31,11 @@ MAY_LIE, CANNOT_LIE = 0.2, 0.5
 
 @dataclass(frozen=True)
 class LineEvidence:
-    """
-    Lines along known axes in each region.
+    """Lines along known axes in each region."""
 
-    Attributes
-    ----------
-    axes : (A, 3) float64
-        Unit directions: gravity, then pairs of horizontal axes.
-    shares : (K, A) float64
-        Share of the line length in each region along each axis; reduced if the length is small.
-
-    """
-
-    axes: np.ndarray
+    axes: np.ndarray  # (A, 3) float64: unit directions: gravity, then pairs of horizontal axes
+    # (K, A) float64: share of the line length in each region along each axis; reduced if the
+    # length is small
     shares: np.ndarray
 
     def allows(self) -> np.ndarray:
@@ -66,18 +58,11 @@ class LineEvidence:
 
 @dataclass(frozen=True)
 class RegionLines:
-    """
-    Lines of the image and the regions beside them.
-
-    Attributes
-    ----------
-    segments : LineSegments
-    lengths : (K, N) float64
-        Of each segment in each region, half of it for either side, at unit focal length.
-
-    """
+    """Lines of the image and the regions beside them."""
 
     segments: LineSegments
+    # (K, N) float64: of each segment in each region, half of it for either side, at unit focal
+    # length
     lengths: np.ndarray
 
     def along(self, axes: np.ndarray) -> LineEvidence:

@@ -82,28 +82,14 @@ MIN_ACROSS = 0.2
 
 @dataclass(frozen=True)
 class Orientations:
-    """
-    The most likely normals.
+    """The most likely normals."""
 
-    Attributes
-    ----------
-    normals : (K, 3) float64
-        Unit normals, facing the camera.
-    is_changed : (K,) bool
-        False if the normal of the network is kept.
-    sigmas_rad : (K,) float64
-        Error of the network's normals.
-    probability : (K,) float64
-        That the true normal is within CLOSE_RAD of the chosen one.
-    class_probability : (K,) float64
-        That the plane is horizontal, vertical or neither as this normal.
-
-    """
-
-    normals: np.ndarray
-    is_changed: np.ndarray
-    sigmas_rad: np.ndarray
+    normals: np.ndarray  # (K, 3) float64: unit normals, facing the camera
+    is_changed: np.ndarray  # (K,) bool: false if the normal of the network is kept
+    sigmas_rad: np.ndarray  # (K,) float64: error of the network's normals
+    # (K,) float64: that the true normal is within CLOSE_RAD of the chosen one
     probability: np.ndarray
+    # (K,) float64: that the plane is horizontal, vertical or neither as this normal
     class_probability: np.ndarray
 
 
@@ -118,31 +104,15 @@ class _Hypotheses:
 
 @dataclass(frozen=True)
 class ScoredOrientations:
-    """
-    Hypotheses of all planes about the axes of a scene.
+    """Hypotheses of all planes about the axes of a scene."""
 
-    Attributes
-    ----------
-    directions : SceneDirections
-        With the axes.
-    hypotheses : _Hypotheses
-    scores : (K, C) float64
-        Log of prior times likelihood, at the most likely error of the network.
-    sigma_rad : float
-        That error.
-    variances : (K,) float64
-        Of the network's normals for it, rad^2.
-    log_evidence : float
-        Log likelihood of these axes by all normals of the network.
-
-    """
-
-    directions: SceneDirections
+    directions: SceneDirections  # with the axes
     hypotheses: _Hypotheses
+    # (K, C) float64: log of prior times likelihood, at the most likely error of the network
     scores: np.ndarray
-    sigma_rad: float
-    variances: np.ndarray
-    log_evidence: float
+    sigma_rad: float  # that error
+    variances: np.ndarray  # (K,) float64: of the network's normals for it, rad^2
+    log_evidence: float  # log likelihood of these axes by all normals of the network
 
 
 def score_orientations(planes: tuple[Plane, ...], directions: SceneDirections,

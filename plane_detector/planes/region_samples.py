@@ -28,29 +28,15 @@ MIN_POSSIBLE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class RegionSamples:
-    """
-    Pixels of regions, sorted by region.
+    """Pixels of regions, sorted by region."""
 
-    Attributes
-    ----------
-    rays : (N, 3) float64
-        (x, y, 1) in the camera frame.
-    disparity : (N,) float64
-        1/z, above 0.
-    region : (N,) int64
-        Ascending.
-    own_cosine : (N,) float64
-        Cosine between ray and normal of the region's own plane, times the length of the ray.
-    image_shares : (K,) float64
-        Share of the image that each region covers.
-
-    """
-
-    rays: np.ndarray
-    disparity: np.ndarray
-    region: np.ndarray
+    rays: np.ndarray  # (N, 3) float64: (x, y, 1) in the camera frame
+    disparity: np.ndarray  # (N,) float64: 1/z, above 0
+    region: np.ndarray  # (N,) int64: ascending
+    # (N,) float64: cosine between ray and normal of the region's own plane, times the length of
+    # the ray
     own_cosine: np.ndarray
-    image_shares: np.ndarray
+    image_shares: np.ndarray  # (K,) float64: share of the image that each region covers
 
     @property
     def count(self) -> int:

@@ -61,48 +61,27 @@ class CellGrid:
     Moments and the local plane of each cell, row by row.
 
     x and y are pixels from the image centre divided by the image width, d is 1/depth.
-
-    Attributes
-    ----------
-    size_px : int
-        Side of a cell.
-    width_px : int
-        Width of the image, the unit of x and y.
-    origin : (float, float)
-        x and y of the first pixel.
-    shape : (int, int)
-        Rows and columns of cells, R x C.
-    moments : (R * C, 10) float64
-        See :mod:`plane_detector.segmentation.cells.plane_fit`.
-    mean : (R * C, 3) float64
-        Mean x, y and d of the valid pixels.
-    slope : (R * C, 2) float64
-        dd/dx and dd/dy of the cell's own least-squares plane.
-    residual_rms : (R * C,) float64
-        Root mean square of d about that plane.
-    usable : (R * C,) bool
-        The valid pixels are enough, and not on one line, to determine the cell's own plane.
-    sparsity : (R * C, 2) float64
-        Additional variances of the cell's mean and slope due to missing pixels, as multiples of
-        the variance of a pixel; 0 for full cells.
-    normal_slope : (R * C, 2) float64
-        dd/dx and dd/dy by the normals of a network, NaN where it gives none; (0, 2) without it.
-    lens : (4,) float64
-        Focal lengths along x and y, and x and y of the principal point.
-
     """
 
-    size_px: int
-    width_px: int
-    origin: tuple[float, float]
-    shape: tuple[int, int]
+    size_px: int  # side of a cell
+    width_px: int  # width of the image, the unit of x and y
+    origin: tuple[float, float]  # x and y of the first pixel
+    shape: tuple[int, int]  # rows and columns of cells, R x C
+    # (R * C, 10) float64: see :mod:`plane_detector.segmentation.cells.plane_fit`
     moments: np.ndarray
-    mean: np.ndarray
-    slope: np.ndarray
-    residual_rms: np.ndarray
+    mean: np.ndarray  # (R * C, 3) float64: mean x, y and d of the valid pixels
+    slope: np.ndarray  # (R * C, 2) float64: dd/dx and dd/dy of the cell's own least-squares plane
+    residual_rms: np.ndarray  # (R * C,) float64: root mean square of d about that plane
+    # (R * C,) bool: the valid pixels are enough, and not on one line, to determine the cell's own
+    # plane
     usable: np.ndarray
+    # (R * C, 2) float64: additional variances of the cell's mean and slope due to missing pixels,
+    # as multiples of the variance of a pixel; 0 for full cells
     sparsity: np.ndarray
+    # (R * C, 2) float64: dd/dx and dd/dy by the normals of a network, NaN where it gives none; (0,
+    # 2) without it
     normal_slope: np.ndarray
+    # (4,) float64: focal lengths along x and y, and x and y of the principal point
     lens: np.ndarray
 
     @cached_property

@@ -36,41 +36,22 @@ MIN_VARIANCE = 1e-30
 
 @dataclass(frozen=True)
 class WeightedCells:
-    """
-    The cells and their noise.
-
-    Attributes
-    ----------
-    grid : CellGrid
-    is_planar : (R * C,) bool
-        The cell lies on one plane.
-    table : (R * C, 8) float64
-        Mean x, y and d, slope along x and y, the weights of mean and slope, and the expected
-        squared error of the cell's pixels about the plane of a larger region. See MEAN_X.
-
-    """
+    """The cells and their noise."""
 
     grid: CellGrid
-    is_planar: np.ndarray
+    is_planar: np.ndarray  # (R * C,) bool: the cell lies on one plane
+    # (R * C, 8) float64: mean x, y and d, slope along x and y, the weights of mean and slope, and
+    # the expected squared error of the cell's pixels about the plane of a larger region. See
+    # MEAN_X
     table: np.ndarray
 
 
 @dataclass(frozen=True)
 class PlaneRegions:
-    """
-    Planes found on the cells.
+    """Planes found on the cells."""
 
-    Attributes
-    ----------
-    labels : (R, C) int32
-        Index into ``coefficients``, -1 none.
-    coefficients : (K, 3) float64
-        1/z = a x + b y + c.
-
-    """
-
-    labels: np.ndarray
-    coefficients: np.ndarray
+    labels: np.ndarray  # (R, C) int32: index into ``coefficients``, -1 none
+    coefficients: np.ndarray  # (K, 3) float64: 1/z = a x + b y + c
 
 
 def weigh_cells(grid: CellGrid, noise: Noise) -> WeightedCells:
@@ -127,27 +108,12 @@ def _weigh(cells, residual_rms, usable, squares, per_slope):
 
 @dataclass(frozen=True)
 class Frame:
-    """
-    An image, or a part of one, and what is known of it.
-
-    Attributes
-    ----------
-    image : DisparityImage
-    grid : CellGrid
-        Of this image.
-    noise : Noise
-        Of this image; before the search its lower bound.
-    min_pixels : float
-        Smallest plane.
-    config : Config
-    rng : numpy.random.Generator
-
-    """
+    """An image, or a part of one, and what is known of it."""
 
     image: DisparityImage
-    grid: CellGrid
-    noise: Noise
-    min_pixels: float
+    grid: CellGrid  # of this image
+    noise: Noise  # of this image; before the search its lower bound
+    min_pixels: float  # smallest plane
     config: Config
     rng: np.random.Generator
 

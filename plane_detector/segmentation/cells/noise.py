@@ -75,40 +75,22 @@ class DepthKind(Enum):
 
 @dataclass(frozen=True)
 class Noise:
-    """
-    Standard deviations of the disparity.
+    """Standard deviations of the disparity."""
 
-    Attributes
-    ----------
-    depth_floor_m : float
-        Lower bound for the depth of a pixel, metres: the rounding error of 16-bit millimetres.
-    disparity_floor : float
-        Lower bound for the disparity of a pixel, 1/m.
-    source_sigma : float
-        Noise stated for the depth source, 1/m; 0 if none. ``mean_sigma`` is at least this,
-        because the errors of a network are too smooth to be visible in any window.
-    mean_sigma : float
-        Of the mean of a full cell about its plane, 1/m.
-    slope_sigma : float
-        Of each component of a full cell's slope, 1/m per image width.
-    pixel_sigma : float
-        Of a pixel about its cell's own plane, 1/m.
-    bending : float
-        Ratio of the errors of a plane as a whole to those about its least-squares plane. The
-        deviations of means and slopes contain it.
-    lateral_px : float
-        Of the place in the image that a pixel sees. It adds to the error of a pixel as many times
-        the slope of its surface.
-
-    """
-
+    # lower bound for the depth of a pixel: the rounding error of 16-bit millimetres
     depth_floor_m: float
-    disparity_floor: float = 0.0
+    disparity_floor: float = 0.0  # lower bound for the disparity of a pixel, 1/m
+    # noise stated for the depth source, 1/m; 0 if none. ``mean_sigma`` is at least this, because
+    # the errors of a network are too smooth to be visible in any window
     source_sigma: float = 0.0
-    mean_sigma: float = 0.0
-    slope_sigma: float = 0.0
-    pixel_sigma: float = 0.0
+    mean_sigma: float = 0.0  # of the mean of a full cell about its plane, 1/m
+    slope_sigma: float = 0.0  # of each component of a full cell's slope, 1/m per image width
+    pixel_sigma: float = 0.0  # of a pixel about its cell's own plane, 1/m
+    # ratio of the errors of a plane as a whole to those about its least-squares plane. The
+    # deviations of means and slopes contain it
     bending: float = 1.0
+    # of the place in the image that a pixel sees. It adds to the error of a pixel as many times
+    # the slope of its surface
     lateral_px: float = 0.0
 
     @property

@@ -51,26 +51,16 @@ class Correlation:
 
     The errors have a smooth part and a part that is independent from cell to cell. The power is 2
     for blurred noise and about 1 for the rougher noise of real sensors.
-
-    Attributes
-    ----------
-    smooth, own : float
-        Variances of these parts, per square metre.
-    decay, power : float
-        The smooth parts of cells r sides apart correlate by exp(-decay * r**power).
-    shape : (int, int)
-        Rows and columns of cells.
-    bending : float
-        Of the noise; the variances contain it.
-
     """
 
+    # variances of these parts, per square metre
     smooth: float
     own: float
+    # the smooth parts of cells r sides apart correlate by exp(-decay * r**power)
     decay: float
     power: float
-    shape: tuple[int, int]
-    bending: float = 1.0
+    shape: tuple[int, int]  # rows and columns of cells
+    bending: float = 1.0  # of the noise; the variances contain it
 
     @classmethod
     def of(cls, model: WeightedCells, regions: PlaneRegions, noise: Noise) -> Correlation | None:

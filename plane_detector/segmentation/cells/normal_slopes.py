@@ -33,23 +33,13 @@ DEPTH_SLOPE_PER_NOISE = 2.0
 
 @dataclass(frozen=True)
 class NormalMap:
-    """
-    Normals of an image.
+    """Normals of an image."""
 
-    Attributes
-    ----------
-    normals_camera : (H, W, 3) float32
-        Unit normals in the optical frame, pointing to the camera; NaN where invalid.
-    confidence : (H, W) floating or None
-        Weight of each; None: equal weights.
-    intrinsics : CameraIntrinsics
-        Of the image.
-
-    """
-
+    # (H, W, 3) float32: unit normals in the optical frame, pointing to the camera; NaN where
+    # invalid
     normals_camera: np.ndarray
-    confidence: np.ndarray | None
-    intrinsics: CameraIntrinsics
+    confidence: np.ndarray | None  # (H, W) floating or None: weight of each; None: equal weights
+    intrinsics: CameraIntrinsics  # of the image
 
     @classmethod
     def of(cls, prediction: Prediction, intrinsics: CameraIntrinsics) -> NormalMap | None:

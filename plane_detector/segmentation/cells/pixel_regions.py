@@ -19,43 +19,26 @@ NO_PATCHES = np.zeros((0, 0), np.int32)
 
 @dataclass(frozen=True)
 class PixelRegions:
-    """
-    Regions of pixels, each on one plane, in the unit of the disparity.
+    """Regions of pixels, each on one plane, in the unit of the disparity."""
 
-    Attributes
-    ----------
-    disparity : (H, W) float32
-        0 where invalid.
-    labels : (H, W) int32
-        Index into ``coefficients``, -1 for no plane and where disparity is invalid.
-    coefficients : (K, 3) float64
-        a, b, c of d = a x + b y + c in the coordinates of the cells; some may have no pixels.
-    grid : CellGrid
-        Of this disparity.
-    noise : Noise
-        Of this disparity.
-    correlated_px : float
-        Area over which the smooth part of the noise is the same, in pixels; 0: not known.
-    certainty : float or (K,) float64
-        Probability that the regions are oriented as their planes, where not the depth alone
-        decides.
-    class_certainty : float or (K,) float64
-        Probability that they are horizontal, vertical or neither as their planes, where not the
-        depth alone decides; NaN: it does.
-    patches : (h, w) int32
-        For every PATCH_SCALE-th row and column, the patch of one colour of the image, each one
-        surface of the scene; 0 none. Of no size if only the depth decides.
-
-    """
-
-    disparity: np.ndarray
+    disparity: np.ndarray  # (H, W) float32: 0 where invalid
+    # (H, W) int32: index into ``coefficients``, -1 for no plane and where disparity is invalid
     labels: np.ndarray
+    # (K, 3) float64: a, b, c of d = a x + b y + c in the coordinates of the cells; some may have
+    # no pixels
     coefficients: np.ndarray
-    grid: CellGrid
-    noise: Noise
+    grid: CellGrid  # of this disparity
+    noise: Noise  # of this disparity
+    # area over which the smooth part of the noise is the same, in pixels; 0: not known
     correlated_px: float = 0.0
+    # float or (K,) float64: probability that the regions are oriented as their planes, where not
+    # the depth alone decides
     certainty: float | np.ndarray = 1.0
+    # float or (K,) float64: probability that they are horizontal, vertical or neither as their
+    # planes, where not the depth alone decides; NaN: it does
     class_certainty: float | np.ndarray = np.nan
+    # (h, w) int32: for every PATCH_SCALE-th row and column, the patch of one colour of the image,
+    # each one surface of the scene; 0 none. Of no size if only the depth decides
     patches: np.ndarray = field(default_factory=NO_PATCHES.copy)
 
     def rescaled(self, scale: float, shift: float) -> PixelRegions:

@@ -63,19 +63,10 @@ NOT_MOVED = -2  # among the labels proposed for pixels
 
 @dataclass(frozen=True)
 class GuideImage:
-    """
-    A colour image whose edges are sharper than those of the depth.
+    """A colour image whose edges are sharper than those of the depth."""
 
-    Attributes
-    ----------
-    rgb : (H, W, 3) uint8
-    reach_px : float
-        Largest error of the position of the depth's edges, pixels.
-
-    """
-
-    rgb: np.ndarray
-    reach_px: float
+    rgb: np.ndarray  # (H, W, 3) uint8
+    reach_px: float  # largest error of the position of the depth's edges, pixels
 
     @cached_property
     def small_rgb(self) -> np.ndarray:

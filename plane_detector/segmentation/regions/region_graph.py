@@ -47,36 +47,20 @@ FACTORS = np.array([np.argwhere(column == PRODUCTS)[0] for column in range(PRODU
 
 @dataclass(frozen=True)
 class RegionGraph:
-    """
-    Regions, sums over their planar cells and over the pairs of cells along their borders.
+    """Regions, sums over their planar cells and over the pairs of cells along their borders."""
 
-    Attributes
-    ----------
-    labels : (R, C) int32
-        Region of each cell, -1 none.
-    owner : (K,) int64
-        The region that each was merged into, itself if it was not. Only these have cells.
-    planes : (K, 3) float64
-        Fitted to all pixels of the cells.
-    pixels : (K, 10) float64
-        Moments of these pixels.
-    sums : (K, 28) float64
-        Of the means of the cells: 22 products, and the variances; of the cells with
-        normals: their number, two slopes, the squares of these, and disparity.
-    borders : (K, K, 4) float64
-        Entry i, j: pairs of cells along the border of i and j, sums of x, y, d of those in i.
-    lens : (4,) float64
-        As in the grid of the cells.
-
-    """
-
-    labels: np.ndarray
+    labels: np.ndarray  # (R, C) int32: region of each cell, -1 none
+    # (K,) int64: the region that each was merged into, itself if it was not. Only these have cells
     owner: np.ndarray
-    planes: np.ndarray
-    pixels: np.ndarray
+    planes: np.ndarray  # (K, 3) float64: fitted to all pixels of the cells
+    pixels: np.ndarray  # (K, 10) float64: moments of these pixels
+    # (K, 28) float64: of the means of the cells: 22 products, and the variances; of the cells with
+    # normals: their number, two slopes, the squares of these, and disparity
     sums: np.ndarray
+    # (K, K, 4) float64: entry i, j: pairs of cells along the border of i and j, sums of x, y, d of
+    # those in i
     borders: np.ndarray
-    lens: np.ndarray
+    lens: np.ndarray  # (4,) float64: as in the grid of the cells
 
     @classmethod
     def of(cls, cells: WeightedCells, regions: PlaneRegions) -> RegionGraph:
