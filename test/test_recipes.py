@@ -3,10 +3,7 @@
 """The recipes and the messages in the docs agree with the code."""
 
 import re
-import runpy
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import rclpy
@@ -60,24 +57,6 @@ def test_the_costmap_reads_an_output_that_there_is():
     assert drops['topic'].removeprefix('/plane_detector/') in OUTPUTS
     assert drops['marking'] and not drops['clearing'], 'rays pass over the edge'
     assert layers['drop_layer']['min_obstacle_height'] < 0, 'its default of 0 hides lower edges'
-
-
-def test_the_lifecycle_manager_starts_the_node_without_autostart(monkeypatch):
-    modules = {name: ModuleType(name) for name in (
-        'launch', 'launch.actions', 'launch.launch_description_sources', 'launch_ros',
-        'launch_ros.actions', 'ament_index_python.packages')}
-    modules['launch'].LaunchDescription = list
-    modules['launch.actions'].IncludeLaunchDescription = lambda source, **rest: (source, rest)
-    modules['launch.launch_description_sources'].PythonLaunchDescriptionSource = str
-    modules['launch_ros.actions'].Node = lambda **keywords: keywords
-    modules['ament_index_python.packages'].get_package_share_directory = lambda _: str(ROOT)
-    for name, module in modules.items():
-        monkeypatch.setitem(sys.modules, name, module)
-    file = runpy.run_path(str(ROOT / 'launch' / 'with_lifecycle_manager.launch.py'))
-    (included, arguments), manager = file['generate_launch_description']()
-    assert Path(included).is_file()
-    assert dict(arguments['launch_arguments']) == {'autostart': 'false'}
-    assert manager['parameters'][0]['node_names'] == ['plane_detector']
 
 
 def messages():

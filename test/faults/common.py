@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 from node_process import STARTED_S, NodeProcess
-from onnx_models import millimetres_as_rgb, write_depth_network
+from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
 from ros_helpers import Robot, camera_info_msg, image_msg, random_domain
 
 from plane_detector.evaluation.scenes.rooms import random_room
@@ -57,13 +57,6 @@ def usage(pid: int) -> Usage:
     fields = dict(line.split(':', 1) for line in status.splitlines())
     return Usage(int(fields['VmRSS'].split()[0]) / 1024, int(fields['Threads']),
                  len(os.listdir(f'/proc/{pid}/fd')))
-
-
-def network_arguments(path: Path) -> list[str]:
-    """Return the parameters for a network of the tests."""
-    return ['-p', f'depth.model:={path}', '-p', 'depth.output:=metric_depth',
-            '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]',
-            '-p', 'directions.orient_planes:=false']
 
 
 def room_network(folder: Path, camera: CameraIntrinsics = CAMERA) -> list[str]:

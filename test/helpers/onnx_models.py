@@ -22,6 +22,18 @@ PLAIN = {'mean': (0.0, 0.0, 0.0), 'std': (1.0, 1.0, 1.0)}
 METRES_OF_RGB = (65.28, 0.255, 0.0)
 
 
+def network_parameters(path: Path) -> dict[str, object]:
+    """Return the node's parameters for such a network; colours that code depth have no lines."""
+    return {'depth.model': str(path), 'depth.output': 'metric_depth', 'depth.mean': [0.0] * 3,
+            'depth.std': [1.0] * 3, 'directions.orient_planes': False}
+
+
+def network_arguments(path: Path) -> list[str]:
+    """Return the same as arguments of a program."""
+    return [word for name, value in network_parameters(path).items()
+            for word in ('-p', f'{name}:={value}')]
+
+
 def millimetres_as_rgb(depth_m: np.ndarray) -> np.ndarray:
     """Return an image (H, W, 3) uint8 with the depth in whole millimetres; NaN becomes 0."""
     millimetres = np.rint(np.nan_to_num(depth_m) * 1000).astype(np.uint16)

@@ -6,31 +6,26 @@ import weakref
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from lifecycle_msgs.msg import Transition
 from node_helpers import CAMERA, assert_true_to, change_state, send, small_room, start
-from onnx_models import millimetres_as_rgb, write_depth_network
+from onnx_models import millimetres_as_rgb, network_parameters, write_depth_network
 from ros_helpers import (
     FRAME_ID,
     Robot,
-    camera_info_msg,
     cloud_array,
     header,
     image_array,
-    image_msg,
+    transform_msg,
 )
+from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from visualization_msgs.msg import Marker
 
 from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import diagnostics
+from plane_detector.ros.inputs.transforms import FrameTransforms, TransformBuffer
 
 PERIOD_S = diagnostics._PERIOD_S  # before the robot of the tests makes it shorter
-
-
-@pytest.fixture
-def room():
-    return small_room()
 
 
 def test_all_outputs_are_true_to_the_scene(robot, room):
@@ -52,15 +47,9 @@ def test_all_outputs_are_true_to_the_scene(robot, room):
 
 
 def test_from_the_image_through_a_network_to_the_outputs(robot, room, tmp_path):
-    """
-    The image holds the depth, and a small ONNX network reads it; cleanup frees it.
-
-    Lines of such an image are no lines of the scene: planes are not turned by them.
-    """
+    """The image holds the depth, and a small ONNX network reads it; cleanup frees it."""
     model = write_depth_network(tmp_path / 'network.onnx', height=240, width=320)
-    node = start(robot, depth__model=str(model), depth__output='metric_depth',
-                 depth__mean=[0.0, 0.0, 0.0], depth__std=[1.0, 1.0, 1.0],
-                 directions__orient_planes=False)
+    node = start(robot, **network_parameters(model))
     send(robot, replace(room, rgb=millimetres_as_rgb(room.depth_m)))
     (planes,) = robot.wait_for('planes')
     labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
@@ -71,19 +60,6 @@ def test_from_the_image_through_a_network_to_the_outputs(robot, room, tmp_path):
     assert estimator() is not None
     assert change_state(robot, Transition.TRANSITION_CLEANUP)
     assert estimator() is None
-
-
-@pytest.mark.parametrize('encoding, scale', [('32FC1', 1.0), ('16UC1', 1000.0)])
-def test_depth_from_the_topic(robot, room, encoding, scale):
-    start(robot, depth__source='topic')
-    dtype = np.float32 if encoding == '32FC1' else np.uint16
-    depth = np.nan_to_num(room.depth_m * scale).astype(dtype)
-    robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
-    robot.publish('depth', image_msg(depth, encoding, 1.0))
-    robot.publish('image', image_msg(room.rgb, 'rgb8', 1.0))
-    (planes,) = robot.wait_for('planes')
-    labels = image_array(robot.wait_for('labels')[0], '<u2')[..., 0]
-    assert_true_to(room, planes, labels)
 
 
 def test_outputs_without_subscriber_are_not_computed(room, monkeypatch):
@@ -186,3 +162,60 @@ def test_large_images_are_reduced_and_the_camera_info_fits(robot, room):
     assert info.k[2] == info.p[2] == (CAMERA.cx + 0.5) / 2 - 0.5
     for name, dtype in (('depth', '<f4'), ('labels', '<u2'), ('overlay', 'u1')):
         assert image_array(robot.wait_for(name)[0], dtype, -1).shape[:2] == (120, 160)
+
+
+ROOM = small_room()
+
+
+def standing_transforms(frame='base_footprint', stamp_s=0.0, is_static=True):
+    """Return TF of a robot that stands on the floor of the room, with z up."""
+    up = -ROOM.gravity_camera
+    x_axis = np.cross(up, [1.0, 0.0, 0.0])
+    x_axis /= np.linalg.norm(x_axis)
+    to_base = np.stack([x_axis, np.cross(up, x_axis), up])
+    buffer = TransformBuffer()
+    buffer.add(transform_msg(frame, FRAME_ID, (0.4, 0.3, ROOM.height_m),
+                             Rotation.from_matrix(to_base).as_quat(), stamp_s), is_static)
+    return FrameTransforms(buffer)
+
+
+def test_the_height_of_the_camera_from_tf_makes_a_relative_network_metric(robot):
+    def estimate(rgb):
+        return (0.4 / ROOM.depth_m).astype(np.float32)
+
+    start(robot, estimate, transforms=standing_transforms(), base_frame='base_footprint',
+          depth__output='relative_disparity')
+    send(robot, ROOM)
+    table = cloud_array(robot.wait_for('planes')[0])[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    assert abs(floor['d'] - ROOM.height_m) < 0.02
+    assert robot.spin(lambda: robot.diagnosis()[1].get('scale') in (
+        'camera_height', 'manhattan'))
+
+
+def test_outputs_in_the_target_frame(robot):
+    start(robot, lambda rgb: ROOM.depth_m, transforms=standing_transforms(),
+          base_frame='base_footprint', target_frame='base_footprint')
+    send(robot, ROOM, 2.5)
+    for name in ('points', 'planes', 'plane_poses', 'points_without_floor'):
+        received = robot.wait_for(name)[0].header
+        assert (received.frame_id, received.stamp) == ('base_footprint', header(2.5).stamp), name
+    for name in ('depth', 'labels', 'overlay'):
+        assert robot.wait_for(name)[0].header == header(2.5), name
+    table = cloud_array(robot.received['planes'][0])[0]
+    (floor,) = table[table['class'] == PlaneClass.FLOOR]
+    assert floor['normal_z'] > 0.999
+    assert abs(floor['z']) < 0.02
+    assert abs(floor['d']) < 0.02
+    assert {marker.header.frame_id for marker in robot.wait_for('markers')[0].markers} == {
+        'base_footprint'}
+
+
+def test_a_frame_without_transform_is_skipped_and_logged(robot):
+    start(robot, lambda rgb: ROOM.depth_m, transforms=standing_transforms(is_static=False),
+          target_frame='map')
+    send(robot, ROOM)
+    assert robot.is_logged('no transform from camera_optical_frame to map')
+    assert robot.is_logged('the frames are not connected'), 'the reason of TF itself'
+    assert robot.spin(lambda: robot.diagnosis()[1]['frames_skipped'] == '1')
+    assert not robot.received['planes']

@@ -11,28 +11,27 @@ from plane_detector.ros import fault_log, point_query
 from plane_detector.ros.fault_log import FaultLog, plain
 
 
-class Logger:
-    def __init__(self):
-        self.lines = []
+def told(log, kind, text):
+    """Raise an error of a kind, and tell the log of it."""
+    def raise_value_error():
+        raise ValueError(text)
 
-    def warning(self, text):
-        self.lines.append(text)
-
-
-def caught(raising):
+    def raise_type_error():
+        raise TypeError(text)
     try:
-        raising()
-    except Exception as error:
-        return error
-    raise AssertionError('nothing was raised')
+        (raise_value_error if kind is ValueError else raise_type_error)()
+    except kind as error:
+        return log.tell(error)
 
 
-def wrong_text(text):
-    raise ValueError(text)
+@pytest.fixture
+def lines():
+    return []
 
 
-def wrong_type():
-    raise TypeError('5')
+@pytest.fixture
+def log(lines):
+    return FaultLog(SimpleNamespace(warning=lines.append), 'frame skipped')
 
 
 @pytest.mark.parametrize('text', [
@@ -42,28 +41,24 @@ def test_control_characters_are_escaped(text):
     assert plain(plain(text)) == plain(text)
 
 
-def test_the_kind_is_the_line_that_raised_and_not_the_text():
-    logger = Logger()
-    log = FaultLog(logger, 'frame skipped')
+def test_the_kind_is_the_line_that_raised_and_not_the_text(log, lines):
     for k in range(100):
-        assert log.tell(caught(lambda k=k: wrong_text(f'fault {k}'))) == f'fault {k}'
-    assert logger.lines == ['frame skipped: fault 0']
-    log.tell(caught(wrong_type))
-    log.tell(caught(wrong_type))
-    assert logger.lines[1] == 'frame skipped: TypeError: 5'
-    assert 'in wrong_type' in logger.lines[2]
-    assert len(logger.lines) == 3
+        assert told(log, ValueError, f'fault {k}') == f'fault {k}'
+    assert lines == ['frame skipped: fault 0']
+    told(log, TypeError, '5')
+    told(log, TypeError, '5')
+    assert lines[1] == 'frame skipped: TypeError: 5'
+    assert 'in raise_type_error' in lines[2]
+    assert len(lines) == 3
 
 
-def test_a_persistent_fault_is_logged_again(monkeypatch):
+def test_a_persistent_fault_is_logged_again(log, lines, monkeypatch):
     now_s = [100.0]
     monkeypatch.setattr(fault_log.time, 'monotonic', lambda: now_s[0])
-    logger = Logger()
-    log = FaultLog(logger, 'frame skipped')
     for step_s in (0, fault_log.WARN_PERIOD_S - 1, 2):
         now_s[0] += step_s
-        log.tell(caught(lambda: wrong_text('again')))
-    assert len(logger.lines) == 2
+        told(log, ValueError, 'again')
+    assert len(lines) == 2
 
 
 def test_the_number_of_waiting_clicks_is_limited(monkeypatch):
@@ -72,7 +67,7 @@ def test_the_number_of_waiting_clicks_is_limited(monkeypatch):
     subscribed = []
     node = SimpleNamespace(
         create_lifecycle_publisher=lambda *_, **__: SimpleNamespace(is_activated=True),
-        get_logger=Logger,
+        get_logger=lambda: SimpleNamespace(warning=print),
         create_subscription=lambda _type, _topic, callback, *_, **__: subscribed.append(callback))
     query = point_query.PointQuery(node)
     for _ in range(1000):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The launch file with stand-ins for launch and launch_ros, which come with ROS only."""
+"""The launch files with stand-ins for launch and launch_ros, which come with ROS only."""
 
 import runpy
 import sys
@@ -18,21 +18,28 @@ PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 
 @pytest.fixture
-def file(monkeypatch):
-    """Return the global names of the launch file."""
-    modules = {name: ModuleType(name) for name in (
-        'launch', 'launch.actions', 'launch_ros', 'launch_ros.actions',
-        'ament_index_python.packages')}
-    modules['launch'].LaunchContext = object
-    modules['launch'].LaunchDescription = list
-    modules['launch.actions'].DeclareLaunchArgument = lambda name, **rest: (name, rest)
-    modules['launch.actions'].OpaqueFunction = lambda function: function
-    modules['launch_ros.actions'].Node = lambda **keywords: keywords
-    modules['ament_index_python.packages'].get_package_share_directory = lambda _: str(ROOT)
-    for name, module in modules.items():
+def read(monkeypatch):
+    """Return a function: launch file -> its global names."""
+    contents = {
+        'launch': {'LaunchContext': object, 'LaunchDescription': list},
+        'launch.actions': {
+            'DeclareLaunchArgument': lambda name, **rest: (name, rest),
+            'OpaqueFunction': lambda function: function,
+            'IncludeLaunchDescription': lambda source, **rest: (source, rest)},
+        'launch.launch_description_sources': {'PythonLaunchDescriptionSource': str},
+        'launch_ros': {}, 'launch_ros.actions': {'Node': lambda **keywords: keywords},
+        'ament_index_python.packages': {'get_package_share_directory': lambda _: str(ROOT)}}
+    for name, members in contents.items():
+        module = ModuleType(name)
+        vars(module).update(members)
         monkeypatch.setitem(sys.modules, name, module)
     monkeypatch.delenv(PROFILE, raising=False)
-    return runpy.run_path(str(ROOT / 'launch' / 'plane_detector.launch.py'))
+    return lambda name: runpy.run_path(str(ROOT / 'launch' / name))
+
+
+@pytest.fixture
+def file(read):
+    return read('plane_detector.launch.py')
 
 
 @pytest.fixture
@@ -78,3 +85,11 @@ def test_every_parameter_of_an_argument_exists(launched, file):
 def test_a_profile_of_the_user_is_kept(launched, monkeypatch):
     monkeypatch.setenv(PROFILE, '/own.xml')
     assert launched()[0]['additional_env'] == {}
+
+
+def test_the_lifecycle_manager_starts_the_node_without_autostart(read):
+    file = read('with_lifecycle_manager.launch.py')
+    (included, arguments), manager = file['generate_launch_description']()
+    assert Path(included).is_file()
+    assert dict(arguments['launch_arguments']) == {'autostart': 'false'}
+    assert manager['parameters'][0]['node_names'] == ['plane_detector']

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
-from node_helpers import change_state, send, small_room, start
+from node_helpers import change_state, send, start
 from node_process import STARTED_S, NodeProcess
+from onnx_models import network_arguments, network_parameters
 from ros_helpers import Robot, camera_info_msg, header, image_msg, random_domain
 from slow_networks import HEIGHT, WIDTH, write_slow_network
 
@@ -19,16 +20,6 @@ from plane_detector.types import CameraIntrinsics
 CAMERA = CameraIntrinsics(60.0, 60.0, 31.5, 23.5, WIDTH, HEIGHT)
 BRIGHT = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
 STUCK_S = 20.0
-
-
-def parameters(model):
-    return {'depth.model': str(model), 'depth.output': 'metric_depth',
-            'depth.mean': [0.0, 0.0, 0.0], 'depth.std': [1.0, 1.0, 1.0]}
-
-
-@pytest.fixture
-def room():
-    return small_room()
 
 
 class Estimator:
@@ -51,7 +42,7 @@ class Estimator:
 
 def test_the_node_answers_while_it_is_configured(robot, tmp_path):
     model = write_slow_network(tmp_path / 'slow.onnx', always=True)
-    node = start(robot, wait=False, **parameters(model))
+    node = start(robot, wait=False, **network_parameters(model))
     assert robot.spin(lambda: node.state == 'configuring')
     state = robot.call(GetState, 'plane_detector/get_state').current_state
     assert state.label == 'configuring'
@@ -106,10 +97,8 @@ def started(tmp_path):
     def begin(**kind):
         for deaf in (False, True):
             domain, name = random_domain(), f'deaf_{deaf}'
-            values = parameters(write_slow_network(tmp_path / f'{name}.onnx', deaf=deaf, **kind))
-            arguments = [part for parameter, value in values.items()
-                         for part in ('-p', f'{parameter}:={value}')]
-            begun.append(NodeProcess(arguments, domain, tmp_path / f'{name}.log'))
+            path = write_slow_network(tmp_path / f'{name}.onnx', deaf=deaf, **kind)
+            begun.append(NodeProcess(network_arguments(path), domain, tmp_path / f'{name}.log'))
             robots.append(Robot(outputs=('planes',), domain=domain))
         return zip(begun, robots, strict=True)
 

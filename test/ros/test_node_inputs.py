@@ -8,15 +8,10 @@ import cv2
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from node_helpers import CAMERA, send, small_room, start
-from onnx_models import write_depth_network
+from node_helpers import CAMERA, send, start
+from onnx_models import network_parameters, write_depth_network
 from ros_helpers import camera_info_msg, header, image_msg
 from sensor_msgs.msg import CompressedImage
-
-
-@pytest.fixture
-def room():
-    return small_room()
 
 
 @pytest.fixture
@@ -53,8 +48,7 @@ def test_bad_frames_are_logged_and_skipped(robot, room):
 
 def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_path):
     path = write_depth_network(tmp_path / 'n.onnx', height=48, width=64, weights=(1, 0, 0))
-    start(robot, depth__model=str(path), depth__output='metric_depth', depth__mean=[0.0] * 3,
-          depth__std=[1.0] * 3)
+    start(robot, **network_parameters(path))
     robot.publish('camera_info', camera_info_msg(CAMERA, 1.0))
     without_red = room.rgb * np.array([0, 1, 1], np.uint8)
     without_red[::2] //= 2

@@ -3,15 +3,15 @@
 """The node as a separate process over DDS: started, fed, ended by signals."""
 
 import os
-import re
 import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from node_helpers import assert_true_to
 from node_process import STARTED_S, NodeProcess
-from onnx_models import millimetres_as_rgb, write_depth_network
+from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
 from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg, random_domain
@@ -61,9 +61,7 @@ def diagnosis(robot, node):
 def test_planes_through_a_network_over_dds(start, robot, tmp_path):
     room = random_room(np.random.default_rng(3))
     model = write_depth_network(tmp_path / 'network.onnx', height=480, width=640)
-    node = start('-p', f'depth.model:={model}', '-p', 'depth.output:=metric_depth',
-                 '-p', 'depth.mean:=[0.0, 0.0, 0.0]', '-p', 'depth.std:=[1.0, 1.0, 1.0]',
-                 '-p', 'directions.orient_planes:=false')  # colours that code depth have no lines
+    node = start(*network_arguments(model))
     assert robot.spin(lambda: diagnosis(robot, node)[1]['state'] == 'active', STARTED_S)
     image = millimetres_as_rgb(room.depth_m)
     for stamp_s in range(20):  # until both ends of every topic have found each other
@@ -74,48 +72,15 @@ def test_planes_through_a_network_over_dds(start, robot, tmp_path):
     points = robot.wait_for('points')[-1]
     assert robot.spin(lambda: robot.wait_for('planes')[-1].header == points.header)
     assert points.header in [header(stamp_s) for stamp_s in range(20)]
-    cloud, (table,) = cloud_array(points), cloud_array(robot.received['planes'][-1])
+    cloud = cloud_array(points)
     assert cloud.shape == (480, 640)
     np.testing.assert_allclose(cloud['z'], room.depth_m, atol=0.001)
-    for truth, plane in enumerate(room.planes):
-        mask = room.labels == truth
-        if mask.mean() > 0.03:
-            label = np.bincount(cloud['label'][mask]).argmax()
-            (row,) = table[table['label'] == label]
-            assert row['normal_x'] * plane[0] + row['normal_y'] * plane[1] \
-                + row['normal_z'] * plane[2] > np.cos(np.radians(1.0))
-            assert abs(row['d'] - plane[3]) < 0.01
+    assert_true_to(room, robot.received['planes'][-1], cloud['label'])
     assert diagnosis(robot, node)[1]['depth_model'] == str(model)
     for stamp_s in range(20, 25):
         robot.publish('image', image_msg(image, 'rgb8', stamp_s))
     assert node.end(signal.SIGTERM) == 0, 'also in the middle of its work'
     assert 'Traceback' not in node.log()
-
-
-def test_a_signal_ends_a_waiting_node_with_exit_code_0(start, robot):
-    names = {signal.SIGINT: 'one', signal.SIGTERM: 'other'}
-    nodes = {number: start('-p', 'depth.source:=topic', '-r', f'__node:={name}')
-             for number, name in names.items()}
-
-    def states():
-        return {status.name: value.value for message in robot.received['diagnostics']
-                for status in message.status for value in status.values if value.key == 'state'}
-
-    assert robot.spin(lambda: set(states()) == set(names.values()), STARTED_S), states()
-    assert set(states().values()) <= {'unconfigured', 'configuring', 'active'}
-    for number, node in nodes.items():
-        assert node.end(number) == 0
-        assert 'Traceback' not in node.log()
-
-
-def test_a_signal_ends_a_node_that_is_still_importing(start, monkeypatch):
-    monkeypatch.setenv('PYTHONPROFILEIMPORTTIME', '1')  # the log tells each import that is done
-    for number in (signal.SIGINT, signal.SIGTERM):
-        node = start('-p', 'depth.source:=topic')
-        node.wait_until(lambda node=node: re.search(r'\| +numpy$', node.log(), re.MULTILINE))
-        assert node.end(number) == -number
-        assert 'plane_detector.ros.detector_node' not in node.log(), 'it was still importing'
-        assert 'Traceback' not in node.log()
 
 
 def test_a_signal_ends_a_download(start, monkeypatch, tmp_path):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the node knows about missing results stands in its log, once, with the remedy."""
+"""What the node knows about missing inputs and results, in its log, once, and its diagnostics."""
 
 import sys
 import time
@@ -8,20 +8,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from lifecycle_msgs.msg import Transition
-from node_helpers import change_state, send, small_room, start
+from node_helpers import change_state, send, start
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from ros_helpers import camera_info_msg, image_msg
 from std_srvs.srv import Trigger
 
+from plane_detector.depth.observation import DepthFunction
+from plane_detector.evaluation.scenes.rooms import random_room
+from plane_detector.evaluation.scenes.textures import textured
+from plane_detector.ros.diagnostics import FLOORLESS, Health, Report, gap_of
 from plane_detector.ros.frame_worker import ANSWERED_WITHIN_S
 from plane_detector.ros.inputs.topic_watch import ImageLoss
-
-
-@pytest.fixture
-def room():
-    return small_room()
 
 
 def test_depth_with_other_stamps_is_told_with_the_difference_and_mended_live(robot, room):
@@ -78,40 +78,22 @@ def test_stamps_tell_how_many_images_were_sent(lost_share, jitter):
     assert found.are_few == (lost_share >= 0.3)
 
 
-def triggered(rng):
-    return np.cumsum(rng.exponential(1 / 15, 150))
-
-
-def unsteady(rng):
-    return np.sort(np.arange(150) + rng.uniform(-0.6, 0.6, 150)) / 30
-
-
-def throttled(rng):
-    return np.flatnonzero(np.arange(300) % 3) / 30
-
-
-def slower_since_it_is_dark(rng):
-    return np.concatenate([np.arange(90), 90 + 2 * np.arange(40)]) / 30
-
-
-def pausing(rng):
-    return np.flatnonzero(np.arange(600) % 100 < 70) / 30
-
-
-def looping_bag(rng):
-    return np.tile(np.arange(100) / 30, 3)
-
-
-def swapped(rng):
-    return np.arange(150).reshape(-1, 2)[:, ::-1].ravel() / 30
+RNG = np.random.default_rng(1)
+STAMPS = {
+    'triggered': np.cumsum(RNG.exponential(2, 150)),
+    'unsteady': np.sort(np.arange(150) + RNG.uniform(-0.6, 0.6, 150)),
+    'throttled': np.flatnonzero(np.arange(300) % 3),
+    'slower since it is dark': np.concatenate([np.arange(90), 90 + 2 * np.arange(40)]),
+    'pausing': np.flatnonzero(np.arange(600) % 100 < 70),
+    'looping bag': np.tile(np.arange(100), 3),
+    'swapped': np.arange(150).reshape(-1, 2)[:, ::-1].ravel()}
 
 
 @pytest.mark.parametrize('infos', ['with_each', 'none', 'with_other_stamps'])
-@pytest.mark.parametrize('stamps', [triggered, unsteady, throttled, slower_since_it_is_dark,
-                                    pausing, looping_bag, swapped])
-def test_a_camera_that_does_not_send_at_a_constant_rate_loses_no_images(stamps, infos):
+@pytest.mark.parametrize('camera', STAMPS)
+def test_a_camera_that_does_not_send_at_a_constant_rate_loses_no_images(camera, infos):
     loss = ImageLoss()
-    for stamp_s in stamps(np.random.default_rng(1)):
+    for stamp_s in STAMPS[camera] / 30:
         if infos != 'none':
             loss.add_camera_info(round(1e9 * (stamp_s + 0.004 * (infos != 'with_each'))))
         loss.add_image(round(1e9 * stamp_s))
@@ -193,3 +175,75 @@ def test_tf_is_listened_to_only_while_the_settings_need_it(robot, monkeypatch):
     assert node.set_parameters([Parameter('base_frame', value='')])[0].successful
     assert change_state(robot, Transition.TRANSITION_CONFIGURE)
     assert not listening
+
+
+def detection(classes, scale='metric', planes=2, gravity_note='', shape=(480, 640)):
+    return SimpleNamespace(labels=np.zeros(shape), planes=(None,) * planes, classes=classes,
+                           scale_method=scale, scale_note='why', scale_event='',
+                           gravity_source='none', gravity_note=gravity_note,
+                           gravity_probability=float('nan'),
+                           camera_height_m=1.25, tilt_deg=float('nan'), drops_m=(),
+                           drop_note='', disparity_noise=0.002, systematic_noise=0.001)
+
+
+@pytest.mark.parametrize('found, wanted, told', [
+    (detection((1, 3)), (FLOORLESS,), ''),
+    (detection((), planes=0), (FLOORLESS,), ''),
+    (detection((0, 0)), ('planes',), 'the direction of gravity is not known'),
+    (detection((0, 0)), (FLOORLESS,), 'points_without_floor is silent'),
+    (detection((0, 0), gravity_note='only 3 straight lines'), (), 'not known (only 3 straight'),
+    (detection((0, 0), 'relative'), ('planes',), 'neither metres nor gravity'),
+    (detection((1, 0), 'relative'), ('planes',), ''),
+    (detection((1, 0), 'relative'), (FLOORLESS,), 'the unit of depth is not known (why)')])
+def test_gaps(found, wanted, told):
+    gap = gap_of(found, wanted)
+    assert told in gap
+    assert bool(told) == bool(gap)
+
+
+def test_each_gap_is_logged_once_and_cleared_when_it_ends():
+    lines = []
+    health = Health(SimpleNamespace(warning=lines.append, info=lines.append))
+    for _ in range(3):
+        health.note(detection((0, 0)), ())
+        level, message = health.status(Report(3, 0, 0, 1.0), '')
+        assert level == DiagnosticStatus.WARN
+        assert 'gravity' in message
+    assert len(lines) == 1
+    health.note(detection((1, 3)), ())
+    assert health.status(Report(4, 0, 0, 1.0), '') == (DiagnosticStatus.OK, 'active')
+
+
+def test_a_silent_imu_is_reported(robot, room):
+    start(robot, lambda rgb: room.depth_m, use_imu=True)
+    for stamp_s in np.arange(1.0, 6.0, 0.25):
+        send(robot, room, stamp_s)
+        robot.spin(timeout_s=0.1)
+    assert robot.is_logged('nobody publishes /imu')
+    status, _ = robot.diagnosis()
+    assert status.level == DiagnosticStatus.WARN
+    assert '/imu' in status.message
+
+
+def test_the_probability_of_the_vertical_of_the_image_is_told(robot):
+    room = textured(random_room, 300)
+    start(robot, lambda rgb: room.depth_m)
+    send(robot, room)
+    assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'image')
+    assert 0.9 <= float(robot.diagnosis()[1]['gravity_probability']) <= 1
+
+
+def test_the_probability_of_other_sources_is_not_told(robot, room):
+    start(robot, lambda rgb: room.depth_m, scale__gravity=room.gravity_camera.tolist())
+    send(robot, room)
+    assert robot.spin(lambda: robot.diagnosis()[1].get('gravity') == 'parameter')
+    assert 'gravity_probability' not in robot.diagnosis()[1]
+
+
+def test_without_a_unit_no_drops_are_told_and_why(robot, room):
+    start(robot, DepthFunction(lambda rgb: 1 / room.depth_m, 'relative_disparity'),
+          scale__gravity=room.gravity_camera.tolist())
+    send(robot, room)
+    assert robot.wait_for('planes')
+    assert robot.spin(lambda: robot.diagnosis()[1].get('drops', '').startswith('none told: '))
+    assert not robot.received['drops'] and not robot.received['ground']

@@ -30,18 +30,12 @@ class Dying:
     def __del__(self, end=signal.raise_signal, number=signal.{name}):
         end(number)  # both kept here: the end of the interpreter clears the globals
 
-class Told(ValueError):
-    def __str__(self):
-        end()
-        return 'too large'
-
 calls = []
 
 def work():
 {work}
 
 def make_node():
-{making}
     node = Node('node')
     node.create_timer(0.0, work)
     return node
@@ -58,14 +52,21 @@ end()
 STUCK = 'end(); time.sleep(1000)'
 
 
-def ended(work='pass', making='pass', name='SIGTERM', with_output=False):
-    """Return exit code and output of a program that does this in a callback and at its start."""
+def run_program(program, **variables):
     from ros_helpers import random_domain
-    program = PROGRAM.format(name=name, work=textwrap.indent(work, '    '),
-                             making=textwrap.indent(making, '    '))
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain())}
-    done = subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
+    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain()), **variables}
+    return subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
                           text=True, timeout=STUCK_S, check=False)
+
+
+def program_of(work, name='SIGTERM'):
+    """Return a program with a node that does this in a callback."""
+    return PROGRAM.format(name=name, work=textwrap.indent(work, '    '))
+
+
+def ended(work, name='SIGTERM', with_output=False):
+    """Return exit code and output of such a program."""
+    done = run_program(program_of(work, name))
     return done.returncode, done.stdout + done.stderr if with_output else done.stderr
 
 
@@ -126,15 +127,10 @@ end()
 
 def test_the_shared_memory_of_the_middleware_is_released():
     """A segment may be 32 MB, and stays until the machine is started again."""
-    from ros_helpers import random_domain
-    program = PROGRAM.format(name='SIGTERM', making='    pass',
-                             work=textwrap.indent(SHARED_MEMORY, '    '))
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain()),
-                   'RMW_IMPLEMENTATION': 'rmw_fastrtps_cpp'}
     # A participant of another program in the same domain has segments mapped here too.
     others = {str(path) for path in Path('/dev/shm').glob('fastrtps_*')}
-    done = subprocess.run([sys.executable, '-c', program], env=environment, capture_output=True,
-                          text=True, timeout=STUCK_S, check=True)
+    done = run_program(program_of(SHARED_MEMORY), RMW_IMPLEMENTATION='rmw_fastrtps_cpp')
+    assert done.returncode == 0
     segments = set(done.stdout.split()) - others
     assert segments
     assert not [name for name in segments if os.path.exists(name)]
@@ -182,9 +178,6 @@ run(make_node, [])
 
 
 def test_messages_of_inputs_are_taken_beside_all_that_the_executor_does():
-    from ros_helpers import random_domain
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(random_domain())}
-    done = subprocess.run([sys.executable, '-c', INPUTS], env=environment, capture_output=True,
-                          text=True, timeout=STUCK_S, check=False)
+    done = run_program(INPUTS)
     assert (done.returncode, done.stdout) == (0, 'answer, awake, message by run, timer\n'), (
         done.stderr)

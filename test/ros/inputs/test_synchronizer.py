@@ -27,6 +27,13 @@ def info(stamp_s):
     return camera_info_msg(CAMERA, stamp_s)
 
 
+def calibrated(**options):
+    """Return a synchronizer that has a calibration."""
+    synchronizer = FrameSynchronizer(**options)
+    synchronizer.add_camera_info(info(0.0))
+    return synchronizer
+
+
 def test_the_first_image_waits_for_its_own_calibration():
     synchronizer = FrameSynchronizer()
     first = image(1.0)
@@ -68,8 +75,7 @@ def test_an_image_of_another_size_waits_for_its_calibration(depth_use, stamp_s):
 
 def test_depth_images_of_earlier_frames_are_not_kept():
     """At most those of the last frame and of the one before, whose image may come again later."""
-    synchronizer = FrameSynchronizer(depth='required')
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='required')
     first = depth(1.0)
     references = sys.getrefcount(first)
     synchronizer.add_depth(first)
@@ -80,8 +86,7 @@ def test_depth_images_of_earlier_frames_are_not_kept():
 
 
 def test_images_that_change_places_have_their_depth():
-    synchronizer = FrameSynchronizer(depth='required')
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='required')
     depths = {stamp_s: depth(stamp_s) for stamp_s in (1.0, 1.1, 1.2, 1.3)}
     for message in depths.values():
         synchronizer.add_depth(message)
@@ -91,8 +96,7 @@ def test_images_that_change_places_have_their_depth():
 
 
 def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
-    synchronizer = FrameSynchronizer(depth='required')
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='required')
     first, second = depth(1.0), depth(2.0)
     assert synchronizer.add_image(image(1.0)) == []
     assert synchronizer.add_depth(first)[0].depth is first
@@ -101,8 +105,7 @@ def test_depth_of_the_same_stamp_is_taken_whichever_comes_first():
 
 
 def test_an_exact_match_comes_before_a_near_one():
-    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='required', stamp_slop_s=0.05)
     synchronizer.add_depth(depth(0.98))
     assert synchronizer.add_image(image(1.0)) == []
     own = depth(1.0)
@@ -110,8 +113,7 @@ def test_an_exact_match_comes_before_a_near_one():
 
 
 def test_the_nearest_depth_within_the_slop_is_used_if_none_matches():
-    synchronizer = FrameSynchronizer(depth='required', stamp_slop_s=0.05)
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='required', stamp_slop_s=0.05)
     near = depth(0.98)
     synchronizer.add_depth(near)
     synchronizer.add_image(image(1.0))
@@ -120,8 +122,7 @@ def test_the_nearest_depth_within_the_slop_is_used_if_none_matches():
 
 
 def test_the_number_of_images_waiting_for_depth_is_limited():
-    synchronizer = FrameSynchronizer(depth='required')
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='required')
     for index in range(100):
         synchronizer.add_image(image(1 + index / 30))
     assert 80 <= synchronizer.take_dropped() < 100
@@ -140,8 +141,7 @@ def test_a_jump_back_in_time_starts_an_epoch_and_clears_the_buffers():
 
 
 def test_optional_depth_is_taken_where_there_is_some():
-    synchronizer = FrameSynchronizer(depth='optional')
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(depth='optional')
     assert synchronizer.add_image(image(1.0))[0].depth is None, 'no depth at all: no waiting'
     own = depth(2.0)
     synchronizer.add_depth(own)
@@ -163,8 +163,7 @@ def imu(stamp_s, force):
 
 def test_gravity_of_the_imu_goes_with_the_frames():
     turned = (0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5))  # x of the IMU is y of the camera
-    synchronizer = FrameSynchronizer(imu_to_camera=turned)
-    synchronizer.add_camera_info(info(0.0))
+    synchronizer = calibrated(imu_to_camera=turned)
     assert synchronizer.add_image(image(1.0))[0].gravity_camera is None
     synchronizer.add_imu(imu(1.0, (-9.81, 0.0, 0.0)))
     np.testing.assert_allclose(synchronizer.add_image(image(1.01))[0].gravity_camera, [0, 1, 0],

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from bags import messages_of, write_bag
 from diagnostic_msgs.msg import DiagnosticArray
-from onnx_models import millimetres_as_rgb, write_depth_network
+from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
 from replay_helpers import DEPTH, IMAGE, assert_true, camera_messages
 from ros_helpers import image_msg
 from sensor_msgs.msg import CompressedImage
@@ -19,9 +19,8 @@ from sensor_msgs.msg import CompressedImage
 def network(tmp_path):
     """Return options for a network that reads millimetres out of the colours."""
     path = write_depth_network(tmp_path / 'depth.onnx', height=120, width=160)
-    return ('-p', 'depth.output:=metric_depth', '-p', 'depth.mean:=[0.0, 0.0, 0.0]',
-            '-p', 'depth.std:=[1.0, 1.0, 1.0]',
-            '-p', 'directions.orient_planes:=false'), path  # colours that code depth show no lines
+    _, _, *options = network_arguments(path)  # without the network itself
+    return options, path
 
 
 def coded(scenes, **options):
