@@ -7,20 +7,17 @@ import re
 import cv2
 import numpy as np
 import pytest
+from node_helpers import CAMERA, send, small_room, start
 from rclpy.parameter import Parameter
-from ros_helpers import camera_info_msg, image_msg
 
 from plane_detector.depth.observation import DepthFunction
-from plane_detector.evaluation.scenes.rooms import attic, random_room
-from plane_detector.ros.detector_node import PlaneDetectorNode
-from plane_detector.types import CameraIntrinsics
+from plane_detector.evaluation.scenes.rooms import attic
 
-CAMERA = CameraIntrinsics(262.5, 262.5, 159.5, 119.5, 320, 240)
 LENGTH = re.compile(r'\d\s*(mm|cm|m|m2|met(re|er)s?)\b')
 WORD = re.compile(r'\b(met(re|er)s?|metric)\b', re.IGNORECASE)
 DENIALS = ('neither metres nor gravity are known',
            'metric: the network does not give metres', 'the network does not give metres')
-ROOM = random_room(np.random.default_rng(3), CAMERA)
+ROOM = small_room()
 ATTIC = attic(np.random.default_rng(1), CAMERA)  # without right angles but those of the gable
 
 
@@ -52,20 +49,15 @@ def drawn(monkeypatch):
 
 
 def run(robot, scene, frames=3, **values):
-    """Let a node see a scene some times; return the values of its diagnostics."""
-    overrides = [Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]
-    node = PlaneDetectorNode(relative_network(scene), context=robot.context,
-                             parameter_overrides=overrides)
-    robot.add(node)
-    assert robot.spin(lambda: node.state == 'active'), robot.log()
+    """Let a node see a scene some times; return it and the values of its diagnostics."""
+    node = start(robot, relative_network(scene), **values)
     for stamp_s in range(1, frames + 1):
-        robot.publish('camera_info', camera_info_msg(scene.intrinsics, stamp_s))
-        robot.publish('image', image_msg(scene.rgb, 'rgb8', stamp_s))
+        send(robot, scene, stamp_s)
         robot.wait_for('markers', stamp_s)
         robot.wait_for('overlay', stamp_s)
     while 'scale' not in (diagnosis := robot.diagnosis()[1]):
         assert len(robot.received['diagnostics']) < 20, diagnosis
-    return diagnosis
+    return node, diagnosis
 
 
 def captions(robot):
@@ -82,7 +74,7 @@ def captions(robot):
             'scale__method': 'camera_height'}, 'no plane can be the floor')])
 def test_no_metres_are_claimed_where_nothing_fixes_the_scale(robot, drawn, scene, values,
                                                               reason):
-    diagnosis = run(robot, scene, **values)
+    _, diagnosis = run(robot, scene, **values)
     assert diagnosis['scale'] == 'relative'
     assert reason in diagnosis['scale_note']
     statuses = [status for msg in robot.received['diagnostics'] for status in msg.status]
@@ -95,22 +87,15 @@ def test_no_metres_are_claimed_where_nothing_fixes_the_scale(robot, drawn, scene
     assert not robot.received['points_without_floor'], 'obstacles need metres'
 
 
-def test_the_same_network_claims_metres_once_its_scale_is_given(robot):
-    diagnosis = run(robot, ROOM, scale__method='fixed', scale__disparity_scale=1 / 3,
-                    scale__disparity_shift=0.2 / 3)
-    assert diagnosis['scale'] == 'fixed'
-    assert all(claims(text) for text in captions(robot))
-
-
-def test_metres_end_with_the_scale(robot):
+def test_the_same_network_claims_metres_while_its_scale_is_given(robot):
     """Set at run time: from the next frame on there are none."""
-    run(robot, ROOM, scale__method='fixed', scale__disparity_scale=1 / 3,
-        scale__disparity_shift=0.2 / 3)
-    (node,) = (node for node in robot.executor.get_nodes() if isinstance(node, PlaneDetectorNode))
+    node, diagnosis = run(robot, ROOM, scale__method='fixed', scale__disparity_scale=1 / 3,
+                          scale__disparity_shift=0.2 / 3)
+    assert diagnosis['scale'] == 'fixed'
+    assert captions(robot) and all(claims(text) for text in captions(robot))
     node.set_parameters([Parameter('scale.method', value='none')])
-    robot.log()
     robot.received['markers'].clear()
-    robot.publish('image', image_msg(ROOM.rgb, 'rgb8', 9))
+    send(robot, ROOM, 9)
     robot.wait_for('markers')
     assert robot.spin(lambda: robot.diagnosis()[1]['scale'] == 'relative')
     assert not any(claims(text) for text in captions(robot))

@@ -48,32 +48,29 @@ def test_exact_depth_of_a_function_stays_exact(seed, kind):
     assert errors_deg.max() < 0.5
 
 
+def without_and_with(make, seed, kind):
+    """Return the errors under slight noise with a setting off and on."""
+    scene, rgb = room(seed, kind)
+    depth_m = with_disparity_noise(scene.depth_m, 0.002, np.random.default_rng([seed, 2]))
+    for is_on in (False, True):
+        detector = PlaneDetector(make(is_on), DepthFunction(lambda rgb: depth_m, blur_px=3))
+        yield errors(scene, detector.detect(rgb, scene.intrinsics), np.isfinite(scene.depth_m))
+
+
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('seed', [301, 303])
 def test_planes_of_good_depth_are_not_turned_to_axes_of_the_picture(seed, kind):
-    scene, rgb = room(seed, kind)
-    depth_m = with_disparity_noise(scene.depth_m, 0.002, np.random.default_rng([seed, 2]))
-    mean_deg = {}
-    for turns in (False, True):
-        config = Config(directions=DirectionsConfig(orient_planes=turns))
-        detector = PlaneDetector(config, DepthFunction(lambda rgb: depth_m, blur_px=3))
-        seen = detector.detect(rgb, scene.intrinsics)
-        mean_deg[turns] = errors(scene, seen, np.isfinite(scene.depth_m))[1].mean()
-    assert mean_deg[True] < mean_deg[False] + 0.02
+    (_, without_deg), (_, turned_deg) = without_and_with(
+        lambda turns: Config(directions=DirectionsConfig(orient_planes=turns)), seed, kind)
+    assert turned_deg.mean() < without_deg.mean() + 0.02
 
 
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('seed', [300, 301])
 def test_borders_of_good_depth_do_not_move_to_edges_of_the_picture(seed, kind):
-    scene, rgb = room(seed, kind)
-    depth_m = with_disparity_noise(scene.depth_m, 0.002, np.random.default_rng([seed, 2]))
-    covering = {}
-    for snaps in (False, True):
-        config = Config(segmentation=SegmentationConfig(snap_to_picture=snaps))
-        detector = PlaneDetector(config, DepthFunction(lambda rgb: depth_m, blur_px=3))
-        seen = detector.detect(rgb, scene.intrinsics)
-        covering[snaps] = errors(scene, seen, np.isfinite(scene.depth_m))[0]
-    assert covering[True] > covering[False] - 0.003
+    (without, _), (snapped, _) = without_and_with(
+        lambda snaps: Config(segmentation=SegmentationConfig(snap_to_picture=snaps)), seed, kind)
+    assert snapped > without - 0.003
 
 
 @pytest.fixture(scope='module')

@@ -66,15 +66,6 @@ def test_disparity_of_known_scale_gives_the_planes_of_the_depth(output, scale, m
     np.testing.assert_allclose(plane_array(found)[:2], plane_array(expected)[:2], atol=2e-3)
 
 
-def test_relative_disparity_without_scale_is_reported_and_labelled():
-    found = detect(network('relative_disparity'), Config(scale=ScaleConfig(method='none')))
-    assert found.scale_method == 'relative'
-    assert found.planes
-    metric = detect(network('metric_depth'))
-    large = metric.labels == 0
-    assert np.bincount(found.labels[large] + 1).max() > 0.9 * large.sum()
-
-
 def test_the_stated_noise_of_a_network_is_used():
     least = 0.05 * noise_reference(1 / SCENE.depth_m)
     assert detect(network('metric_depth', 0.05)).disparity_noise >= least * (1 - 1e-6)

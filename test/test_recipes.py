@@ -6,9 +6,8 @@ import re
 from pathlib import Path
 
 import pytest
-import rclpy
 import yaml
-from rclpy.node import Node
+from ros_helpers import bare_node
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.ros.outputs.topics import OUTPUTS
@@ -22,17 +21,11 @@ PARAMETER_FILES = [path for path in RECIPES if 'nav2' not in path.name]
 
 @pytest.mark.parametrize('path', PARAMETER_FILES, ids=lambda path: path.name)
 def test_the_node_and_the_replay_take_the_parameters(path, monkeypatch):
-    context = rclpy.Context()
-    rclpy.init(context=context, args=['--ros-args', '--params-file', str(path)], domain_id=79)
-    node = Node('plane_detector', context=context)
     told = []
-    monkeypatch.setattr(node.get_logger(), 'warning', told.append)
-    try:
+    with bare_node('plane_detector', ('--params-file', str(path))) as node:
+        monkeypatch.setattr(node.get_logger(), 'warning', told.append)
         config, settings = declare(node, Config()), declare(node, NodeConfig())
         warn_of_unknown(node)
-    finally:
-        node.destroy_node()
-        context.try_shutdown()
     assert told == []
     assert (config, settings) == load_settings(path, ())
     assert (config, settings) != (updated(Config(), []), updated(NodeConfig(), []))

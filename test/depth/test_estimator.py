@@ -1,10 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-import json
-import os
-from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
@@ -13,6 +9,7 @@ from slow_networks import HEIGHT, WIDTH, write_slow_network
 from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.networks import NETWORKS, default_cache_dir
+from plane_detector.evaluation.datasets import frames
 from plane_detector.stopping import Background, Stopped
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
@@ -138,28 +135,14 @@ def test_invalid_images_are_refused(tmp_path, rgb):
         DepthEstimator(config_for(path))(rgb)
 
 
-def fastdepth_path():
-    path = default_cache_dir() / NETWORKS['fastdepth'].file_name
-    if not path.is_file():
-        pytest.skip(f'fastdepth is not in the cache, {path}')
-    return path
-
-
-def test_fastdepth_is_right_to_a_fifth_on_real_images():
-    fastdepth_path()
-    root = Path(__file__).resolve().parents[3] / 'shared' / 'data'
-    folder = Path(os.environ.get('PLANE_DETECTOR_DATA', root)) / 'nyu'
-    if not folder.is_dir():
-        pytest.skip(f'no real images in {folder}')
+def test_fastdepth_is_right_to_a_fifth_on_real_images(data_folder):
+    if not (default_cache_dir() / NETWORKS['fastdepth'].file_name).is_file():
+        pytest.skip('fastdepth is not in the cache')
     estimate = DepthEstimator(DepthConfig(model='fastdepth'))
-    unit_m = json.loads((folder / 'intrinsics.json').read_text())['depth_unit_m']
-    for image in sorted(folder.glob('*_rgb.png')):
-        rgb = cv2.cvtColor(cv2.imread(str(image)), cv2.COLOR_BGR2RGB)
-        truth = cv2.imread(str(image).replace('_rgb', '_depth'), cv2.IMREAD_UNCHANGED) * unit_m
-        valid = np.zeros(truth.shape, bool)
-        valid[24:-24, 32:-32] = truth[24:-24, 32:-32] > 0.3
-        error = np.abs(estimate(rgb)[valid] - truth[valid]) / truth[valid]
-        assert error.mean() < 0.2
+    for frame in frames(data_folder, ('nyu',)):
+        truth = frame.depth_m[24:-24, 32:-32]
+        found = estimate(frame.rgb)[24:-24, 32:-32]
+        assert np.mean(np.abs(found - truth)[truth > 0.3] / truth[truth > 0.3]) < 0.2
 
 
 def test_inference_and_the_warm_up_end_between_two_operators(tmp_path):

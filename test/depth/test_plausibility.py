@@ -4,14 +4,14 @@
 
 import numpy as np
 import pytest
-from onnx_models import PLAIN, write_depth_network, write_network
+from onnx_models import PLAIN, constant, write_depth_network, write_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.plausibility import ImplausibleDepthError, corridor
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
-helper, numpy_helper, FLOAT = onnx.helper, onnx.numpy_helper, onnx.TensorProto.FLOAT
+helper, FLOAT = onnx.helper, onnx.TensorProto.FLOAT
 
 
 def load(path, output='metric_depth'):
@@ -66,8 +66,7 @@ def write_corridor_network(path, *, disparity):
     return write_network(
         path, nodes, [('image', FLOAT, [1, 3, height, width])],
         [('depth', FLOAT, [1, 1, height, width])],
-        [numpy_helper.from_array(shape[None, None], 'corridor'),
-         numpy_helper.from_array(np.float32(0.01), 'little')])
+        [constant('corridor', shape[None, None]), constant('little', 0.01)])
 
 
 @pytest.mark.parametrize(('gives_disparity', 'output', 'said'), [

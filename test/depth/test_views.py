@@ -3,16 +3,15 @@
 """The average of several views of an image, and networks that are run on them."""
 
 import dataclasses
-import hashlib
 
 import numpy as np
 import pytest
+from onnx_geometry_models import put_in_cache
 from onnx_models import millimetres_as_rgb, write_depth_network
 
 from plane_detector.config import DepthConfig
 from plane_detector.depth import estimator as estimators
 from plane_detector.depth.estimator import LOAD, DepthEstimator
-from plane_detector.depth.networks import NETWORKS
 from plane_detector.depth.views import average_views, choose_views
 from plane_detector.types import CameraIntrinsics, Prediction
 
@@ -67,10 +66,7 @@ def test_independent_errors_become_smaller():
 def fixed(tmp_path, monkeypatch):
     """Return a maker of networks with a fixed input, from a path or in place of FastDepth."""
     path = write_depth_network(tmp_path / 'fixed.onnx', height=48, width=64)
-    network = dataclasses.replace(
-        NETWORKS['fastdepth'], file_name=path.name, size_bytes=path.stat().st_size,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest())
-    monkeypatch.setitem(NETWORKS, 'fastdepth', network)
+    put_in_cache(monkeypatch, 'fastdepth', path)
     return lambda **settings: DepthEstimator(DepthConfig(
         **{'model': 'fastdepth', 'cache_dir': str(tmp_path), **settings}))
 

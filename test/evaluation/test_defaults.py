@@ -1,9 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The defaults that users read are those of config.py."""
+"""Defaults that users read are those of config.py, planted errors those that the docs list."""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import yaml
 
 from plane_detector.config import Config, NodeConfig
 from plane_detector.evaluation import defaults as parameters
+from plane_detector.evaluation.plant_errors import ERRORS, TESTS, part_of
 from plane_detector.settings import parameters_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,17 +50,27 @@ def test_table_is_as_generated():
 
 
 def test_node_takes_the_yaml_file_as_its_defaults():
-    rclpy = pytest.importorskip('rclpy')
-    from rclpy.context import Context
-    from rclpy.node import Node
+    pytest.importorskip('rclpy')
+    from ros_helpers import bare_node
 
     from plane_detector.ros.parameters import declare
-    context = Context()
-    rclpy.init(args=['--ros-args', '--params-file', str(YAML)], context=context)
-    try:
-        node = Node('plane_detector', context=context)
+    with bare_node('plane_detector', ('--params-file', str(YAML))) as node:
         assert declare(node, Config()) == Config()
         assert declare(node, NodeConfig()) == NodeConfig()
-        node.destroy_node()
-    finally:
-        rclpy.shutdown(context=context)
+
+
+def test_every_error_can_be_planted():
+    for file, errors in ERRORS.items():
+        assert part_of(file) in TESTS
+        for right, wrong, _ in errors:
+            assert (ROOT / 'plane_detector' / file).read_text('utf-8').count(right) == 1, right
+            assert right != wrong
+
+
+def test_the_table_of_the_docs_names_a_test_for_each_error():
+    rows = re.findall(r'^\| (\w+) \| ([^|]+) \| (\S+) \| `(\w+)` in (\S+) \|$',
+                      (ROOT / 'docs' / 'development.md').read_text('utf-8'), re.MULTILINE)
+    assert {(part, wrong, file) for part, wrong, file, _, _ in rows} == {
+        (part_of(file), wrong, file) for file, errors in ERRORS.items() for *_, wrong in errors}
+    for *_, name, tests in rows:
+        assert f'def {name}(' in (ROOT / 'test' / tests).read_text('utf-8'), name

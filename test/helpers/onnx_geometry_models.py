@@ -14,7 +14,7 @@ import hashlib
 from pathlib import Path
 
 import numpy as np
-from onnx_models import millimetres_as_rgb, onnx_package, write_network
+from onnx_models import constant, millimetres_as_rgb, onnx_package, write_network
 
 from plane_detector.depth.networks import NETWORKS
 
@@ -43,20 +43,10 @@ def put_in_cache(monkeypatch, name: str, path: Path) -> None:
 def write_point_map_network(path: Path, rays: np.ndarray, *, shift: float = 0.7,
                             facing: int = 1, element_of_mask: str = 'FLOAT') -> Path:
     """
-    Write a network with the interface of MoGe-2.
+    Write a network with the interface of MoGe-2, whose pixels have these rays (h, w, 2).
 
-    Parameters
-    ----------
-    path : Path
-    rays : (h, w, 2) floating
-        x / z and y / z of its pixels.
-    shift : float
-        Taken from the z of all points, in metres.
-    facing : int
-        1: normals look at the camera; -1: away.
-    element_of_mask : str
-        FLOAT or BOOL. The mask is 0 where red and green are.
-
+    The shift in metres is taken from the z of all points; normals look at the camera (1) or away
+    (-1); the mask, FLOAT or BOOL, is 0 where red and green are.
     """
     proto, make = onnx_package().TensorProto, onnx_package().helper.make_node
     height, width = rays.shape[:2]
@@ -73,9 +63,9 @@ def write_point_map_network(path: Path, rays: np.ndarray, *, shift: float = 0.7,
                       ('num_tokens', proto.INT64, [])],
         [('points', proto.FLOAT, [*shape, 3]), ('normal', proto.FLOAT, [*shape, 3]),
          ('mask', getattr(proto, element_of_mask), shape), ('scale', proto.FLOAT, [])],
-        [*_constants(255.0, facing), _tensor(directions, 'rays'),
-         _tensor([0, 0, shift], 'shift'), _tensor(SCALE_PER_TOKEN, 'scale_per_token'),
-         _tensor(1e-6, 'nothing')])
+        [*_constants(255.0, facing), constant('rays', directions),
+         constant('shift', [0, 0, shift]), constant('scale_per_token', SCALE_PER_TOKEN),
+         constant('nothing', 1e-6)])
 
 
 def write_canonical_network(path: Path) -> Path:
@@ -131,9 +121,5 @@ def _constants(full: float, facing: int) -> list:
     floats = {'metres': metres, 'to_two': 2 * full / 255, 'to_unit': full / 255, 'one': 1.0,
               'facing': facing}
     integers = {'zero': 0, 'two': 2, 'three': 3, 'channel_axis': 1}
-    return [*(_tensor(value, name) for name, value in floats.items()),
-            *(_tensor([value], name, np.int64) for name, value in integers.items())]
-
-
-def _tensor(value: object, name: str, dtype: type = np.float32) -> object:
-    return onnx_package().numpy_helper.from_array(np.asarray(value, dtype), name)
+    return [*(constant(name, value) for name, value in floats.items()),
+            *(constant(name, [value], np.int64) for name, value in integers.items())]

@@ -46,24 +46,13 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
                         channels_last: bool = False, dtype: type = np.float32,
                         weights: tuple[float, ...] = (*METRES_OF_RGB, 0.0)) -> Path:
     """
-    Write a network that gives weights . (R, G, B, 1) at every pixel.
+    Write a network that gives weights . (R, G, B, 1) of the normalised colours at every pixel.
 
-    Parameters
-    ----------
-    path : Path
-        The .onnx file.
-    height, width : int or str
-        Sides of the input, a name where they are free.
-    channels_last : bool
-        [1, H, W, 3] -> [1, H, W, 1] instead of [1, 3, H, W] -> [1, 1, H, W].
-    dtype : numpy.float32 or numpy.float16
-        Of input and output; it is computed in float32.
-    weights : tuple of float
-        Of the normalised R, G and B, and a constant, 0 if it is left out.
-
+    Free sides have a name instead of a number; channels_last is [1, H, W, 3] -> [1, H, W, 1]. The
+    type, float32 or float16, is that of input and output.
     """
     onnx = onnx_package()
-    helper, numpy_helper, float32 = onnx.helper, onnx.numpy_helper, onnx.TensorProto.FLOAT
+    helper, float32 = onnx.helper, onnx.TensorProto.FLOAT
 
     def shape(channels: int) -> list[int | str]:
         return [1, height, width, channels] if channels_last else [1, channels, height, width]
@@ -75,8 +64,7 @@ def write_depth_network(path: Path, *, height: int | str = 'height', width: int 
         helper.make_node('MatMul' if channels_last else 'Conv', ['image32', 'kernel'], ['mixed']),
         helper.make_node('Add', ['mixed', 'bias'], ['depth32']),
         helper.make_node('Cast', ['depth32'], ['depth'], to=end)]
-    constants = [numpy_helper.from_array(kernel, 'kernel'),
-                 numpy_helper.from_array(np.float32(sum(weights[3:])), 'bias')]
+    constants = [constant('kernel', kernel), constant('bias', sum(weights[3:]))]
     return write_network(path, nodes, [('image', end, shape(3))], [('depth', end, shape(1))],
                          constants)
 
@@ -93,6 +81,11 @@ def write_network(path: Path, nodes: list, inputs: list[tuple], outputs: list[tu
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
     return path
+
+
+def constant(name: str, value: object, dtype: type = np.float32) -> object:
+    """Return a named constant of a network."""
+    return onnx_package().numpy_helper.from_array(np.asarray(value, dtype), name)
 
 
 def onnx_package() -> ModuleType:

@@ -99,17 +99,21 @@ def random_domain() -> int:
     return random.SystemRandom().randint(1, 100)
 
 
+@contextmanager
+def bare_node(name: str, arguments: tuple[str, ...] = (), **options: Any) -> Iterator[Node]:
+    """Yield a node of rclpy in a context of its own, with arguments of ROS or overrides."""
+    context = rclpy.Context()
+    rclpy.init(context=context, domain_id=random_domain())
+    node = Node(name, context=context, cli_args=['--ros-args', *arguments], **options)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+
+
 class Robot:
-    """
-    A camera that publishes and subscribers that collect, with an executor to spin them.
-
-    Parameters
-    ----------
-    outputs : names of outputs of the node to subscribe to.
-    domain : DDS domain; a random one if not given.
-    log_file : file for the log; see log_in_file.
-
-    """
+    """A camera that publishes and subscribers that collect, with an executor to spin them."""
 
     def __init__(self, outputs=tuple(OUTPUT_TYPES), domain: int | None = None,
                  log_file: Path | None = None):

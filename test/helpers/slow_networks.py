@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from onnx_models import onnx_package, write_network
+from onnx_models import constant, onnx_package, write_network
 
 HEIGHT, WIDTH = 48, 64
 # 2e13 comparisons in one operator, which takes hours, and 72 MB.
@@ -23,14 +23,8 @@ def write_slow_network(path: Path, *, deaf: bool = False, always: bool = False) 
     """
     Write a network for images of 64 x 48 whose depth is the red channel, if it ever comes.
 
-    Parameters
-    ----------
-    path : Path
-    deaf : bool
-        One operator takes hours, instead of many short ones for ever.
-    always : bool
-        Also on a black image, with which a network is warmed up.
-
+    Deaf, one operator takes hours, instead of many short ones for ever; always, also on a black
+    image, with which a network is warmed up.
     """
     make, float32 = onnx_package().helper.make_node, onnx_package().TensorProto.FLOAT
     same = _graph('same', [make('Identity', ['red'], ['quick'])], [], [('quick', float32, None)])
@@ -40,9 +34,9 @@ def write_slow_network(path: Path, *, deaf: bool = False, always: bool = False) 
              make('ReduceMax', ['image'], ['brightest'], keepdims=0),
              make('Greater', ['brightest', 'limit'], ['is_bright']),
              make('If', ['is_bright'], ['depth'], then_branch=branch, else_branch=same)]
-    constants = [_constant('zero', [0], np.int64), _constant('first', [1], np.int64),
-                 _constant('axis', [1], np.int64),
-                 _constant('limit', -1.0 if always else 0.5, np.float32), *slow_constants]
+    constants = [constant('zero', [0], np.int64), constant('first', [1], np.int64),
+                 constant('axis', [1], np.int64),
+                 constant('limit', -1.0 if always else 0.5), *slow_constants]
     return write_network(path, nodes, [('image', float32, [1, 3, HEIGHT, WIDTH])],
                          [('depth', float32, [1, 1, HEIGHT, WIDTH])], constants)
 
@@ -56,7 +50,7 @@ def _deaf_operator() -> tuple[list, list]:
                  pads=[_DEAF_WINDOW // 2] * 4),
             make('ReduceMax', ['pooled'], ['top'], keepdims=1),
             make('Add', ['red', 'top'], ['slow'])], [
-        _constant('wide_shape', [1, 1, _DEAF_SIDE, _DEAF_SIDE], np.int64)]
+        constant('wide_shape', [1, 1, _DEAF_SIDE, _DEAF_SIDE], np.int64)]
 
 
 def _endless_loop() -> tuple[list, list]:
@@ -68,12 +62,8 @@ def _endless_loop() -> tuple[list, list]:
                    ('sum', proto.FLOAT, None)],
                   [('goes_on', proto.BOOL, []), ('next', proto.FLOAT, None)])
     return [make('Loop', ['for_ever', 'true', 'red'], ['slow'], body=step)], [
-        _constant('for_ever', 2**62, np.int64), _constant('true', True, np.bool_),
-        _constant('one', 1.0, np.float32)]
-
-
-def _constant(name: str, value: object, dtype: type) -> object:
-    return onnx_package().numpy_helper.from_array(np.array(value, dtype), name)
+        constant('for_ever', 2**62, np.int64), constant('true', True, np.bool_),
+        constant('one', 1.0)]
 
 
 def _graph(name: str, nodes: list, inputs: list, outputs: list) -> object:

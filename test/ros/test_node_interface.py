@@ -6,9 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-import rclpy
 from node_helpers import start
-from rclpy.node import Node
+from ros_helpers import bare_node
 
 from plane_detector.ros.detector_node import PlaneDetectorNode
 from plane_detector.ros.inputs.subscriptions import input_topics
@@ -75,26 +74,9 @@ def test_foxglove_shows_overlay_cloud_markers_planes_and_state():
     assert (points['colorMode'], points['colorField']) == ('rgb', 'rgb'), 'see points_color'
 
 
-@pytest.fixture
-def topics_of():
-    """Return a function: transport and remaps -> image and camera_info of a real node."""
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=78)
-
-    def topics(transport, *remaps, namespace=''):
-        arguments = [word for remap in remaps for word in ('-r', remap)]
-        node = Node('camera', context=context, namespace=namespace,
-                    cli_args=['--ros-args', *arguments])
-        names = input_topics(node, transport)
-        node.destroy_node()
-        return names['image'], names['camera_info']
-
-    yield topics
-    context.try_shutdown()
-
-
 @pytest.mark.parametrize('transport, remaps, expected', [
     ('raw', (), ('/image', '/camera_info')),
+    ('raw', ('__ns:=/front',), ('/front/image', '/front/camera_info')),
     ('raw', ('image:=/cam/color/image_raw',), ('/cam/color/image_raw', '/cam/color/camera_info')),
     ('raw', ('image:=/cam/image', 'camera_info:=/other/info'), ('/cam/image', '/other/info')),
     ('raw', ('image:=image_raw',), ('/image_raw', '/camera_info')),
@@ -103,9 +85,8 @@ def topics_of():
     ('compressed', ('image:=/cam/image_raw/compressed',),
      ('/cam/image_raw/compressed', '/cam/camera_info')),
     ('compressed', ('image/compressed:=/cam/jpeg',), ('/cam/jpeg', '/cam/camera_info'))])
-def test_topics_follow_a_remapped_image(topics_of, transport, remaps, expected):
-    assert topics_of(transport, *remaps) == expected
-
-
-def test_names_in_a_namespace(topics_of):
-    assert topics_of('raw', namespace='front') == ('/front/image', '/front/camera_info')
+def test_topics_follow_a_remapped_image(transport, remaps, expected):
+    arguments = tuple(word for remap in remaps for word in ('-r', remap))
+    with bare_node('camera', arguments) as node:
+        names = input_topics(node, transport)
+    assert (names['image'], names['camera_info']) == expected

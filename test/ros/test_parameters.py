@@ -2,14 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """The settings as ROS parameters: declared, described, read and changed."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 import pytest
-import rclpy
 from rcl_interfaces.msg import ParameterType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.node import Node
 from rclpy.parameter import Parameter
+from ros_helpers import bare_node
 
 from plane_detector.ros import parameters
 from plane_detector.settings import Settings, fixed_setting, setting
@@ -31,20 +31,9 @@ class Outer(Settings):
 
 @pytest.fixture
 def make_node():
-    context = rclpy.Context()
-    rclpy.init(context=context, domain_id=77)
-    nodes = []
-
-    def make(**values):
-        overrides = [Parameter(name.replace('__', '.'), value=value)
-                     for name, value in values.items()]
-        nodes.append(Node('settings', context=context, parameter_overrides=overrides))
-        return nodes[-1]
-
-    yield make
-    for node in nodes:
-        node.destroy_node()
-    context.try_shutdown()
+    with ExitStack() as opened:
+        yield lambda **values: opened.enter_context(bare_node('settings', parameter_overrides=[
+            Parameter(name.replace('__', '.'), value=value) for name, value in values.items()]))
 
 
 def test_overrides_reach_the_fields(make_node):

@@ -47,7 +47,7 @@ def test_every_tread_and_riser_is_its_own_plane():
     assert len(set(shared.iou[large].argmax(axis=1))) == len(large)
 
 
-@pytest.mark.parametrize('sigma', [0.0, 0.004, 0.01])
+@pytest.mark.parametrize('sigma', [0.0, 0.001, 0.004, 0.01])
 @pytest.mark.parametrize('yaw_deg', [0.0, 20.0, 50.0])
 def test_a_single_wall_is_one_plane(sigma, yaw_deg):
     scene = single_wall(yaw_deg=yaw_deg)

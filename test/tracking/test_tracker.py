@@ -7,13 +7,14 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from scipy.optimize import linear_sum_assignment
 
 from plane_detector.config import TrackingConfig
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
 from plane_detector.pipeline import segment_planes
 from plane_detector.tracking.camera_motion import PlaneMotion
-from plane_detector.tracking.matching import PlaneArrays
+from plane_detector.tracking.matching import PlaneArrays, best_pairs
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
 
@@ -220,3 +221,21 @@ def overlapping(first, second):
     return [(i, j) for i in range(first.max() + 1) for j in np.unique(second[first == i])
             if j >= 0 and ((first == i) & (second == j)).sum()
             > 0.5 * ((first == i) | (second == j)).sum()]
+
+
+@pytest.mark.parametrize('shape', [(1, 1), (3, 3), (12, 12), (4, 9), (9, 4), (30, 25)])
+@pytest.mark.parametrize('seed', range(5))
+def test_the_pairs_are_those_of_scipy(shape, seed):
+    score = np.random.default_rng(seed).normal(size=shape)
+    rows, columns = best_pairs(score)
+    expected_rows, expected_columns = linear_sum_assignment(score, maximize=True)
+    np.testing.assert_array_equal(rows, expected_rows)
+    np.testing.assert_array_equal(columns, expected_columns)
+
+
+def test_equal_scores_give_the_same_sum_and_each_column_once():
+    score = np.random.default_rng(0).integers(0, 3, (8, 10)).astype(float)
+    rows, columns = best_pairs(score)
+    assert len(set(columns.tolist())) == 8
+    expected = linear_sum_assignment(score, maximize=True)
+    assert score[rows, columns].sum() == score[expected].sum()

@@ -23,7 +23,7 @@ MODULE = 'plane_detector.evaluation.benchmark'
 ONE_OF_EACH = '--rooms 1 --living 1 --curved 1 --processes 1'
 # What would take long replaced, and a row that must be printed.
 RUNS = {
-    f'accuracy --only-ours {ONE_OF_EACH}':
+    f'accuracy --only-ours --plots figures {ONE_OF_EACH}':
         ({'samples.SIGMAS': (0.001,), 'samples.CURVED_SIGMAS': (0.0,), 'samples.SENSORS': {}},
          r'rooms \| 0.001 \| plane_detector \| 1 \| 0.9\d+ \| 0.\d+ \(9000\) \| 0.\d+ \| 1.0000'),
     f'ablation --only small {ONE_OF_EACH}':
@@ -43,6 +43,9 @@ RUNS = {
          r'0.0 \| 20 cm \| 20 cm \| 20 cm \| 2 m'),
     'shapes --scenes 1 --first-seed 0': ({'shapes.SIGMAS': (0.0,)}, r'0 \| 1 \| \d \| 1.00'),
     'scale --rooms 1 --first-seed 2000': ({}, r'hexagon_room \| 1 \| 1 \| 0'),
+    'orientation --only rendered --scenes 1 --first-seed 300 --data nowhere':
+        ({'orientation.SCENES': {'rooms': random_room}},
+         r'rooms \| 1 of 1 answer.*\n\| strokes of all directions \| 0 of 1 answer'),
     'confidence': ({'confidence.SCENES': (random_room,), 'confidence.FIT_SEEDS': range(200, 206),
                     'confidence.CHECK_SEEDS': range(1), 'confidence.NOISES': (0.01,)},
                    r'0.95 to 1 \| \d+ \| 0.9\d \|')}
@@ -61,16 +64,21 @@ def data(tmp_path_factory):
 
 
 @pytest.mark.parametrize('command', RUNS)
-def test_a_command_prints_its_tables(command, data, monkeypatch, capsys):
+def test_a_command_prints_its_tables(command, data, monkeypatch, capsys, tmp_path):
     name, *options = command.split()
     replaced, row = RUNS[command]
+    monkeypatch.chdir(tmp_path)
+    if '--plots' in options:
+        pytest.importorskip('matplotlib', reason='plane_detector[benchmark] is missing')
     for place, value in replaced.items():
         monkeypatch.setattr(f'{MODULE}.{place}', value)
-    takes_data = '--data' in program.subcommand(name)[1].format_usage()
+    takes_data = ('--data' in program.subcommand(name)[1].format_usage()
+                  and '--data' not in options)
     main([name, *options, *(['--data', str(data)] if takes_data else [])])
     printed = capsys.readouterr()
     assert re.search(rf'^\| {row}', printed.out, re.MULTILINE), printed.out
     assert name != 'scale' or 'kinect is not there' in printed.err
+    assert '--plots' not in options or '<svg' in (tmp_path / 'figures/accuracy.svg').read_text()
 
 
 @pytest.mark.parametrize('name', COMMANDS)

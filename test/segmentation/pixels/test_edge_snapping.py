@@ -71,18 +71,23 @@ def test_a_plane_narrower_than_the_reach_is_not_lost():
     assert (snapped[true == 3] == 3).all()
 
 
-@pytest.mark.parametrize(('blur_px', 'column'), [(4.0, 80), (0.0, 86)])
-@pytest.mark.parametrize('sigma', [0.0, 0.005])
-def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column, sigma):
+def near_and_far(edge, blur_px):
+    """Return an image of two halves, and labels, planes and disparity with this edge."""
     rgb = np.full((120, 160, 3), 60, np.uint8)
     rgb[:, 80:] = 190
     disparity = np.full((120, 160), 0.5, np.float32)
-    disparity[:, 86:] = 0.25
+    disparity[:, edge:] = 0.25
     labels = (disparity < 0.4).astype(np.int32)
     if blur_px:
         disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
+    return rgb, labels, np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]]), disparity
+
+
+@pytest.mark.parametrize(('blur_px', 'column'), [(4.0, 80), (0.0, 86)])
+@pytest.mark.parametrize('sigma', [0.0, 0.005])
+def test_depth_is_contradicted_only_where_its_edges_are_blurred(blur_px, column, sigma):
+    rgb, labels, planes, disparity = near_and_far(86, blur_px)
     disparity += np.random.default_rng(0).normal(0, sigma, disparity.shape).astype(np.float32)
-    planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
     seen = (GuideImage(rgb, 10.5), disparity, planes,
             Noise(1e-3, pixel_sigma=sigma, mean_sigma=sigma))
     snapped = snap_to_image_edges(labels, *seen, blurs_steps(labels, *seen))
@@ -108,15 +113,9 @@ def test_a_crease_moves_only_where_the_noise_hides_it(sigma, column):
 @pytest.mark.parametrize('blur_px', [4.0, 0.0])
 def test_colours_make_patches_only_where_depth_edges_are_blurred(monkeypatch, blur_px):
     """A dark square on the left half, which the depth does not show, is a patch of its own."""
-    rgb = np.full((120, 160, 3), 60, np.uint8)
-    rgb[:, 80:], rgb[40:80, 20:60] = 190, 130
-    disparity = np.full((120, 160), 0.5, np.float32)
-    disparity[:, 80:] = 0.25
-    labels = (disparity < 0.4).astype(np.int32)
-    planes = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.25]])
+    rgb, labels, planes, disparity = near_and_far(80, blur_px)
+    rgb[40:80, 20:60] = 130
     monkeypatch.setattr('plane_detector.segmentation.segment._label', lambda *_: (labels, planes))
-    if blur_px:
-        disparity = cv2.GaussianBlur(disparity, (0, 0), blur_px)
     patches = segment(disparity, Noise(1e-3), Config(), guide=GuideImage(rgb, 10.5)).patches
     assert patches.shape == ((30, 40) if blur_px else (0, 0))
     if blur_px:

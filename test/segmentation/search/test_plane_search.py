@@ -1,23 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The noise that the search starts from and settles at, and which way it takes to the planes."""
+"""The noise that the search starts from and settles at; clusters of labels."""
 
 from itertools import product
 
 import numpy as np
 import pytest
 from cell_helpers import EXACT, best_iou, disparity_image, noisy, view, wall
+from sklearn.cluster import DBSCAN
 
-from plane_detector import CameraIntrinsics, segment_planes
-from plane_detector.config import Config
-from plane_detector.evaluation.scenes.rooms import single_wall
+from plane_detector.config import Config, DbscanConfig
 from plane_detector.segmentation.cells.grid import build_cell_grid
 from plane_detector.segmentation.cells.model import Frame
 from plane_detector.segmentation.cells.noise import DepthKind
+from plane_detector.segmentation.search.dbscan import label_clusters
 from plane_detector.segmentation.search.plane_search import search_planes
 
 ROOMS = (3, 7, 11)
-SMALL = CameraIntrinsics(262.0, 262.0, 159.5, 119.5, 320, 240)
 # Of the variance of the noise, half is smooth over the image and half is grain.
 PART = np.sqrt(0.5)
 
@@ -52,14 +51,6 @@ def test_noise_is_estimated_within_half_as_much_again(room, seed, sigma):
     assert len(regions.coefficients) >= 5
 
 
-@pytest.mark.parametrize('sigma', [0.001, 0.01])
-def test_a_wall_under_smooth_noise_is_one_plane(sigma):
-    """Its first planes are pieces, in whose residuals the smooth part of the noise is missing."""
-    scene = single_wall(SMALL, yaw_deg=0, distance_m=2.0)
-    assert np.mean([segment_planes(noisy(scene, seed, sigma), SMALL).labels == 0
-                    for seed in range(6)]) > 0.97
-
-
 @pytest.mark.parametrize(('flat_share', 'is_exact'), [(0.7, True), (0.1, False)])
 def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
     """What is left of the image is far too noisy for a plane."""
@@ -70,3 +61,45 @@ def test_most_of_the_image_must_be_flat_for_exact_depth(flat_share, is_exact):
     _, regions, noise = found(noisy_m)
     assert (noise.pixel_sigma < 1e-5) == is_exact
     assert len(regions.coefficients) >= 1
+
+
+SHAPE = (23, 31)
+
+
+def random_labels(rng, share):
+    """Return labels in blotches, so that clusters have insides, with cells without label."""
+    coarse = rng.integers(0, 4, (8, 11)).repeat(3, axis=0).repeat(3, axis=1)
+    labels = coarse[:SHAPE[0], :SHAPE[1]]
+    return np.where(rng.random(SHAPE) < share, labels, -1).astype(np.int32)
+
+
+def numbered(labels):
+    """Return labels numbered by where they come first, so that equal partitions are equal."""
+    kinds, first, index = np.unique(labels, return_index=True, return_inverse=True)
+    order = np.argsort(np.where(kinds < 0, -1, first))
+    rank = np.empty(len(kinds), int)
+    rank[order] = np.arange(len(kinds))
+    return rank[index].reshape(labels.shape)
+
+
+@pytest.mark.parametrize('eps', [1.0, 1.5, 2.5])
+@pytest.mark.parametrize('min_samples', [1, 3, 7])
+@pytest.mark.parametrize('share', [0.5, 0.75, 1.0])
+def test_every_label_is_clustered_as_scikit_learn_does(eps, min_samples, share):
+    labels = random_labels(np.random.default_rng(int(100 * share)), share)
+    clusters, count = label_clusters(labels, DbscanConfig(eps, min_samples))
+    assert clusters.shape == labels.shape and count == clusters.max() + 1
+    assert (clusters[labels < 0] == -1).all()
+    used = []
+    for label in range(4):
+        points = np.argwhere(labels == label)
+        found, expected = clusters[labels == label], DBSCAN(
+            eps=eps, min_samples=min_samples).fit(points)
+        core = expected.core_sample_indices_
+        np.testing.assert_array_equal(found == -1, expected.labels_ == -1)
+        np.testing.assert_array_equal(numbered(found[core]), numbered(expected.labels_[core]))
+        for index in np.setdiff1d(np.flatnonzero(found >= 0), core):
+            near = np.linalg.norm(points[core] - points[index], axis=1) <= eps
+            assert found[index] in found[core[near]], 'a border cell joins one that it touches'
+        used += np.unique(found[found >= 0]).tolist()
+    assert sorted(used) == list(range(clusters.max() + 1)), 'numbered from 0, none of two labels'
