@@ -208,3 +208,18 @@ def test_no_part_of_a_detector_keeps_a_setting_that_may_change(section, field):
     changed = state_of(PlaneDetector(Config(**{section: settings}), depth_of))
     assert changed.pop('config') != default.pop('config')
     assert changed == default
+
+
+@pytest.mark.parametrize(('changes', 'said'), [
+    ({'mean': (0.5,)}, 'mean must be 3 numbers'), ({'std': (1.0, 1.0)}, 'std must be 3 numbers'),
+    ({'input_width': 64}, 'must be given together'), ({'providers': ()}, 'at least one')])
+def test_impossible_settings_are_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        DepthConfig(**changes)
+
+
+@pytest.mark.parametrize('settings', [{'gravity': (0.0, 1.0)}, {'imu_to_camera': (0.0,) * 4},
+                                      {'method': 'guess'}, {'camera_height': -1.0}])
+def test_meaningless_settings_are_refused(settings):
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        ScaleConfig(**settings)

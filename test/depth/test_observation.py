@@ -56,15 +56,6 @@ def test_an_incomplete_depth_model_is_refused_with_the_missing_attributes():
 
 
 @pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
-def test_every_kind_of_prediction_has_disparity(output):
-    values = VALUES if output == 'metric_depth' else 1 / VALUES.clip(0.1, 50)
-    source = ModelDepth(DepthFunction(lambda rgb: values, output, noise_share=0.01))
-    found = source.observe(RGB, CAMERA, None, Config())
-    assert found.output == output and not found.is_measured
-    np.testing.assert_allclose(found.disparity[1:], 0.5)
-
-
-@pytest.mark.parametrize('output', ['metric_depth', 'disparity', 'relative_disparity'])
 def test_noise_is_a_share_of_the_disparities_of_the_image_in_any_unit(output):
     ramp = np.tile(np.linspace(10.0, 30.0, 400, dtype=np.float32), (40, 1))
     for unit in (1, 0.01):

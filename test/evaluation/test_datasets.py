@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from frame_files import write_frame
+from data_files import write_frame
 
 from plane_detector.evaluation import peers
 from plane_detector.evaluation.datasets import (

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from node_process import STARTED_S, NodeProcess
 from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
-from ros_helpers import Robot, camera_info_msg, image_msg, random_domain
+from ros_helpers import STARTED_S, NodeProcess, Robot, camera_info_msg, image_msg, random_domain
 
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.ros.outputs.topics import OUTPUTS

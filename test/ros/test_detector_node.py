@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from lifecycle_msgs.msg import Transition
-from node_helpers import CAMERA, assert_true_to, change_state, send, small_room, start
+from node_helpers import assert_true_to, change_state, send, small_room, start
 from onnx_models import millimetres_as_rgb, network_parameters, write_depth_network
 from ros_helpers import (
     FRAME_ID,
@@ -18,7 +18,6 @@ from ros_helpers import (
     transform_msg,
 )
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import CameraInfo
 from visualization_msgs.msg import Marker
 
 from plane_detector.planes.classification import PlaneClass
@@ -141,27 +140,6 @@ def test_markers_of_lost_planes_and_earlier_nodes_are_deleted(robot, room):
     for markers in (first.markers, second.markers):
         assert (markers[0].action, markers[0].ns) == (Marker.DELETEALL, '')
         assert all(m.header.frame_id == FRAME_ID for m in markers)
-
-
-def test_large_images_are_reduced_and_the_camera_info_fits(robot, room):
-    seen = []
-
-    def estimate(rgb):
-        seen.append(rgb.shape)
-        return np.ascontiguousarray(room.depth_m[::2, ::2])
-
-    start(robot, estimate, max_side=160)
-    robot.listen(CameraInfo, '/plane_detector/camera_info', 'camera_info')
-    robot.spin(timeout_s=0.3)
-    send(robot, room, 3.0)
-    (info,) = robot.wait_for('camera_info')
-    assert seen == [(120, 160, 3)]
-    assert info.header == header(3.0)
-    assert (info.width, info.height) == (160, 120)
-    assert info.k[0] == CAMERA.fx / 2
-    assert info.k[2] == info.p[2] == (CAMERA.cx + 0.5) / 2 - 0.5
-    for name, dtype in (('depth', '<f4'), ('labels', '<u2'), ('overlay', 'u1')):
-        assert image_array(robot.wait_for(name)[0], dtype, -1).shape[:2] == (120, 160)
 
 
 ROOM = small_room()

@@ -100,16 +100,6 @@ def test_labels_stay_until_tracking_is_reset(robot, room):
     assert third == list(range(1, len(third) + 1))
 
 
-def test_parameters_change_between_frames(robot, room):
-    node = start(robot, lambda rgb: room.depth_m)
-    send(robot, room, 1.0)
-    assert robot.wait_for('planes')[0].width > 1
-    (result,) = node.set_parameters([Parameter('segmentation.max_planes', value=1)])
-    assert result.successful
-    send(robot, room, 2.0)
-    assert robot.wait_for('planes', 2)[1].width == 1
-
-
 @pytest.mark.parametrize('name, value, reason', [
     ('segmentation.max_planes', 0, 'out of range'),
     ('segmentation.max_planes', 2.0, 'type'),

@@ -10,9 +10,16 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from node_helpers import change_state, send, start
-from node_process import STARTED_S, NodeProcess
 from onnx_models import network_arguments, network_parameters
-from ros_helpers import Robot, camera_info_msg, header, image_msg, random_domain
+from ros_helpers import (
+    STARTED_S,
+    NodeProcess,
+    Robot,
+    camera_info_msg,
+    header,
+    image_msg,
+    random_domain,
+)
 from slow_networks import HEIGHT, WIDTH, write_slow_network
 
 from plane_detector.types import CameraIntrinsics

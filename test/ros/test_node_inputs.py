@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node with good, bad, late, distorted and too many inputs."""
 
-import threading
 
 import cv2
 import numpy as np
@@ -63,28 +62,6 @@ def test_a_network_without_depth_is_reported_for_each_frame(robot, room, tmp_pat
         pair.key: pair.value for pair in warnings()[-1].values}['last_error']
     send(robot, room, 2.0)
     assert robot.wait_for('planes')[0].header == header(2.0)
-
-
-def test_the_newest_frame_is_processed(robot, room):
-    busy, free = threading.Event(), threading.Event()
-
-    def estimate(rgb):
-        busy.set()
-        assert free.wait(20)
-        return room.depth_m
-
-    node = start(robot, estimate)
-    send(robot, room, 1.0)
-    assert robot.spin(busy.is_set)
-    for stamp_s in (2.0, 3.0, 4.0):
-        send(robot, room, stamp_s)
-        robot.spin(timeout_s=0.2)
-    free.set()
-    planes = robot.wait_for('planes', 2)
-    robot.spin(timeout_s=0.3)
-    assert [msg.header for msg in planes] == [header(1.0), header(4.0)]
-    assert robot.diagnosis()[1]['frames_dropped'] == '2'
-    assert node.state == 'active'
 
 
 def test_a_distorted_camera_is_rectified(robot, room):

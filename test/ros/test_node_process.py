@@ -10,11 +10,19 @@ import numpy as np
 import pytest
 import yaml
 from node_helpers import assert_true_to
-from node_process import STARTED_S, NodeProcess
 from onnx_models import millimetres_as_rgb, network_arguments, write_depth_network
 from rcl_interfaces.srv import GetParameters
 from rclpy.parameter import parameter_value_to_python
-from ros_helpers import Robot, camera_info_msg, cloud_array, header, image_msg, random_domain
+from ros_helpers import (
+    STARTED_S,
+    NodeProcess,
+    Robot,
+    camera_info_msg,
+    cloud_array,
+    header,
+    image_msg,
+    random_domain,
+)
 
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.ros.detector_node import PlaneDetectorNode

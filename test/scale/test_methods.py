@@ -61,11 +61,6 @@ def test_metric_network_keeps_its_metres():
     np.testing.assert_allclose(apply_scale(disparity, scale), scene.depth_m, rtol=1e-5)
 
 
-def test_a_relative_network_is_never_taken_for_a_metric_one():
-    scale = estimate(room(), method='metric')
-    assert not scale.is_metric and scale.method == 'relative'
-
-
 @pytest.mark.parametrize('seed', [3, 5, 16])
 def test_camera_height_is_exact_without_noise(seed):
     scene = room(seed)

@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from frame_files import write_frame
+from data_files import write_frame
 
 from plane_detector.evaluation.benchmark import __main__ as program
 from plane_detector.evaluation.benchmark.__main__ import COMMANDS, main

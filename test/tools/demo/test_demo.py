@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from clouds import read_ply
+from data_files import read_ply
 
 from plane_detector.tools.demo.photographs import Lens, folder_images, library_images
 from plane_detector.tools.files import write_ply

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from bags import FORMATS, ROS1, messages_of, read_bag, write_bag
-from clouds import read_ply
+from data_files import read_ply
 from rclpy.parameter import Parameter
 from replay_helpers import (
     CAMERA,
