@@ -17,29 +17,13 @@ import numpy as np
 
 @dataclass(frozen=True)
 class DisparityPlanes:
-    """
-    Planes found in an image.
+    """Planes found in an image."""
 
-    Attributes
-    ----------
-    coefficients : (N, 3) float64
-        p, q, r of D = p x + q y + r with x, y the slopes of the pixel's ray.
-    information : (N, 3, 3) float64
-        Inverse covariance of the coefficients.
-    centers : (N, 2) float64
-        Mean ray slopes x, y of the pixels of each plane.
-    pixel_share : (N,) float64
-        Share of each plane in the pixels of all these planes.
-    labels : (N,) int64
-        Index of each plane among those of the segmentation.
-
-    """
-
-    coefficients: np.ndarray
-    information: np.ndarray
-    centers: np.ndarray
-    pixel_share: np.ndarray
-    labels: np.ndarray
+    coefficients: np.ndarray  # (N, 3) float64: p, q, r; x, y are the slopes of the pixel's ray
+    information: np.ndarray  # (N, 3, 3) float64: inverse covariance of the coefficients
+    centers: np.ndarray  # (N, 2) float64: mean x, y of the pixels of each plane
+    pixel_share: np.ndarray  # (N,) float64, of each plane in the pixels of all these planes
+    labels: np.ndarray  # (N,) int64: index of each plane among those of the segmentation
 
     @classmethod
     def none(cls) -> DisparityPlanes:

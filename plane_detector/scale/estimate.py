@@ -17,38 +17,20 @@ MAX_RELATIVE_DEPTH = 1000.0
 
 @dataclass(frozen=True)
 class ScaleEstimate:
-    """
-    1/z = scale * disparity + shift, and the method that estimated it.
+    """1/z = scale * disparity + shift, and the method that estimated it."""
 
-    Attributes
-    ----------
-    scale, shift : float
-        1/metres, or 1/unit if the unit is unknown; the unit is then the median depth of the
-        image for which it was chosen.
-    method : str
-        ``metric``, ``depth_topic``, ``camera_height``, ``manhattan``, ``fixed``, ``relative``.
-    is_metric : bool
-        Whether depth is in metres; not for ``relative``, nor for ``manhattan`` without a height.
-    has_true_angles : bool
-        Whether the angles between planes are those of the scene; not for ``relative``.
-    uncertainty : float
-        Standard deviation of depth due to scale and shift, as a share of depth, at the disparity
-        quantile of the farthest 10 % of the image; NaN if unknown.
-    note : str
-        Result of the method, or why the others refused; for the log and the diagnostics.
-    span : (3,) tuple of float
-        The 10 %, 50 % and 90 % quantiles of disparity; NaN for ``metric``, which needs none.
-
-    """
-
+    # 1/metres, or 1/unit if the unit is unknown; the unit is then the median depth of the image
+    # for which it was chosen.
     scale: float
     shift: float
-    method: str
-    is_metric: bool
-    has_true_angles: bool
+    method: str  # metric, depth_topic, camera_height, manhattan, fixed or relative
+    is_metric: bool  # not for relative, nor for manhattan without a height
+    has_true_angles: bool  # between planes; not for relative
+    # Standard deviation of depth due to scale and shift, as a share of depth, at the disparity
+    # quantile of the farthest 10 % of the image; NaN if unknown.
     uncertainty: float
-    note: str
-    span: tuple[float, float, float]
+    note: str  # result of the method, or why the others refused; for the log and the diagnostics
+    span: tuple[float, float, float]  # 10 %, 50 %, 90 % of disparity; NaN for metric
 
     @property
     def unit_method(self) -> str:

@@ -32,26 +32,13 @@ MAX_INNOVATION_SIGMAS = 3.0
 
 @dataclass(frozen=True)
 class FloorFit:
-    """
-    1/z = scale * D + shift, determined by the floor.
-
-    Attributes
-    ----------
-    scale, shift : float
-    covariance : (2, 2) float64
-        Of scale and shift, from the noise of the disparity and the tolerance of gravity.
-    upright_share : float
-        Share of the pixels in planes that are horizontal or vertical with this solution.
-    label : int
-        Index of the floor's plane.
-
-    """
+    """1/z = scale * D + shift, determined by the floor."""
 
     scale: float
     shift: float
-    covariance: np.ndarray
-    upright_share: float
-    label: int
+    covariance: np.ndarray  # (2, 2) float64, by the noise of D and the tolerance of gravity
+    upright_share: float  # of the pixels in planes that are then horizontal or vertical
+    label: int  # index of the floor's plane
 
 
 def fit_floor(planes: DisparityPlanes, lowest_disparity: float, gravity_camera: np.ndarray,

@@ -38,38 +38,18 @@ SPAN_QUANTILES = (0.1, 0.5, 0.9)
 
 @dataclass(frozen=True)
 class ScaleEvidence:
-    """
-    Observations that may determine the scale and shift of a disparity.
+    """Observations that may determine the scale and shift of a disparity."""
 
-    Attributes
-    ----------
-    disparity : (H, W) floating
-        Affine in 1/z; not finite where invalid.
-    find_planes : callable
-        Returns the planes of this disparity; called when a method needs them, at most once.
-    output : str
-        Output of the network: ``metric_depth``, ``disparity`` or ``relative_disparity``.
-    is_measured : bool
-        The disparity is measured by a sensor, in 1/metres.
-    gravity_camera : (3,) floating or None
-        Direction of gravity in the optical frame, of any length; None or 0: unknown.
-    down_tolerance_deg : float
-        Its largest error.
-    level_axes : (A, 3) float64
-        Known horizontal directions parallel and perpendicular to the walls.
-    sensor_depth_m : (H, W) floating or None
-        Measured depth in metres, sparse or dense; NaN invalid.
-
-    """
-
-    disparity: np.ndarray
-    find_planes: Callable[[], DisparityPlanes]
-    output: str = 'relative_disparity'
-    is_measured: bool = False
+    disparity: np.ndarray  # (H, W) floating: affine in 1/z; not finite where invalid
+    find_planes: Callable[[], DisparityPlanes]  # of it; called when needed, at most once
+    output: str = 'relative_disparity'  # of the network, or metric_depth or disparity
+    is_measured: bool = False  # by a sensor, in 1/metres
+    # (3,) in the optical frame, of any length; None or 0: unknown.
     gravity_camera: np.ndarray | None = None
-    down_tolerance_deg: float = 0.0
+    down_tolerance_deg: float = 0.0  # largest error of gravity
+    # (A, 3) float64: known horizontal directions parallel and perpendicular to the walls.
     level_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    sensor_depth_m: np.ndarray | None = None
+    sensor_depth_m: np.ndarray | None = None  # (H, W) floating, sparse or dense; NaN invalid
 
     @cached_property
     def planes(self) -> DisparityPlanes:

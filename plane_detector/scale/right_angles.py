@@ -57,26 +57,12 @@ MIN_ASLANT = 0.1
 
 @dataclass(frozen=True)
 class ShiftVote:
-    """
-    Shift estimated from right angles.
+    """Shift estimated from right angles."""
 
-    Attributes
-    ----------
-    tau : float
-        1/z is proportional to D + tau; NaN if the vote refuses.
-    sigma : float
-        Standard deviation of tau.
-    axes : (A, 3) float64
-        Rows: unit axes in the camera frame.
-    refusal : str
-        Why there is no answer; empty if there is one.
-
-    """
-
-    tau: float
-    sigma: float
-    axes: np.ndarray
-    refusal: str
+    tau: float  # 1/z is proportional to D + tau; NaN if the vote refuses
+    sigma: float  # standard deviation of tau
+    axes: np.ndarray  # (A, 3) float64, rows: unit axes in the camera frame
+    refusal: str  # why there is no answer; empty if there is one
 
     @classmethod
     def refused(cls, reason: str) -> ShiftVote:

@@ -32,27 +32,13 @@ MIN_SPREAD = 1e-30
 
 @dataclass(frozen=True)
 class DepthFit:
-    """
-    1/z = scale * D + shift, from measured depth.
+    """1/z = scale * D + shift, from measured depth."""
 
-    Attributes
-    ----------
-    scale, shift : float
-        NaN if refused.
-    covariance : (2, 2) float64
-        Of scale and shift.
-    point_count : int
-        Number of points that agree.
-    refusal : str
-        Why there is no result; empty if there is one.
-
-    """
-
-    scale: float
+    scale: float  # NaN if refused
     shift: float
-    covariance: np.ndarray
-    point_count: int
-    refusal: str
+    covariance: np.ndarray  # (2, 2) float64, of scale and shift
+    point_count: int  # that agree
+    refusal: str  # why there is no result; empty if there is one
 
 
 def fit_measured_depth(disparity: np.ndarray, sensor_depth_m: np.ndarray) -> DepthFit:

@@ -23,46 +23,17 @@ MEASURED = ('depth_topic', 'camera_height', 'manhattan')
 
 @dataclass(frozen=True)
 class ScaleState:
-    """
-    The scale in use, and the state for the next frame.
-
-    Attributes
-    ----------
-    estimate : ScaleEstimate
-        Currently used.
-    outliers : tuple of ScaleEstimate
-        The most recent frames that disagree with it and agree with each other.
-    missed : int
-        Frames since the method in use succeeded last.
-    event : str
-        Change at this frame, for the log; empty if none.
-
-    """
+    """The scale in use, and the state for the next frame."""
 
     estimate: ScaleEstimate
-    outliers: tuple[ScaleEstimate, ...] = ()
-    missed: int = 0
-    event: str = ''
+    outliers: tuple[ScaleEstimate, ...] = ()  # last frames that contradict it, but not each other
+    missed: int = 0  # frames since the method in use succeeded last
+    event: str = ''  # change at this frame, for the log; empty if none
 
 
 def update_scale(state: ScaleState | None, measured: ScaleEstimate,
                  config: ScaleConfig) -> ScaleState:
-    """
-    Update the filter with one more frame.
-
-    Parameters
-    ----------
-    state : ScaleState or None
-        None at the start, or to reset the filter (time jumped back).
-    measured : ScaleEstimate
-        Estimate of the new frame.
-    config : ScaleConfig
-
-    Returns
-    -------
-    ScaleState
-
-    """
+    """Return the state after one more frame; None before the first, or to reset the filter."""
     if state is None:
         return ScaleState(measured, event=f'scale: {measured}')
     current = state.estimate
