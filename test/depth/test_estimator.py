@@ -3,7 +3,13 @@
 
 import numpy as np
 import pytest
-from onnx_models import PLAIN, millimetres_as_rgb, write_depth_network, write_network
+from onnx_models import (
+    PLAIN,
+    constant,
+    millimetres_as_rgb,
+    write_depth_network,
+    write_network,
+)
 from slow_networks import HEIGHT, WIDTH, write_slow_network
 
 from plane_detector.config import DepthConfig
@@ -77,8 +83,11 @@ def test_providers_are_tried_in_order_and_the_one_in_use_is_reported(tmp_path):
 
 
 def test_a_file_that_is_not_a_network_is_refused(tmp_path):
+    damaged = np.frombuffer(write_depth_network(tmp_path / 'n.onnx').read_bytes(), np.uint8).copy()
+    damaged[np.random.default_rng(0).integers(len(damaged), size=20)] ^= 0x55
     for content, said in ((b'not a network', r'n\.onnx is not a complete ONNX file'),
-                          (b'\x08\x08', r'no execution provider runs .*n\.onnx')):
+                          (b'\x08\x08', r'no execution provider runs .*n\.onnx'),
+                          (damaged.tobytes(), r'n\.onnx')):
         (tmp_path / 'n.onnx').write_bytes(content)
         with pytest.raises(ValueError, match=said):
             DepthEstimator(config_for(tmp_path / 'n.onnx'))
@@ -95,10 +104,10 @@ def test_a_size_that_the_network_cannot_take_is_refused(tmp_path):
         DepthEstimator(config_for(free))
 
 
-def identity(path, shape, out_shape=None, element=FLOAT, extra_input=False):
+def identity(path, shape, element=FLOAT, extra_input=False):
     nodes = [helper.make_node('Identity', ['a'], ['b'])]
     inputs = [('a', element, shape)] + ([('a2', element, shape)] if extra_input else [])
-    return write_network(path, nodes, inputs, [('b', element, out_shape or shape)])
+    return write_network(path, nodes, inputs, [('b', element, shape)])
 
 
 @pytest.mark.parametrize(('shape', 'changes', 'said'), [
@@ -111,6 +120,15 @@ def identity(path, shape, out_shape=None, element=FLOAT, extra_input=False):
 def test_a_misfit_is_reported_with_inputs_and_outputs(tmp_path, shape, changes, said):
     path = identity(tmp_path / 'n.onnx', shape, **changes)
     with pytest.raises(ValueError, match=f'does not fit: .*{said}.*inputs: a .*outputs: b '):
+        DepthEstimator(config_for(path))
+
+
+def test_an_empty_output_is_refused(tmp_path):
+    path = write_network(
+        tmp_path / 'n.onnx', [helper.make_node('Slice', ['image', 'no', 'no', 'axis'], ['depth'])],
+        [('image', FLOAT, [1, 3, 8, 8])], [('depth', FLOAT, [1, 0, 8, 8])],
+        [constant('no', [0], np.int64), constant('axis', [1], np.int64)])
+    with pytest.raises(ValueError, match='its output depth is empty'):
         DepthEstimator(config_for(path))
 
 

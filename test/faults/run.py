@@ -19,13 +19,11 @@ import onnxruntime
 from common import Row, table
 from disk import replays
 from messages import bombs, random_messages
-from networks import networks
 from soak import soak
 
 from plane_detector.evaluation.benchmark.report import commit, machine
 
-GROUPS = {'bombs': bombs, 'messages': random_messages, 'networks': networks,
-          'replays': replays}
+GROUPS = {'bombs': bombs, 'messages': random_messages, 'replays': replays}
 
 
 def main() -> int:

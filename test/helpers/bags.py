@@ -30,7 +30,24 @@ def write_bag(path: Path, messages: list[tuple[str, int, Any]], bag_format: str 
 
     Bytes are written as they are, after another message of their topic.
     """
-    return (_write_ros1 if bag_format == ROS1 else _write_ros2)(path, messages, bag_format)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg('string text', CUSTOM_TYPE))
+    if bag_format == ROS1:
+        writer, types = rosbag1.Writer(path), get_typestore(Stores.ROS1_NOETIC)
+    else:
+        plugin, mode = FORMATS[bag_format]
+        writer, types = rosbag2.Writer(path, version=9, storage_plugin=plugin), store
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connections = {}
+        for topic, time_ns, msg in messages:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, _type_of(msg), typestore=types)
+            data = _cdr(store, msg)
+            if bag_format == ROS1:
+                data = bytes(store.cdr_to_ros1(data, connections[topic].msgtype))
+            writer.write(connections[topic], time_ns, data)
+    return path
 
 
 def read_bag(path: Path) -> dict[str, list[tuple[int, bytes]]]:
@@ -54,34 +71,6 @@ def _type_of(msg: Any) -> str:
     if kind := getattr(msg, '__msgtype__', ''):
         return kind
     return f'{type(msg).__module__.split(".")[0]}/msg/{type(msg).__name__}'
-
-
-def _write_ros2(path: Path, messages: list[tuple[str, int, Any]], bag_format: str) -> Path:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    store.register(get_types_from_msg('string text', CUSTOM_TYPE))
-    plugin, mode = FORMATS[bag_format]
-    writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connections = {}
-        for topic, time_ns, msg in messages:
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, _type_of(msg), typestore=store)
-            writer.write(connections[topic], time_ns, _cdr(store, msg))
-    return path
-
-
-def _write_ros1(path: Path, messages: list[tuple[str, int, Any]], _: str) -> Path:
-    ros1, ros2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_JAZZY)
-    with rosbag1.Writer(path) as writer:
-        connections = {}
-        for topic, time_ns, msg in messages:
-            kind = _type_of(msg)
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=ros1)
-            data = ros2.cdr_to_ros1(_cdr(ros2, msg), kind)
-            writer.write(connections[topic], time_ns, bytes(data))
-    return path
 
 
 def _cdr(store: Any, msg: Any) -> bytes:
