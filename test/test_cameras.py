@@ -11,7 +11,7 @@ import pytest
 
 from plane_detector import CameraIntrinsics, Config, PlaneDetector, segment_planes
 from plane_detector.config import DepthConfig, ScaleConfig
-from plane_detector.evaluation.metrics import overlap
+from plane_detector.evaluation.metrics import angle_deg, overlap
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room, single_wall
 
@@ -55,7 +55,7 @@ def test_normals_and_offsets_are_those_of_the_room(case):
     for scene, result, i, k in found:
         plane, truth = result.planes[k], scene.planes[i]
         assert plane.offset_m >= 0, 'normals look at the camera'
-        assert np.degrees(np.arccos(np.clip(plane.normal @ truth[:3], -1, 1))) < 0.5
+        assert angle_deg(plane.normal, truth[:3]) < 0.5
         assert plane.offset_m == pytest.approx(truth[3], abs=0.01)
 
 

@@ -11,7 +11,8 @@ from onnx_models import PLAIN, write_depth_network
 from plane_detector import Config, PlaneDetector
 from plane_detector.config import DepthConfig, DirectionsConfig, SegmentationConfig
 from plane_detector.depth.observation import DepthFunction
-from plane_detector.evaluation.metrics import overlap, segmentation_covering
+from plane_detector.evaluation.metrics import overlap, pure_errors, segmentation_covering
+from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes import rooms
 from plane_detector.evaluation.scenes.misleading import FALSE_COLOURS, KINDS, misleading_image
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
@@ -29,12 +30,8 @@ def room(seed, kind):
 def errors(scene, detection, mask):
     """Return the covering, and the angles of planes to the true ones, in degrees."""
     shared = overlap(scene.labels, detection.labels, mask)
-    on_plane, pixels = shared.counts[:-1, :-1], shared.counts[:, :-1].sum(axis=0)
-    normals = np.stack([plane.normal for plane in detection.planes])
-    cosine = (scene.planes[on_plane.argmax(axis=0), :3] * normals).sum(axis=1)
-    is_pure = on_plane.max(axis=0) > 0.8 * pixels
     return (segmentation_covering(shared.counts),
-            np.degrees(np.arccos(np.clip(cosine[is_pure], -1, 1))))
+            pure_errors(shared, scene.planes, plane_array(detection))[0])
 
 
 @pytest.mark.parametrize('kind', KINDS)

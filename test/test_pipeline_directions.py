@@ -8,6 +8,7 @@ import pytest
 from plane_detector import CameraIntrinsics, Config, PlaneDetector
 from plane_detector.config import DepthConfig, DirectionsConfig, ScaleConfig
 from plane_detector.depth.observation import DepthFunction
+from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, textured
@@ -68,7 +69,7 @@ def test_exact_planes_of_a_small_image_do_not_move():
             scene.rgb, camera) for directions in (DirectionsConfig(), OFF))
         assert found.gravity_source == 'image' and np.array_equal(found.labels, off.labels)
         for one, other in zip(found.planes, off.planes, strict=True):
-            assert np.degrees(np.arccos(min(one.normal @ other.normal, 1.0))) < 0.05
+            assert angle_deg(one.normal, other.normal) < 0.05
 
 
 def test_measured_depth_is_left_alone():

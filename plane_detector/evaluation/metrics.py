@@ -15,6 +15,8 @@ import numpy as np
 
 MIN_PIXELS = 1500
 """Smaller true planes are not counted as missed."""
+PURE = 0.8
+"""A plane with more than this share of its pixels on one true plane is judged by that one."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,20 @@ def overlap(true_labels: np.ndarray, labels: np.ndarray, mask: np.ndarray) -> Ov
     counts = counts.reshape(true_count, count)
     union = counts.sum(1)[:, None] + counts.sum(0)[None, :] - counts
     return Overlap(counts, (counts / np.maximum(union, 1))[:-1, :-1])
+
+
+def angle_deg(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the angles between unit vectors (..., 3)."""
+    return np.degrees(np.arccos(np.clip((first * second).sum(-1), -1, 1)))
+
+
+def pure_errors(shared: Overlap, true_planes: np.ndarray,
+                planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the angles of the planes (J, 4) that are PURE to the true ones, and their pixels."""
+    on_plane, pixels = shared.counts[:-1, :-1], shared.counts[:, :-1].sum(axis=0)
+    error_deg = angle_deg(true_planes[on_plane.argmax(axis=0), :3], planes[:, :3])
+    is_pure = on_plane.max(axis=0) > PURE * pixels
+    return error_deg[is_pure], pixels[is_pure]
 
 
 def rand_index(counts: np.ndarray) -> float:

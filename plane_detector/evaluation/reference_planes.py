@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plane_detector.evaluation.datasets import Frame
-from plane_detector.evaluation.metrics import MIN_PIXELS
+from plane_detector.evaluation.metrics import MIN_PIXELS, angle_deg
 from plane_detector.geometry.projection import depth_to_points
 from plane_detector.pipeline import segment_planes
 from plane_detector.planes.classification import lowest_level, refine_gravity
@@ -55,10 +55,9 @@ def judge_planes(labels: np.ndarray, planes: np.ndarray, sensor_depth_m: np.ndar
         there_m = points_m[seen & (labels == k)].astype(np.float64)
         if len(there_m) >= MIN_SENSOR_PIXELS:
             best = best_plane(there_m, rng)
-            cosine = np.clip(plane[:3] @ best[:3], -1, 1)
             judged.append(JudgedPlane(
                 len(there_m), float(near(there_m, best).mean()),
-                float(np.degrees(np.arccos(cosine))), float(abs(plane[3] - best[3]))))
+                float(angle_deg(plane[:3], best[:3])), float(abs(plane[3] - best[3]))))
     return judged
 
 

@@ -10,6 +10,7 @@ from plane_detector.directions.line_segments import LineSegments, segments_from_
 from plane_detector.directions.posterior import Expected
 from plane_detector.directions.temporal_filter import carried, turn_between_images
 from plane_detector.directions.vanishing import MIN_PROBABILITY, find_directions
+from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.types import CameraIntrinsics
 
 CAMERA = CameraIntrinsics(500.0, 500.0, 319.5, 239.5, 640, 480)
@@ -47,10 +48,6 @@ def every(images):
 
 def walk(images):
     return every(images)[-1]
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(a @ b, -1, 1)))
 
 
 @pytest.mark.parametrize('angles', [(0.5, 0, 0), (0, -1.0, 0), (0, 0, 2.0), (1.0, 0.5, -1.0)])

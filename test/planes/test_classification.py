@@ -103,10 +103,6 @@ def test_coarse_gravity_stays_coarse_without_right_angles():
     assert refine_gravity((FLOOR, WALL), coarse, 5.0) is None
 
 
-def test_accelerometer_at_rest_points_up():
-    np.testing.assert_allclose(gravity_from_acceleration((0.0, -9.8, 0.0), (0, 0, 0, 1)), DOWN)
-
-
 def test_mounting_turns_the_imus_frame_into_the_cameras():
     # An IMU with z up: its axes x forward, y left, z up in an optical frame x right, y down.
     mounting = (0.5, -0.5, 0.5, 0.5)

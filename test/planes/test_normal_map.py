@@ -9,6 +9,7 @@ import pytest
 
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthFunction
+from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.types import CameraIntrinsics
@@ -58,7 +59,7 @@ def found_normal(depth_m, normals_camera):
 
 
 def error_deg(plane, azimuth_deg):
-    return np.degrees(np.arccos(np.clip(plane.normal @ towards(azimuth_deg), -1, 1)))
+    return angle_deg(plane.normal, towards(azimuth_deg))
 
 
 def test_accurate_normals_rotate_a_plane_of_inaccurate_depth():

@@ -10,6 +10,7 @@ import pytest
 
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import NO_PAIRS, SceneDirections
+from plane_detector.evaluation.metrics import angle_deg
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN
 from plane_detector.planes import orientation
 from plane_detector.planes.line_evidence import LineEvidence, lines_in_regions
@@ -36,10 +37,6 @@ def plane(normal, sigma_deg=1.0):
 def turned(normal, angle_deg, about):
     c, s = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     return c * normal + s * np.cross(about, normal) + (1 - c) * (about @ normal) * about
-
-
-def angle_deg(a, b):
-    return np.degrees(np.arccos(np.clip(a @ b, -1, 1)))
 
 
 def no_lines(count):

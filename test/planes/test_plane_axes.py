@@ -35,14 +35,18 @@ def lines(turn, probability=1.0):
                            probability=probability)
 
 
+def axes(normals, of_lines, factor=1.0):
+    """Return the axes of planes whose errors have a variance of this times SIGMA_RAD squared."""
+    return axes_of_planes(normals, np.full(len(normals), factor * SIGMA_RAD**2), of_lines)
+
+
 def angle_deg(a, b):
     return np.degrees(np.arccos(np.clip(np.abs(a @ b), 0, 1)))
 
 
 def test_axes_are_those_of_the_planes_whatever_the_lines():
     normals = planes(np.random.default_rng(0))
-    own, _ = axes_of_planes(normals, np.full(len(normals), SIGMA_RAD**2),
-                            lines(rotation(15, [0, 0, 1])))
+    own, _ = axes(normals, lines(rotation(15, [0, 0, 1])))
     assert angle_deg(own.gravity_camera, ROOM[1]) < 0.5
     assert own.gravity_camera @ ROOM[1] > 0
     assert angle_deg(own.pairs[0], ROOM[0]).min() < 0.5
@@ -53,9 +57,8 @@ def test_axes_are_those_of_the_planes_whatever_the_lines():
 
 def test_axes_far_from_those_of_sure_lines_are_improbable():
     normals = planes(np.random.default_rng(1))
-    variances = np.full(len(normals), SIGMA_RAD**2)
     near, far, unsure, other_azimuth = (
-        axes_of_planes(normals, variances, one)[1]
+        axes(normals, one)[1]
         for one in (lines(rotation(0.5, [0, 0, 1])), lines(rotation(15, [0, 0, 1])),
                     lines(rotation(15, [0, 0, 1]), 0.9), lines(rotation(15, ROOM[1]))))
     assert far < unsure < near
@@ -65,35 +68,31 @@ def test_axes_far_from_those_of_sure_lines_are_improbable():
 def test_accurate_planes_need_more_agreement_than_inaccurate_ones():
     normals = planes(np.random.default_rng(2))
     wrong = lines(rotation(15, [0, 0, 1]))
-    sharp, blurred = (axes_of_planes(normals, np.full(len(normals), factor * SIGMA_RAD**2), wrong)
-                      for factor in (1, 16))
+    sharp, blurred = (axes(normals, wrong, factor) for factor in (1, 16))
     assert sharp[1] < blurred[1]
 
 
 def test_without_horizontal_axes_of_the_lines_any_azimuth_is_as_likely():
     normals = planes(np.random.default_rng(3))
-    variances = np.full(len(normals), SIGMA_RAD**2)
-    priors = [axes_of_planes(normals, variances, replace(lines(turn), pairs=NO_PAIRS))[1]
+    priors = [axes(normals, replace(lines(turn), pairs=NO_PAIRS))[1]
               for turn in (np.eye(3), rotation(30, ROOM[1]))]
     assert abs(priors[0] - priors[1]) < 1e-9
 
 
 def test_if_the_vertical_of_the_lines_is_wrong_so_may_be_their_azimuth():
     normals = planes(np.random.default_rng(4))
-    variances = np.full(len(normals), SIGMA_RAD**2)
-    priors = [axes_of_planes(normals, variances, lines(rotation(15, [0, 0, 1]) @ turn))[1]
+    priors = [axes(normals, lines(rotation(15, [0, 0, 1]) @ turn))[1]
               for turn in (np.eye(3), rotation(30, ROOM[1]))]
     assert abs(priors[0] - priors[1]) < 1e-3
 
 
 def test_axes_without_support_of_the_lines_are_those_of_a_camera_held_upright():
     level, wrong = planes(np.random.default_rng(5)) @ ROOM.T, rotation(15, [1, 0, 0])
-    variances = np.full(len(level), SIGMA_RAD**2)
-    held, on_its_side = (axes_of_planes(level @ roll.T, variances, lines(roll @ wrong @ ROOM))[1]
+    held, on_its_side = (axes(level @ roll.T, lines(roll @ wrong @ ROOM))[1]
                          for roll in (np.eye(3), rotation(25, [0, 0, 1])))
     assert on_its_side < held - 1
 
 
 def test_parallel_planes_have_no_axes():
     normals = np.tile(ROOM[1], (3, 1))
-    assert axes_of_planes(normals, np.full(3, SIGMA_RAD**2), lines(np.eye(3)))[0] is None
+    assert axes(normals, lines(np.eye(3)))[0] is None

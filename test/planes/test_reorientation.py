@@ -11,6 +11,7 @@ from plane_detector.config import Config
 from plane_detector.directions.finder import CameraImage, ImageDirections, find_in_image
 from plane_detector.directions.line_segments import segments_from_pixels
 from plane_detector.directions.vanishing import SceneDirections
+from plane_detector.evaluation.metrics import overlap, pure_errors
 from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import ramp_room, rolled_room, textured
@@ -26,27 +27,28 @@ CONFIG = Config()
 
 def mean_error_deg(scene, planes, labels):
     """Return the angle of planes that are mostly on one true one, weighted by their pixels."""
-    errors, pixels = [], []
-    for k, plane in enumerate(planes):
-        true = np.bincount(scene.labels[(labels == k) & (scene.labels >= 0)],
-                           minlength=len(scene.planes))
-        if true.max() > 0.8 * (labels == k).sum():
-            cosine = scene.planes[true.argmax(), :3] @ plane.normal
-            errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))))
-            pixels.append(true.max())
-    return np.average(errors, weights=pixels)
+    errors_deg, pixels = pure_errors(
+        overlap(scene.labels, labels, np.ones(labels.shape, bool)), scene.planes,
+        np.stack([[*plane.normal, plane.offset_m] for plane in planes]))
+    return np.average(errors_deg, weights=pixels)
 
 
-def before_and_after(make, seed, sigma):
-    """Return scene, planes and labels of smoothly wrong depth, before and after."""
+def turned(make, seed, sigma):
+    """Return scene, planes and labels of smoothly wrong depth, and the regions turned."""
     scene = textured(make, seed)
     depth_m = with_disparity_noise(scene.depth_m, sigma, np.random.default_rng(seed), 0.998, 90.0)
     regions = segment(1 / depth_m, metric_noise_floor(CONFIG, 0.004), CONFIG,
                       np.random.default_rng(0))
     planes, labels = measure_planes(regions, scene.intrinsics, 1000)
     lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
-    turned = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
-    return scene, (planes, labels), measure_planes(turned, scene.intrinsics, 1000)
+    return scene, (planes, labels), reorient(replace(regions, labels=labels), planes, lines,
+                                             scene.intrinsics)
+
+
+def before_and_after(make, seed, sigma):
+    """Return scene, planes and labels of smoothly wrong depth, before and after."""
+    scene, before, regions = turned(make, seed, sigma)
+    return scene, before, measure_planes(regions, scene.intrinsics, 1000)
 
 
 @pytest.mark.parametrize(('make', 'seed'), [
@@ -73,19 +75,13 @@ def test_labels_are_only_joined_or_dropped():
 
 
 def test_a_plane_is_as_sure_as_its_orientation():
-    scene = textured(random_room, 300)
-    depth_m = with_disparity_noise(scene.depth_m, 0.02, np.random.default_rng(300), 0.998, 90.0)
-    regions = segment(1 / depth_m, metric_noise_floor(CONFIG, 0.004), CONFIG,
-                      np.random.default_rng(0))
-    planes, labels = measure_planes(regions, scene.intrinsics, 1000)
-    lines = find_in_image(CameraImage(scene.rgb, scene.intrinsics))
-    turned = reorient(replace(regions, labels=labels), planes, lines, scene.intrinsics)
-    found, labels = measure_planes(turned, scene.intrinsics)
-    alone, _ = measure_planes(replace(turned, certainty=1.0), scene.intrinsics)
-    assert turned.certainty.min() < 0.95
+    scene, _, regions = turned(random_room, 300, 0.02)
+    found, labels = measure_planes(regions, scene.intrinsics)
+    alone, _ = measure_planes(replace(regions, certainty=1.0), scene.intrinsics)
+    assert regions.certainty.min() < 0.95
     for k, (plane, without) in enumerate(zip(found, alone, strict=True)):
-        region = turned.labels[labels == k][0]
-        assert plane.confidence == pytest.approx(without.confidence * turned.certainty[region])
+        region = regions.labels[labels == k][0]
+        assert plane.confidence == pytest.approx(without.confidence * regions.certainty[region])
 
 
 def upright_axes(camera):
@@ -107,8 +103,8 @@ def test_pieces_of_a_bent_wall_are_joined_but_not_across_a_step(step_share, piec
         [-slope, 0, 0.5], [slope * (1 + step_share), 0, 0.5 * (1 + step_share)]]),
         build_cell_grid(image), metric_noise_floor(CONFIG, 0.01))
     planes, labels = measure_planes(regions, camera)
-    turned = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
-    assert len(np.unique(turned.labels)) == pieces
+    after = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
+    assert len(np.unique(after.labels)) == pieces
 
 
 def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
@@ -121,8 +117,8 @@ def test_pixels_that_a_level_plane_cannot_contain_have_no_label():
     regions = PixelRegions(image.values, labels, np.array([[0, camera.width / camera.fy, 0.15]]),
                            build_cell_grid(image), metric_noise_floor(CONFIG, 0.01))
     planes, labels = measure_planes(regions, camera)
-    turned = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
-    (plane,), _ = measure_planes(turned, camera)
+    after = reorient(replace(regions, labels=labels), planes, upright_axes(camera), camera)
+    (plane,), _ = measure_planes(after, camera)
     assert plane.normal == pytest.approx([0, -1, 0], abs=0.02)
-    assert np.array_equal(turned.labels >= 0, ray_y > 0.02)
+    assert np.array_equal(after.labels >= 0, ray_y > 0.02)
     assert np.linalg.norm(plane.centroid_m) < 50

@@ -8,7 +8,7 @@ from cell_helpers import noisy, scored
 
 from plane_detector import Config, segment_planes
 from plane_detector.config import SegmentationConfig
-from plane_detector.evaluation.metrics import overlap, segmentation_covering
+from plane_detector.evaluation.metrics import angle_deg, overlap, segmentation_covering
 from plane_detector.evaluation.scenes.rendering import (
     VGA,
     box,
@@ -142,4 +142,4 @@ def test_depth_of_every_second_row_is_as_good_as_all():
     found, whole = (segment_planes(one, camera).planes for one in (sparse, depth_m))
     assert len(found) == 2
     for one, other in zip(found, whole, strict=True):
-        assert np.degrees(np.arccos(min(abs(one.normal @ other.normal), 1.0))) < 0.02
+        assert angle_deg(one.normal, other.normal) < 0.02

@@ -7,7 +7,7 @@ import pytest
 from cell_helpers import noisy, rectangle, relative_labels
 
 from plane_detector import CameraIntrinsics, segment_planes
-from plane_detector.evaluation.metrics import overlap, segmentation_covering
+from plane_detector.evaluation.metrics import angle_deg, overlap, segmentation_covering
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.scenes.rendering import VGA, box, camera_rotation, render
 
@@ -28,9 +28,9 @@ def assert_follows(before, after, labels, planes, sigma, covering=0.9):
     same = shared.iou > 0.8
     assert same[large].any(axis=1).mean() >= (1.0 if sigma == 0 else 0.75)
     for i, j in zip(*np.nonzero(same & large[:, None]), strict=True):
-        cosine = np.clip(planes[i, :3] @ found[j, :3], -1, 1)
         deviation_deg = np.degrees(np.sqrt(np.trace(before.planes[i].covariance[:3, :3])))
-        assert np.degrees(np.arccos(cosine)) < (0.1 if sigma == 0 else max(5, deviation_deg))
+        assert angle_deg(planes[i, :3], found[j, :3]) < (
+            0.1 if sigma == 0 else max(5, deviation_deg))
         assert abs(planes[i, 3] - found[j, 3]) < (1e-3 if sigma == 0 else 0.08) * max(
             1, planes[i, 3])
 

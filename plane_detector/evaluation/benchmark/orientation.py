@@ -32,7 +32,13 @@ from plane_detector.evaluation.benchmark.report import (
     table,
 )
 from plane_detector.evaluation.datasets import Frame, frames
-from plane_detector.evaluation.metrics import overlap, segmentation_covering
+from plane_detector.evaluation.metrics import (
+    PURE,
+    angle_deg,
+    overlap,
+    pure_errors,
+    segmentation_covering,
+)
 from plane_detector.evaluation.peers import plane_array
 from plane_detector.evaluation.reference_planes import JudgedPlane, judge_planes, true_floor
 from plane_detector.evaluation.scenes import misleading, rooms, textures
@@ -49,7 +55,6 @@ BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.01)
 PARTS_PER_FRAME = 6
 DEPTH_NOISE_PER_M, WRONG_DEG = (0.0, 0.002, 0.008), 6.0
 MISLEADING_NOISE_PER_M, BLUR_PX = (0.0, 0.002, 0.008), 3.0
-PURE = 0.8
 PLAIN = 'doors, planks and tiles'
 UPRIGHT_SINE = 0.05
 SCENES: dict[str, Callable] = {
@@ -90,11 +95,6 @@ def run(options: argparse.Namespace) -> None:
         report_misleading(seeds)
     if 'rendered' in parts:
         report_rendered(seeds)
-
-
-def angle_deg(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the angle between two unit vectors (3,)."""
-    return float(np.degrees(np.arccos(np.clip(first @ second, -1, 1))))
 
 
 def report_gravity(name: str, found: Sequence[Frame]) -> None:
@@ -324,8 +324,5 @@ def _misled(kind: str, sigma: float, seed: int, way: str) -> tuple[float, np.nda
     model = DepthFunction(lambda rgb: depth_m, blur_px=BLUR_PX)
     seen = PlaneDetector(config, model).detect(rgb, scene.intrinsics)
     shared = overlap(scene.labels, seen.labels, np.isfinite(scene.depth_m))
-    on_plane = shared.counts[:-1, :-1]
-    cosine = (scene.planes[on_plane.argmax(0), :3] * plane_array(seen)[:, :3]).sum(1)
-    is_pure = on_plane.max(0) > PURE * shared.counts[:, :-1].sum(0)
     return (segmentation_covering(shared.counts),
-            np.degrees(np.arccos(np.clip(cosine[is_pure], -1, 1))))
+            pure_errors(shared, scene.planes, plane_array(seen))[0])
