@@ -4,7 +4,7 @@
 
 import numpy as np
 import pytest
-from cell_helpers import noisy, scored
+from cell_helpers import noisy, scored, wall
 
 from plane_detector import Config, segment_planes
 from plane_detector.config import SegmentationConfig
@@ -67,6 +67,13 @@ def test_where_everything_is_curved_there_is_no_plane():
     assert found.planes == () and (found.labels == -1).all()
 
 
+def test_an_image_frame_two_centimetres_off_the_wall_is_its_own_plane():
+    scene = seen([wall(2.0), *box(np.array([0.1, 1.99, 0.1]), np.array([0.6, 0.02, 0.5]))])
+    found = segment_planes(scene.depth_m, VGA)
+    assert sorted(plane.offset_m for plane in found.planes) == pytest.approx([1.98, 2.0], abs=1e-3)
+    assert scored(scene, found).segmentation_covering > 0.98
+
+
 @pytest.mark.parametrize('gap_m', [0.3, 0.6])
 def test_a_table_and_a_sofa_of_one_height_stay_two(gap_m):
     middle = gap_m / 2 + 0.5
@@ -76,6 +83,14 @@ def test_a_table_and_a_sofa_of_one_height_stay_two(gap_m):
     found = segment_planes(scene.depth_m, VGA)
     left, right = (label_at(scene, found, (x, 3.0, 0.5), -25, 1.6) for x in (-middle, middle))
     assert min(left, right) >= 0 and left != right
+
+
+def test_a_pillar_does_not_cut_the_wall_behind_it():
+    scene = seen([FLOOR, WALL, *box(np.array([0, 3.0, 2.0]), np.array([0.3, 0.3, 4.0]))],
+                 -10, 1.5)
+    found = segment_planes(scene.depth_m, VGA)
+    left, right = (label_at(scene, found, (x, 6.0, 1.5), -10, 1.5) for x in (-2, 2))
+    assert left == right >= 0
 
 
 def test_a_wide_border_without_depth_costs_nothing_within(room):
@@ -102,6 +117,13 @@ def test_no_plane_is_smaller_than_wanted(room):
     config = Config(segmentation=SegmentationConfig(min_plane_share=0.05))
     found = segment_planes(room(3).depth_m, VGA, config)
     assert min(plane.inlier_count for plane in found.planes) >= 0.05 * found.labels.size
+
+
+def test_known_noise_is_a_lower_bound(room):
+    exact = segment_planes(room(3).depth_m, VGA)
+    found = segment_planes(room(3).depth_m, VGA, disparity_noise=0.02)
+    assert exact.disparity_noise < 0.001 and found.disparity_noise >= 0.02
+    assert len(found.planes) <= len(exact.planes)
 
 
 CAMERAS = {'0.3 w': (192, 192, 319.5), '2 w': (1280, 1280, 319.5), '4 w': (2560, 2560, 319.5),
