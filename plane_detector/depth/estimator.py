@@ -104,7 +104,7 @@ class DepthEstimator:
         self._views_used = len(views)
         if len(views) == 1:
             return self._predict_view(rgb, intrinsics)
-        return average_views(views, [self._predict_view(view.of(rgb), None) for view in views])
+        return average_views(views, (self._predict_view(view.of(rgb), None) for view in views))
 
     def fit_to_rate(self, rate_hz: float, other_s: float) -> None:
         """

@@ -11,13 +11,14 @@ that is already narrower would only be worse.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
+from plane_detector.geometry.robust import median
 from plane_detector.types import Prediction
 
 # Smallest crop, and the largest one that is worth its time.
@@ -71,17 +72,19 @@ def choose_views(lens_ratio: float, most: int) -> tuple[View, ...]:
     return (View(), View(share, False, True), View(share, True, False))[:most]
 
 
-def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> Prediction:
+def average_views(views: Sequence[View], predictions: Iterable[Prediction]) -> Prediction:
     """
     Average the disparity of views, the whole image first, at whose scale the result is.
 
     Predictions are metric depth or disparity; the result is NaN where all of them are invalid.
     """
-    kind = predictions[0].output
-    whole = _inverted(predictions[0].values, kind)
+    predictions = iter(predictions)
+    first = next(predictions)
+    kind = first.output
+    whole = _inverted(first.values, kind)
     is_valid = np.isfinite(whole)
-    total, weight = _zero_filled(whole, is_valid), is_valid.astype(np.float32)
-    for view, prediction in zip(views[1:], predictions[1:], strict=True):
+    total, weight = _zero_filled(whole, is_valid).copy(), is_valid.astype(np.float32)
+    for view, prediction in zip(views[1:], predictions, strict=True):
         part, crop = view.slices(whole.shape), _inverted(prediction.values, kind)
         crop = cv2.flip(crop, 1) if view.is_mirrored else crop
         crop = crop * _median_ratio(whole[part], crop)
@@ -91,14 +94,12 @@ def average_views(views: Sequence[View], predictions: Sequence[Prediction]) -> P
         weight[part] += share
     with np.errstate(invalid='ignore'):  # 0 / 0 is NaN, for invalid
         return Prediction(kind, _inverted(total / weight, kind),
-                          is_indoor=predictions[0].is_indoor)
+                          is_indoor=first.is_indoor)
 
 
 def _zero_filled(values: np.ndarray, is_valid: np.ndarray) -> np.ndarray:
-    """Return a copy with 0 where values are not valid; faster than numpy.where."""
-    filled = values.copy()
-    filled[~is_valid] = 0
-    return filled
+    """Return values with 0 where they are not valid."""
+    return values if is_valid.all() else np.where(is_valid, values, np.float32(0))
 
 
 def _inverted(values: np.ndarray, kind: str) -> np.ndarray:
@@ -110,7 +111,7 @@ def _median_ratio(target: np.ndarray, source: np.ndarray) -> np.float32:
     """Return the factor that brings source to the scale of target; 1 if they share no pixel."""
     ratio = target[::SAMPLE_STEP, ::SAMPLE_STEP] / source[::SAMPLE_STEP, ::SAMPLE_STEP]
     ratio = ratio[np.isfinite(ratio)]
-    return np.float32(np.median(ratio) if ratio.size else 1)
+    return np.float32(median(ratio) if ratio.size else 1)
 
 
 @lru_cache(maxsize=8)

@@ -203,7 +203,7 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
     where the layout of the viewer looks, the one of the larger plane is kept.
     """
     captions: dict[int, Caption] = {}
-    boxes: list[np.ndarray] = []
+    boxes: list[Sequence[float]] = []
     unit = '' if detection.scale_method == RELATIVE else ' m'
     for index in sorted(range(len(labels)), key=lambda k: -detection.planes[k].inlier_count):
         plane, label = detection.planes[index], labels[index]
@@ -215,7 +215,7 @@ def plane_captions(detection: Detection, labels: Sequence[int], intrinsics: Came
                        _LARGEST_TEXT_HEIGHT * math.sqrt(plane.area_m2))
         half_m = _BOX * height_m / 2 * np.array([_ADVANCE * len(text), 1.0])
         across_m, depth_m = _VIEW_AXES[:2] @ sight_m, float(_VIEW_AXES[2] @ sight_m)
-        box = np.concatenate([across_m - half_m, across_m + half_m]) / depth_m
+        box = (np.concatenate([across_m - half_m, across_m + half_m]) / depth_m).tolist()
         if depth_m > 0 and not any(_overlap(box, other) for other in boxes):
             boxes.append(box)
             share = _share_before(plane, sight_m, half_m)
@@ -244,6 +244,7 @@ def _share_before(plane: Plane, sight_m: np.ndarray, half_m: np.ndarray) -> floa
     return min(max(_BEFORE_PLANE * to_eye_m / nearness, _NEAREST), 1.0)
 
 
-def _overlap(first: np.ndarray, second: np.ndarray) -> bool:
+def _overlap(first: Sequence[float], second: Sequence[float]) -> bool:
     """Return whether two boxes overlap: left, top, right, bottom."""
-    return bool((first[:2] < second[2:]).all() and (second[:2] < first[2:]).all())
+    return (first[0] < second[2] and first[1] < second[3]
+            and second[0] < first[2] and second[1] < first[3])
