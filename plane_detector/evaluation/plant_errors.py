@@ -98,7 +98,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
          'correction of the lens inverted'),
         (', dtype=float) >', ', dtype=float) <', 'normals away from the camera')),
     'depth/views.py': (
-        ('crop[:, ::-1] if view.is_mirrored else crop',
+        ('cv2.flip(crop, 1) if view.is_mirrored else crop',
          'crop + 0', 'a mirrored view not turned back'),),
     'depth/far.py': (
         ('FAR_DEVIATIONS * noise', 'noise', 'dropped factor of the noise'),),
