@@ -27,6 +27,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property
@@ -142,9 +143,9 @@ class Kernel:
     @property
     def _is_called_once(self) -> bool:
         """Whether its module, the only one that may use a private name, calls it at one place."""
-        return self.__name__.startswith('_') and 1 == sum(
+        return self.__name__.startswith('_') and sum(
             step.argval == self.__name__ for one in _KERNELS if one.__module__ == self.__module__
-            for step in dis.get_instructions(one._function.__code__))
+            for step in dis.get_instructions(one._function.__code__)) == 1
 
     def _jit(self, function: Callable) -> Callable:
         import numba
@@ -228,20 +229,27 @@ def load_once(*subjects: str) -> None:
 
 def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) -> None:
     """Let other processes fill the cache; what they fail to compile is compiled by the caller."""
-    # A module at a time: its kernels call each other, and each process compiles what it calls.
-    modules = list(dict.fromkeys(one.__module__ for one in kernels))
+    # A module at a time, since its kernels share callees; the longest first, to end together.
+    length = Counter()
+    for one in _KERNELS:
+        length[one.__module__] += len(one._function.__code__.co_code)
+    modules = sorted({one.__module__ for one in kernels}, key=length.get, reverse=True)
     count = min(len(os.sched_getaffinity(0)), MOST_PROCESSES, len(modules))
+    # Each helper reads the number of its next module from the same pipe.
+    queue, end = os.pipe()
+    os.write(end, bytes(range(len(modules))))
+    os.close(end)
     command = [sys.executable, '-c', 'from plane_detector.compilation import help_parent\n'
-                                     'help_parent()', str(os.getpid())]
+                                     'help_parent()', str(os.getpid()), *modules]
     helpers, told_s = [], time.monotonic()
     try:
-        for k in range(count):
-            own = modules[k::count]
+        for _ in range(count):
             # A session of its own: a signal to end is for this process, which ends the others.
             helpers.append(subprocess.Popen(
-                [*command, *own, *reversed([name for name in modules if name not in own])],
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)},
+                command, stdin=queue, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path),
+                     # Numba would mark up each of the 50000 types that it tries in vain.
+                     'NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING': '1'},
                 start_new_session=True))
         while any(helper.poll() is None for helper in helpers):
             raise_if_stopped()
@@ -253,6 +261,7 @@ def _compile_in_processes(kernels: list[Kernel], tell: Callable[[str], None]) ->
         for helper in helpers:
             helper.kill()
             helper.wait()
+        os.close(queue)
 
 
 def help_parent() -> None:
@@ -261,11 +270,11 @@ def help_parent() -> None:
     for module in modules:
         import_module(module)
     own = _own_kernels({one.subject for one in _KERNELS})
-    for module in modules:
+    while number := os.read(0, 1):
         for one in own:
             if os.getppid() != parent:
                 return
-            if one.__module__ == module:
+            if one.__module__ == modules[number[0]]:
                 one.compiled()
 
 
