@@ -106,7 +106,7 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
 
     """
     small = np.ascontiguousarray(labels[::SCALE, ::SCALE])
-    markers = _markers(small, at_borders(small, round(guide.reach_px / SCALE)))
+    markers = _markers(small, at_borders(small, round(guide.reach_px / SCALE)), len(planes))
     basins = _watershed(cv2.GaussianBlur(guide.small_rgb, (0, 0), SMOOTHING_PX), markers.copy())
     proposed = np.where((markers == 0) & (basins > 0), basins - 2, NOT_MOVED)
     return _moved(labels, proposed, disparity, planes, round(guide.reach_px), is_blurred,
@@ -115,10 +115,10 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
                    SAME_SIGMAS * noise.mean_sigma))
 
 
-@kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1])')
-def _markers(labels, band):
+@kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1], int64)')
+def _markers(labels, band, count):
     """Return the markers of a watershed: label + 2, but 0 near borders of wide regions."""
-    is_wide, markers = np.zeros(labels.max() + 2, np.bool_), labels + np.int32(2)
+    is_wide, markers = np.zeros(count + 1, np.bool_), labels + np.int32(2)
     for v in range(labels.shape[0]):
         for u in range(labels.shape[1]):
             if not band[v, u]:

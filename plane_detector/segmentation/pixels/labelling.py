@@ -95,9 +95,9 @@ def _label(output, image, cells, planes, tolerance, sweeps):
     _fill_cells(found, shift, valid, labels, is_open, size)
     for _ in range(sweeps):
         changed, is_next, is_changed = labels.copy(), np.zeros(labels.shape, np.bool_), False
-        for cell in np.flatnonzero(is_open):
+        for cell in range(labels.size):
             row, column = cell // columns, cell % columns
-            if not _find_labels_around(labels, row, column, near):
+            if not is_open[row, column] or not _find_labels_around(labels, row, column, near):
                 continue
             top, left, label = row * size, column * size, labels[row, column]
             if extent != (min(size, height - top), min(size, width - left)):
