@@ -65,15 +65,18 @@ class Kernel:
         interval waits longer to get it back than the loop takes; with some fifty such loops in a
         frame, the stages of the node took a fifth more core time and twice the time. True for
         loops over cells or planes: the longest ends in a quarter of the node's switch interval.
+    subject : str
+        Name for :func:`compile_kernels`; by default the folder of its module.
 
     """
 
-    def __init__(self, function: Callable, signature: str, is_short: bool = False) -> None:
+    def __init__(self, function: Callable, signature: str, is_short: bool = False,
+                 subject: str = '') -> None:
         self._function, self._signature, self._is_short = function, signature, is_short
         self._compiled: Callable | None = None
         self.__doc__, self.__name__ = function.__doc__, function.__name__
         self.__module__ = function.__module__
-        self.subject = function.__module__.split('.')[1]
+        self.subject = subject or function.__module__.split('.')[1]
         _KERNELS.append(self)
 
     def __call__(self, *arguments: Any) -> Any:
@@ -164,13 +167,14 @@ class Kernel:
                 gc.enable()
 
 
-def kernel(signature: str, is_short: bool = False) -> Callable[[Callable], Kernel]:
+def kernel(signature: str, is_short: bool = False,
+           subject: str = '') -> Callable[[Callable], Kernel]:
     """Turn a function into a :class:`Kernel` with these properties."""
-    return lambda function: Kernel(function, signature, is_short)
+    return lambda function: Kernel(function, signature, is_short, subject)
 
 
 def are_ready(subject: str) -> bool:
-    """Return whether the machine code of all imported kernels of a folder is loaded."""
+    """Return whether the machine code of all imported kernels of a subject is loaded."""
     return all(one.is_ready for one in _own_kernels({subject}))
 
 
@@ -189,7 +193,8 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
     Parameters
     ----------
     subjects : iterable of str
-        Folders of the package, such as ``'segmentation'``; their imported kernels are compiled.
+        Folders of the package, such as ``'segmentation'``, or ``'network'``: what only the depth
+        of a network needs. Their imported kernels are compiled.
     tell : callable
         Called with a text when kernels must be compiled, and every five seconds meanwhile.
     what : str
@@ -223,7 +228,7 @@ def free_intermediate_code() -> None:
 
 @cache
 def load_once(*subjects: str) -> None:
-    """Compile or load the kernels of these folders, at the first call of a process only."""
+    """Compile or load the kernels of these subjects, at the first call of a process only."""
     compile_kernels(subjects, logging.getLogger(__name__).warning)
 
 

@@ -44,6 +44,8 @@ def noise_floor(seen: Observation, config: Config) -> Noise:
 
 def hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
     """Return the image that borders snap to, if the network blurs edges, and its normals."""
+    if not seen.is_measured:
+        load_once('geometry', 'segmentation', 'planes', 'ground', 'network')
     snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
     guide = GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None
     return {'guide': guide, 'normals': NormalMap.of(seen.prediction, seen.intrinsics)}

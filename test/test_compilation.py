@@ -7,9 +7,11 @@ import subprocess
 import sys
 import threading
 
+import numpy as np
 import pytest
 
-from plane_detector import compilation
+from plane_detector import Config, PlaneDetector, compilation
+from plane_detector.config import DepthConfig
 
 SAMPLE = """
 from plane_detector.compilation import compile_kernels, kernel
@@ -84,6 +86,22 @@ def test_every_global_name_that_a_kernel_uses_is_part_of_the_digest():
                     or hasattr(value, 'tolist')
                     or value in (sys.modules['numpy'], sys.modules['math'])), (
                 f'{one.__name__}: {name}')
+
+
+def test_measured_depth_needs_only_kernels_compiled_at_the_start(room, monkeypatch):
+    """None that only a network needs, and none that has become part of its only caller."""
+    called, call = set(), compilation.Kernel.__call__
+
+    def record(self, *arguments):
+        called.add(self)
+        return call(self, *arguments)
+    monkeypatch.setattr(compilation.Kernel, '__call__', record)
+    scene = room(0)
+    rgb = np.zeros((*scene.depth_m.shape, 3), np.uint8)
+    detector = PlaneDetector(Config(depth=DepthConfig(source='topic')))
+    assert detector.detect(rgb, scene.intrinsics, scene.depth_m, np.array([0.0, 1.0, 0.0])).planes
+    assert len(called) > 30
+    assert not [one.__name__ for one in called if one.subject == 'network' or one._is_called_once]
 
 
 def test_machine_code_is_in_a_folder_that_only_its_user_writes(folder, tmp_path, monkeypatch):

@@ -68,7 +68,7 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Sequence[Plane
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], float32[:, ::1], '
-        'UniTuple(float64, 4))')
+        'UniTuple(float64, 4))', subject='network')
 def _fill(labels, of_patches, slopes, depth_m, camera):
     """Return the labels with those of the patches where there are none and the depth is near."""
     filled, (fx, fy, cx, cy) = labels.copy(), camera

@@ -139,7 +139,7 @@ def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64[:, :, ::1])',
-        is_short=True)
+        is_short=True, subject='network')
 def _depth_change(rays, region, own_cosine, normals):
     count, hypotheses = normals.shape[:2]
     sums, squares = np.zeros((count, hypotheses)), np.zeros((count, hypotheses))
@@ -162,7 +162,7 @@ def _depth_change(rays, region, own_cosine, normals):
 
 
 @kernel('float64[:, ::1](float64[:, ::1], float64[::1], int64[::1], float64[:, ::1], '
-        'float64[::1], int64)', is_short=True)
+        'float64[::1], int64)', is_short=True, subject='network')
 def _distances(rays, disparity, region, normals, offsets, count):
     squares, pixels = np.zeros((count, len(normals))), np.zeros(count)
     for i in range(0, len(rays), SPREAD_STEP):

@@ -131,7 +131,7 @@ def _rotated(regions: PixelRegions, normals: np.ndarray, offsets: np.ndarray,
     return replace(regions, labels=labels, coefficients=planes)
 
 
-@kernel('int32[:, ::1](int32[:, ::1], float64[:, ::1], float64[::1])')
+@kernel('int32[:, ::1](int32[:, ::1], float64[:, ::1], float64[::1])', subject='network')
 def _seen_from_front(labels, planes, lowest):
     """Return labels without pixels where 1/z on their plane is below the lowest of the plane."""
     found = labels.copy()
@@ -174,7 +174,7 @@ def _continuous(regions: PixelRegions, planes: tuple[Plane, ...], intrinsics: Ca
 
 
 @kernel('Tuple((float64[:, ::1], float64[:, ::1]))(int32[:, ::1], float32[:, ::1], '
-        'float64[:, ::1], int64)')
+        'float64[:, ::1], int64)', subject='network')
 def _border_jumps(labels, disparity, slopes, reach):
     """
     Return pairs (K, K) of pixels across borders, and their relative jumps of 1/z, summed.

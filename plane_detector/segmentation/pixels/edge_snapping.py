@@ -115,7 +115,7 @@ def snap_to_image_edges(labels: np.ndarray, guide: GuideImage, disparity: np.nda
                    SAME_SIGMAS * noise.mean_sigma))
 
 
-@kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1], int64)')
+@kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1], int64)', subject='network')
 def _markers(labels, band, count):
     """Return the markers of a watershed: label + 2, but 0 near borders of wide regions."""
     is_wide, markers = np.zeros(count + 1, np.bool_), labels + np.int32(2)
@@ -158,7 +158,8 @@ def blurs_steps(labels: np.ndarray, guide: GuideImage, disparity: np.ndarray, pl
     return len(widths) > 0 and median(widths) > SHARP_PX
 
 
-@kernel('int64[::1](int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, float64)')
+@kernel('int64[::1](int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, float64)',
+        subject='network')
 def _step_widths(labels, disparity, planes, reach, least):
     """Return the number of pixels within each step from plane to plane, a row or column each."""
     height, width = labels.shape
@@ -191,7 +192,7 @@ def _step_widths(labels, disparity, planes, reach, least):
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], float32[:, ::1], float64[:, ::1], int64, '
-        'boolean, UniTuple(float64, 3))')
+        'boolean, UniTuple(float64, 3))', subject='network')
 def _moved(labels, proposed, disparity, planes, reach, is_blurred, floors):
     """
     Return the labels with those proposed (h, w) where the depth does not contradict them.
