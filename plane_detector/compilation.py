@@ -208,7 +208,7 @@ def compile_kernels(subjects: Iterable[str], tell: Callable[[str], None] = lambd
     with _one_process(cache_folder() / wanted[0].digest):
         if not all(one.is_cached for one in wanted):
             missing = [one for one in wanted if not one.is_cached]
-            tell(f'compiling {what} for this machine, once; this takes half a minute or more')
+            tell(f'compiling {what} for this machine, once; this takes about half a minute')
             _compile_in_processes(missing, tell)
         for one in wanted:
             one.compiled()
