@@ -25,6 +25,9 @@ from plane_detector.segmentation.pixels.edge_snapping import GuideImage
 from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
 from plane_detector.types import CameraIntrinsics, PlaneSegmentation
 
+# Folders of the loops that every image needs.
+LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
+
 
 def is_turned(seen: Observation) -> bool:
     """Return whether planes are to be rotated by the lines of the image."""
@@ -45,7 +48,7 @@ def noise_floor(seen: Observation, config: Config) -> Noise:
 def hints(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
     """Return the image that borders snap to, if the network blurs edges, and its normals."""
     if not seen.is_measured:
-        load_once('geometry', 'segmentation', 'planes', 'ground', 'network')
+        load_once(*LOOPS, 'network')
     snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
     guide = GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None
     return {'guide': guide, 'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
@@ -55,7 +58,7 @@ def find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Co
                  floor: Noise, rng: np.random.Generator | None = None,
                  **hinted: GuideImage | NormalMap | None) -> PixelRegions:
     """Segment by ``segmentation.method``."""
-    load_once('geometry', 'segmentation', 'planes', 'ground')
+    load_once(*LOOPS)
     if config.segmentation.method == 'paper':
         return segment_by_paper(disparity, intrinsics, floor, config, rng)
     return segment(disparity, floor, config, rng, lens=lens_of(intrinsics), **hinted)

@@ -18,6 +18,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 
+from plane_detector.geometry.disparity import zero_filled
 from plane_detector.geometry.robust import median
 from plane_detector.types import Prediction
 
@@ -82,24 +83,19 @@ def average_views(views: Sequence[View], predictions: Iterable[Prediction]) -> P
     first = next(predictions)
     kind = first.output
     whole = _inverted(first.values, kind)
-    is_valid = np.isfinite(whole)
-    total, weight = _zero_filled(whole, is_valid).copy(), is_valid.astype(np.float32)
+    total, is_valid = zero_filled(whole)
+    weight = is_valid.astype(np.float32)
     for view, prediction in zip(views[1:], predictions, strict=True):
         part, crop = view.slices(whole.shape), _inverted(prediction.values, kind)
         crop = cv2.flip(crop, 1) if view.is_mirrored else crop
         crop = crop * _median_ratio(whole[part], crop)
-        is_valid = np.isfinite(crop)
-        share = _zero_filled(_feather(crop.shape, view.is_at_end), is_valid)
-        total[part] += share * _zero_filled(crop, is_valid)
+        filled, is_valid = zero_filled(crop)
+        share = _feather(crop.shape, view.is_at_end) * is_valid
+        total[part] += share * filled
         weight[part] += share
     with np.errstate(invalid='ignore'):  # 0 / 0 is NaN, for invalid
         return Prediction(kind, _inverted(total / weight, kind),
                           is_indoor=first.is_indoor)
-
-
-def _zero_filled(values: np.ndarray, is_valid: np.ndarray) -> np.ndarray:
-    """Return values with 0 where they are not valid."""
-    return values if is_valid.all() else np.where(is_valid, values, np.float32(0))
 
 
 def _inverted(values: np.ndarray, kind: str) -> np.ndarray:

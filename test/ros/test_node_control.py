@@ -94,6 +94,7 @@ def test_labels_stay_until_tracking_is_reset(robot, room):
     send(robot, room, 1.1)
     second = labels_of(robot.wait_for('planes', 2)[1])
     assert set(second) & set(first) == set(first) - {1}
+    assert min(set(second) - set(first), default=len(first) + 1) > len(first)
     assert robot.call(Trigger, 'plane_detector/reset_tracking').success
     send(robot, room, 1.2)
     third = labels_of(robot.wait_for('planes', 3)[2])

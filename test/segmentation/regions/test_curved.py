@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 from cell_helpers import FLOOR, ball, best_iou, fold, millimetres, noisy, view, wall
 
-from plane_detector import segment_planes
+from plane_detector import Config, segment_planes
+from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.surfaces import bar, cone
 from plane_detector.types import CameraIntrinsics
 
 ROOM = [wall(4), FLOOR]
 SIGMA = 0.004
+# Smaller planes than these may be facets of a curved thing.
+NO_FACETS = Config(segmentation=SegmentationConfig(min_plane_share=0.004))
 KEEP = {'float': lambda depth_m: depth_m, '16 bit': millimetres}
 
 
@@ -40,7 +43,7 @@ def test_a_plane_is_never_given_up(angles_deg, focal_share, keep):
 def judged(thing, depth_of, angles_deg=(0, -15, 4)):
     """Return the share of a curved thing without a label, and the IoU of the planes beside it."""
     scene = view(ROOM, thing.curved_pieces(), angles_deg=angles_deg)
-    found = segment_planes(depth_of(scene), VGA)
+    found = segment_planes(depth_of(scene), VGA, NO_FACETS)
     large = np.bincount(scene.labels[scene.labels >= 0]) > 1500
     on_curved = (scene.labels < 0) & np.isfinite(scene.depth_m)
     return (found.labels[on_curved] < 0).mean(), best_iou(scene, found.labels)[large].min()
@@ -51,7 +54,7 @@ def judged(thing, depth_of, angles_deg=(0, -15, 4)):
 @pytest.mark.parametrize('angles_deg', [(0, 0, 0), (0, -15, 4)])
 def test_a_ball_has_no_plane(radius, angles_deg, keep):
     share, iou = judged(ball(radius), lambda scene: KEEP[keep](scene.depth_m), angles_deg)
-    assert share > 0.95 and iou > 0.95
+    assert share > 0.97 and iou > 0.95
 
 
 @pytest.mark.parametrize(('thing', 'least', 'least_iou'), [
