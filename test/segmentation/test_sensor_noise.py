@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Noise of real sensors: it bends planes, and it is found in the image."""
 
+import cv2
 import numpy as np
 import pytest
 from cell_helpers import scored
@@ -11,6 +12,7 @@ from plane_detector.evaluation.benchmark.samples import noisy_depth, room
 from plane_detector.evaluation.scenes.rooms import VGA, single_wall
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.pipeline import segment_planes
+from plane_detector.segmentation.cells.noise_correlation import LEAST_ERROR_M
 from plane_detector.segmentation.segment import metric_noise_floor, segment
 
 WALL = single_wall()
@@ -62,6 +64,23 @@ def test_a_wall_that_a_sensor_bends_is_one_plane():
         result = segment_planes((1 / (1 / WALL.depth_m + 0.003 * walk)).astype(np.float32),
                                 WALL.intrinsics)
         assert np.bincount(result.labels[result.labels >= 0]).max() > 0.97 * result.labels.size
+
+
+# The pieces of a wall between the waves of its error do not show them: .61 and .80 before.
+@pytest.mark.parametrize('seed', [8009, 8023])
+def test_walls_in_waves_are_one_plane_each(seed):
+    scene = room(seed)
+    found = segment_planes(noisy_depth(scene, 'time of flight', seed), scene.intrinsics)
+    assert scored(scene, found).segmentation_covering > 0.9
+
+
+def test_rough_noise_bends_planes_by_millimetres_at_least():
+    """Its differences do not grow, as those of blurred noise, but it is a sensor's."""
+    rng = np.random.default_rng(0)
+    rough = cv2.GaussianBlur(rng.standard_normal(WALL.depth_m.shape), (0, 0), 2.0)
+    noise = noise_of(WALL.depth_m * (1 + 0.02 * rough))
+    typical = np.median(1 / WALL.depth_m)
+    assert noise.systematic_sigma == pytest.approx(LEAST_ERROR_M * typical**2, rel=0.1)
 
 
 def test_even_steps_of_depth_are_its_noise_floor():
