@@ -29,6 +29,7 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.depth.networks import NETWORKS, resolve
     from plane_detector.directions.finder import CameraImage, find_in_image
     from plane_detector.directions.vanishing import SceneDirections
+    from plane_detector.geometry.disparity import to_disparity
     from plane_detector.planes.classification import PlaneClass
     from plane_detector.ros.spinning import CannotRunError
     from plane_detector.segmentation.baselines import ransac_alone
@@ -99,14 +100,20 @@ def _show(photographs: Sequence[Photograph], parameters: Mapping[str, str], dept
     with Session(parameters) as session:
         for photograph in photographs:
             received, name = session.process(photograph), photograph.name + suffix
-            image = CameraImage(photograph.rgb, photograph.intrinsics)
-            directions = find_in_image(image).directions  # as in the node
+            directions = _directions_of(photograph, received)
             paths = [folder / f'{name}.{kind}' for kind in ('png', 'ply', 'csv')]
             figure = _figure(photograph, directions, depth_title, received)
             cv2.imwrite(str(paths[0]), cv2.cvtColor(figure, cv2.COLOR_RGB2BGR))
             _write_tables(paths[1], paths[2], photograph, received)
             _print(name, photograph, directions, received)
             print('  ' + ', '.join(map(str, paths)))
+
+
+def _directions_of(photograph: Photograph, received: Received) -> SceneDirections:
+    """Return the directions as the node finds them, by lines and depth, in an image seen again."""
+    disparity = to_disparity(received.depth_m) if received.unit == 'm' else None
+    image = CameraImage(photograph.rgb, photograph.intrinsics, disparity=disparity)
+    return find_in_image(image, before=find_in_image(image)).directions
 
 
 def _write_tables(ply: Path, table: Path, photograph: Photograph, received: Received) -> None:
@@ -157,7 +164,7 @@ def _figure(photograph: Photograph, directions: SceneDirections, depth_title: st
 
 
 def _directions_panel(photograph: Photograph, found: SceneDirections) -> tuple[str, np.ndarray]:
-    """Return the image with its lines, and the vertical and the axes by the lines alone."""
+    """Return the image with the vertical, the axes and the horizon."""
     axes = found.pairs[:1].reshape(-1, 3)
     drawn = draw_directions(photograph.rgb, photograph.intrinsics, found.gravity_camera, axes)
     if found.gravity_camera is None:
