@@ -22,6 +22,7 @@ from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quant
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
+from plane_detector.segmentation.cells.plane_fit import N
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import (
     GuideImage,
@@ -161,7 +162,8 @@ def _measured(frame: Frame, regions: PlaneRegions,
         regions = split_at_depth_steps(frame, regions, correlation)
         regions = reassign_cells(frame, regions, correlation)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
-    density = (correlation or frame.noise).density
+    density = (frame.noise.density if correlation is None
+               else correlation.density_within(graph.sums[:, N]))
     return _label_flat_ones(frame, graph, correlation, density,
                             frame.config.segmentation.flatness_angle)
 
@@ -174,7 +176,8 @@ def _network(frame: Frame, regions: PlaneRegions) -> tuple[np.ndarray, np.ndarra
 
 
 def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation | None,
-                     noise_density: float, min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
+                     noise_density: float | np.ndarray,
+                     min_turn_deg: float) -> tuple[np.ndarray, np.ndarray]:
     """Label pixels; remove curved regions last, so that no plane grows into them."""
     labels = label_pixels(frame, graph)
     if frame.kind is DepthKind.EXACT and frame.noise.is_metric:

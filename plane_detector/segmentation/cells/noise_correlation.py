@@ -48,6 +48,11 @@ MIN_GROWTH, FULL_GROWTH = 0.3, 0.6
 # simulated time of flight +.026, +.002 and +.054; at 0.008 .05 more of curved pixels get labels.
 LEAST_ERROR_M = 0.005
 
+# The share of the noise inside a region that a quadric takes for a curve, with three coefficients.
+# tuned: curved scenes, rooms and lived-in rooms below seed 9000 in simulated sensors, flat from
+# .05 to .1: in structured light .12 of the curved pixels have labels without, .07 with it. It
+# changes nothing on 26 frames labelled by hand.
+BEND_SHARE = 0.08
 
 @dataclass(frozen=True)
 class Correlation:
@@ -125,6 +130,18 @@ class Correlation:
         """The variance of a cell times the number of cells that share their noise."""
         table = self.table
         return float(4 * table.sum() - 2 * (table[0].sum() + table[:, 0].sum()) + table[0, 0])
+
+    def density_within(self, cells: np.ndarray) -> np.ndarray:
+        """
+        Return the density (K,), but no more than bends regions of so many cells (K,) by itself.
+
+        Half across a region the noise has changed by its variogram (Matheron 1963); a quadric fits
+        a share of that.
+        """
+        power = (cells**0.5 / 2) ** self.power
+        variogram = (self.own / self.bending**2
+                     - self.smooth * np.expm1(-self.decay / self.bending * power))
+        return np.minimum(self.density, BEND_SHARE * cells * variogram)
 
     @property
     def correlated_cells(self) -> float:

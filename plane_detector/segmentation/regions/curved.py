@@ -82,7 +82,7 @@ def fit_quadric(first, second, noise_share):
     return gain, of_quadric / total, worst
 
 
-def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
+def find_curved(graph: RegionGraph, noise_density: float | np.ndarray, min_turn_deg: float,
                 bending: float = 1.0) -> np.ndarray:
     """
     Find regions that a quadric explains better than a plane, alone or together with neighbours.
@@ -90,14 +90,15 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
     Parameters
     ----------
     graph : RegionGraph
-    noise_density : float
+    noise_density : float or (K,) float64
         Variance of a cell times the number of cells that share their noise; at least that of each
         cell counts. Infinite: regions are not tested alone.
     min_turn_deg : float
         Surfaces that turn by less are planes with a dent.
     bending : float
         Of the noise. The systematic errors of neighbouring regions are the same: the fits of a
-        pair are judged by the errors about planes alone.
+        pair are judged by the errors about planes alone, but for the gap between them, since
+        planes that may be bent lie off a curved surface along their border.
 
     Returns
     -------
@@ -105,25 +106,27 @@ def find_curved(graph: RegionGraph, noise_density: float, min_turn_deg: float,
         Their indices.
 
     """
-    sums = graph.sums.copy()
+    sums, max_gap = graph.sums.copy(), bending * MAX_DEVIATIONS
     sums[:, VARIANCE] /= bending**2
     return np.flatnonzero(_in_bends(_bends(graph.planes, sums, graph.borders, graph.lens,
-                                           (noise_density, min_turn_deg))))
+                                           np.full(len(sums), noise_density, float),
+                                           (min_turn_deg, max_gap))))
 
 
 @kernel('int8[:, ::1](float64[:, ::1], float64[:, ::1], float64[:, :, ::1], float64[::1], '
-        'UniTuple(float64, 2))', is_short=True)
-def _bends(planes, sums, borders, lens, limits):
+        'float64[::1], UniTuple(float64, 2))', is_short=True)
+def _bends(planes, sums, borders, lens, density, limits):
     """Return 2 for regions and pairs that are clearly bent, 1 for weak bends, 0 for others."""
-    (noise_density, min_deg), count = limits, len(planes)
+    (min_deg, max_gap), count = limits, len(planes)
     bends = np.zeros((count, count), np.int8)
     for i in range(count):
-        bends[i, i] = 2 * _is_curved(sums[i], lens, noise_density, min_deg)
+        bends[i, i] = 2 * _is_curved(sums[i], lens, density[i], min_deg)
         for j in range(i + 1, count):
-            if borders[i, j, 0] == 0:
+            # A surface curves on beyond a whole side, as many cells as the root of a square's.
+            if borders[i, j, 0] < max(np.sqrt(min(sums[i, N], sums[j, N])), 1.0):
                 continue
             fold_deg, gap = fold(planes, sums, borders, lens, i, j)
-            if gap >= MAX_DEVIATIONS or not min_deg < fold_deg < MAX_FOLD_DEG:
+            if gap >= max_gap or not min_deg < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
             if gain > MIN_NOISE_SHARE and worst < MAX_RATIO:
