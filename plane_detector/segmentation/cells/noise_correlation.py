@@ -47,12 +47,12 @@ MIN_GROWTH, FULL_GROWTH = 0.3, 0.6
 # tuned: rooms, lived-in rooms and curved scenes below seed 9000, flat from 0.004 to 0.006: SC in
 # simulated time of flight +.026, +.002 and +.054; at 0.008 .05 more of curved pixels get labels.
 LEAST_ERROR_M = 0.005
-
 # The share of the noise inside a region that a quadric takes for a curve, with three coefficients.
 # tuned: curved scenes, rooms and lived-in rooms below seed 9000 in simulated sensors, flat from
 # .05 to .1: in structured light .12 of the curved pixels have labels without, .07 with it. It
 # changes nothing on 26 frames labelled by hand.
 BEND_SHARE = 0.08
+
 
 @dataclass(frozen=True)
 class Correlation:
