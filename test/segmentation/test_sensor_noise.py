@@ -66,6 +66,13 @@ def test_a_wall_that_a_sensor_bends_is_one_plane():
         assert np.bincount(result.labels[result.labels >= 0]).max() > 0.97 * result.labels.size
 
 
+def test_a_bowed_wall_is_a_plane():
+    """Stereo bows it by a centimetre over its 3.5 m: without allowance for that 2 % were left."""
+    wall = single_wall(yaw_deg=20.0)
+    labels = segment_planes(noisy_depth(wall, 'active stereo', 2), wall.intrinsics).labels
+    assert (labels == 0).mean() > 0.95
+
+
 # The pieces of a wall between the waves of its error do not show them: .61 and .80 before.
 @pytest.mark.parametrize('seed', [8009, 8023])
 def test_walls_in_waves_are_one_plane_each(seed):
