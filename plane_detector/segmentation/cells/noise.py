@@ -41,8 +41,9 @@ QUANTILE = 0.25
 # derived: the quantiles of a normal variable and of its modulus.
 NORMAL_QUANTILE = NormalDist().inv_cdf(QUANTILE)
 MODULUS_QUANTILE = NormalDist().inv_cdf((1 + QUANTILE) / 2)
-# Disparity counts as quantised if it takes as many values as there are lines sampled in both
-# directions, and these shares of the neighbours are equal and of the steps between values even.
+# Disparity counts as quantised if it takes as many values as there are lines sampled in either
+# direction, and these shares of the neighbours are equal and of the steps between values even. A
+# wall seen from the front takes a few values only.
 # tuned: walls and rooms rounded to .001 to .01 1/m, and exact, curved, millimetre and sensor depth
 # that are not: flat from 3 to 4 lines, .07 to .4 and .6 to .7.
 ROUNDING_LINES, MIN_EQUAL_SHARE, MIN_EVEN_SHARE = 4, 0.2, 0.6
@@ -242,7 +243,7 @@ def with_quantisation(noise_floor: Noise, image: DisparityImage) -> Noise:
         lines.append(line)
     values = np.unique(np.concatenate(lines, axis=None)).astype(float)
     values = values[values != 0]  # invalid pixels
-    if len(values) < 2 * ROUNDING_LINES:
+    if len(values) < ROUNDING_LINES:
         return noise_floor
     # The quantisation error is uniform over one step.
     step = _even_step(values)
