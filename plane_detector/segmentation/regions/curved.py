@@ -122,11 +122,13 @@ def _bends(planes, sums, borders, lens, density, limits):
     for i in range(count):
         bends[i, i] = 2 * _is_curved(sums[i], lens, density[i], min_deg)
         for j in range(i + 1, count):
-            # A surface curves on beyond a whole side, as many cells as the root of a square's.
-            if borders[i, j, 0] < max(np.sqrt(min(sums[i, N], sums[j, N])), 1.0):
+            if borders[i, j, 0] == 0:
                 continue
             fold_deg, gap = fold(planes, sums, borders, lens, i, j)
-            if gap >= max_gap or not min_deg < fold_deg < MAX_FOLD_DEG:
+            # A gap that bends explain counts along a side: the root of a square's number of cells.
+            side = np.sqrt(min(sums[i, N], sums[j, N]))
+            most = max_gap if borders[i, j, 0] >= side else MAX_DEVIATIONS
+            if gap >= most or not min_deg < fold_deg < MAX_FOLD_DEG:
                 continue
             gain, _, worst = fit_quadric(sums[i], sums[j], 1.0)
             if gain > MIN_NOISE_SHARE and worst < MAX_RATIO:
