@@ -22,7 +22,6 @@ from plane_detector.segmentation.cells.noise import DepthKind, Noise, with_quant
 from plane_detector.segmentation.cells.noise_correlation import Correlation
 from plane_detector.segmentation.cells.normal_slopes import NormalMap, with_normals
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES, PixelRegions
-from plane_detector.segmentation.cells.plane_fit import N
 from plane_detector.segmentation.fine_pass import MIN_CELL_SHARE, add_small_planes
 from plane_detector.segmentation.pixels.edge_snapping import (
     GuideImage,
@@ -163,7 +162,7 @@ def _measured(frame: Frame, regions: PlaneRegions,
         regions = reassign_cells(frame, regions, correlation)
     graph = merge_coplanar(cells, RegionGraph.of(cells, regions), correlation)
     density = (frame.noise.density if correlation is None
-               else correlation.density_within(graph.sums[:, N]))
+               else correlation.density_within(graph.sums))
     return _label_flat_ones(frame, graph, correlation, density,
                             frame.config.segmentation.flatness_angle)
 

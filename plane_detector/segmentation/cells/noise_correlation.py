@@ -19,6 +19,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.model import PlaneRegions, WeightedCells, residual
 from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.plane_fit import XX, YY, N, X, Y
 
 # The planes of smaller regions fit the noise itself, and their residuals are too small.
 # tuned: on rooms and lived-in rooms below seed 9000; flat from 70 to 140.
@@ -134,16 +135,19 @@ class Correlation:
         table = self.table
         return float(4 * table.sum() - 2 * (table[0].sum() + table[:, 0].sum()) + table[0, 0])
 
-    def density_within(self, cells: np.ndarray) -> np.ndarray:
+    def density_within(self, sums: np.ndarray) -> np.ndarray:
         """
-        Return the density (K,) with a bow, but no more than bends regions of so many cells (K,).
+        Return the density (K,) with a bow, but no more than bends regions of their size by itself.
 
         Half across a region the noise has changed by its variogram (Matheron 1963); a quadric fits
-        a share of that.
+        a share of that. ``sums`` (K, 28) are those of the region graph.
         """
-        power = (cells**0.5 / 2) ** self.power
+        cells = np.maximum(sums[:, N], 1)
+        spread = (sums[:, XX] + sums[:, YY] - (sums[:, X] ** 2 + sums[:, Y] ** 2) / cells) / cells
+        # The variance along the side of a square is a twelfth of its square; x is in image widths.
+        half_side = (1.5 * np.maximum(spread, 0)) ** 0.5 * self.shape[1]
         variogram = (self.own / self.bending**2
-                     - self.smooth * np.expm1(-self.decay / self.bending * power))
+                     - self.smooth * np.expm1(-self.decay / self.bending * half_side**self.power))
         return np.minimum(BOW_SHARE * self.density, BEND_SHARE * cells * variogram)
 
     @property
