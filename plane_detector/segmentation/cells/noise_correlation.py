@@ -104,17 +104,22 @@ class Correlation:
 
     @cached_property
     def of_neighbours(self) -> np.ndarray:
-        """
-        The covariance (R, C) of cells near each other, whose differences the residuals show.
+        """The covariance (R, C) of cells near each other, whose differences the residuals show."""
+        return self._by_distance(*self._near)
 
-        The systematic part of the noise enlarges the variance of the differences less than the
+    @property
+    def _near(self) -> tuple[float, float]:
+        """
+        The variance of the own part and the decay of cells near each other.
+
+        The systematic part of the noise enlarges the variance of their differences less than the
         variance, by its ratio instead of the square of it: it bends planes slowly.
         """
         # derived: the residuals show the differences as they are, but some bends have edges.
         # tuned: eight NYU frames labelled by hand, and rooms and lived-in rooms below seed 9000 in
         # simulated sensors. With the square lived-in rooms in structured light and time of flight
         # lose .01 SC; with the differences as shown the fronts of cupboards of NYU are in pieces.
-        return self._by_distance(self.own / self.bending**2, self.decay / self.bending)
+        return self.own / self.bending**2, self.decay / self.bending
 
     @cached_property
     def _powers(self) -> np.ndarray:
@@ -146,8 +151,8 @@ class Correlation:
         spread = (sums[:, XX] + sums[:, YY] - (sums[:, X] ** 2 + sums[:, Y] ** 2) / cells) / cells
         # The variance along the side of a square is a twelfth of its square; x is in image widths.
         half_side = (1.5 * np.maximum(spread, 0)) ** 0.5 * self.shape[1]
-        variogram = (self.own / self.bending**2
-                     - self.smooth * np.expm1(-self.decay / self.bending * half_side**self.power))
+        own, decay = self._near
+        variogram = own - self.smooth * np.expm1(-decay * half_side**self.power)
         return np.minimum(BOW_SHARE * self.density, BEND_SHARE * cells * variogram)
 
     @property
