@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start the node: `ros2 launch plane_detector plane_detector.launch.py image:=/camera/image_raw`.
 
-`--show-args` lists the arguments; those that are given win over `params_file`.
+`--show-args` lists the arguments; those that are given win over `params_file`. Arguments of the
+launch file that includes this one reach it under the same names; docs/recipes.md has the remedy.
 """
 
 import os
@@ -26,24 +27,27 @@ ARGUMENTS = {
     'depth': ('depth', 'topic of measured depth, registered to the image'),
     'imu': ('imu', 'topic of the IMU, for use_imu'),
     'depth_source': ('', 'model or topic'),
-    'model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
+    'depth_model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
     'image_transport': ('', 'raw or compressed'),
     'use_imu': ('', 'true: gravity from the IMU'),
     'base_frame': ('', 'frame of the robot on the floor, for gravity and camera height from TF'),
     'target_frame': ('', 'frame of the outputs'),
-    'mode': ('', 'continuous or on_demand'),
+    'processing_mode': ('', 'continuous or on_demand'),
     'autostart': ('', 'false: a lifecycle manager configures and activates'),
     'respawn': ('false', 'true: start the node again when it ends; with exit_on_failure'),
     'use_sim_time': ('', 'true: take the time from /clock'),
     'rviz': ('false', 'true: start RViz with the frame of the camera'),
     'log_level': ('info', 'debug, info, warn, error or fatal'),
 }
+# Launch files in Python pass True and False, those in XML and YAML true and false.
+IS_ON = {'': False, 'true': True, 'True': True, 'false': False, 'False': False}
 SWITCHES = ('use_imu', 'autostart', 'use_sim_time', 'respawn', 'rviz')
 TOPICS = ('image', 'camera_info', 'depth', 'imu')
 # Those whose parameter has another name.
-PARAMETERS = {'depth_source': 'depth.source', 'model': 'depth.model'}
-OVERRIDES = ('depth_source', 'model', 'image_transport', 'use_imu', 'base_frame', 'target_frame',
-             'mode', 'autostart', 'use_sim_time')
+PARAMETERS = {'depth_source': 'depth.source', 'depth_model': 'depth.model',
+              'processing_mode': 'mode'}
+OVERRIDES = ('depth_source', 'depth_model', 'image_transport', 'use_imu', 'base_frame',
+             'target_frame', 'processing_mode', 'autostart', 'use_sim_time')
 # Fast DDS as it comes loses images between processes.
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 PROFILE_NAMES = (PROFILES, 'FASTDDS_DEFAULT_PROFILES_FILE')
@@ -53,7 +57,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the arguments and the nodes."""
     arguments = [DeclareLaunchArgument(
         name, default_value=default, description=description,
-        choices=[*dict.fromkeys((default, 'true', 'false'))] if name in SWITCHES else None)
+        choices=[*IS_ON] if name in SWITCHES else None)
         for name, (default, description) in ARGUMENTS.items()]
     return LaunchDescription([*arguments, OpaqueFunction(function=start_nodes)])
 
@@ -65,9 +69,9 @@ def start_nodes(context: LaunchContext) -> list[Node]:
     file = Path(value['params_file'] or share / 'config' / f'{PACKAGE}.yaml').expanduser()
     if not file.is_file():
         raise FileNotFoundError(f'params_file: there is no file {file}')
-    overrides = {PARAMETERS.get(name, name): value[name] == 'true' if name in SWITCHES
+    overrides = {PARAMETERS.get(name, name): IS_ON[value[name]] if name in SWITCHES
                  else value[name] for name in OVERRIDES if value[name]}
-    respawn = value['respawn'] == 'true'
+    respawn = IS_ON[value['respawn']]
     if respawn:
         overrides['exit_on_failure'] = True
     remappings = [(name, value[name]) for name in TOPICS if value[name] not in ('', name)]
@@ -78,7 +82,7 @@ def start_nodes(context: LaunchContext) -> list[Node]:
         namespace=value['namespace'], output='screen', parameters=[str(file), overrides],
         remappings=remappings, respawn=respawn, respawn_delay=RESPAWN_DELAY_S,
         additional_env=profile, arguments=['--ros-args', '--log-level', value['log_level']])]
-    if value['rviz'] == 'true':
+    if IS_ON[value['rviz']]:
         nodes.append(Node(
             package=PACKAGE, executable='rviz', namespace=value['namespace'], output='screen',
             arguments=['--node', value['node_name']], remappings=remappings,

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What users read and see of the node: command line, docstring, launch files, Foxglove."""
 
+import ast
 import json
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -103,7 +105,16 @@ PROFILE = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 
 @pytest.fixture
 def read(monkeypatch):
-    """Return a function: launch file -> its global names."""
+    """
+    Return a function: launch file -> its global names.
+
+    The packages of launch cannot be installed here; these members do what theirs do.
+    """
+    def share_of(package):
+        if package != 'plane_detector':
+            raise LookupError(package)
+        return str(ROOT)
+
     contents = {
         'launch': {'LaunchContext': object, 'LaunchDescription': list},
         'launch.actions': {
@@ -112,7 +123,8 @@ def read(monkeypatch):
             'IncludeLaunchDescription': lambda source, **rest: (source, rest)},
         'launch.launch_description_sources': {'PythonLaunchDescriptionSource': str},
         'launch_ros': {}, 'launch_ros.actions': {'Node': lambda **keywords: keywords},
-        'ament_index_python.packages': {'get_package_share_directory': lambda _: str(ROOT)}}
+        'ament_index_python.packages': {'get_package_share_directory': share_of,
+                                        'PackageNotFoundError': LookupError}}
     for name, members in contents.items():
         module = ModuleType(name)
         vars(module).update(members)
@@ -126,14 +138,23 @@ def file(read):
     return read('plane_detector.launch.py')
 
 
+def declared(file, values):
+    """Return the values after the declarations, which take those that are there already."""
+    *arguments, start = file['generate_launch_description']()
+    values = {name: values.get(name, rest['default_value']) for name, rest in arguments} | values
+    for name, rest in arguments:
+        assert rest['choices'] is None or rest['default_value'] in rest['choices']
+        if rest['choices'] is not None and values[name] not in rest['choices']:
+            raise RuntimeError(f'Argument "{name}" provided value "{values[name]}" is not valid')
+    return values, start
+
+
 @pytest.fixture
 def launched(file):
     """Return a function: values -> the keyword arguments of the nodes that are started."""
     def launch(**values):
-        *declared, start = file['generate_launch_description']()
-        defaults = {name: rest['default_value'] for name, rest in declared}
-        assert set(values) <= set(defaults)
-        return start(SimpleNamespace(launch_configurations={**defaults, **values}))
+        values, start = declared(file, values)
+        return start(SimpleNamespace(launch_configurations=values))
     return launch
 
 
@@ -147,9 +168,9 @@ def test_without_arguments_the_installed_file_is_used(launched):
 
 def test_arguments_become_parameters_and_remaps(launched):
     node, rviz = launched(
-        image='/cam/image', depth_source='topic', use_imu='true', model='a.onnx', rviz='true',
-        imu='/imu/data', autostart='false', respawn='true', mode='on_demand', namespace='front',
-        node_name='planes')
+        image='/cam/image', depth_source='topic', use_imu='true', depth_model='a.onnx',
+        rviz='true', imu='/imu/data', autostart='false', respawn='true',
+        processing_mode='on_demand', namespace='front', node_name='planes')
     assert (node['executable'], node['name'], node['namespace']) == ('node', 'planes', 'front')
     assert node['remappings'] == [('image', '/cam/image'), ('imu', '/imu/data')]
     assert node['parameters'] == [YAML, {
@@ -166,14 +187,61 @@ def test_every_parameter_of_an_argument_exists(launched, file):
     assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1
 
 
+def test_switches_as_launch_files_in_python_write_them(launched):
+    node, _rviz = launched(use_sim_time='True', rviz='True', respawn='False', use_imu='False')
+    assert node['parameters'] == [YAML, {'use_imu': False, 'use_sim_time': True}]
+    assert node['respawn'] is False
+    with pytest.raises(RuntimeError, match='"rviz" provided value "yes"'):
+        launched(rviz='yes')
+
+
+def test_model_and_mode_of_a_robot_have_no_effect(launched):
+    (node,) = launched(model='/robot.urdf', mode='localization')
+    assert node['parameters'] == [YAML, {}]
+
+
 def test_a_profile_of_the_user_is_kept(launched, monkeypatch):
     monkeypatch.setenv(PROFILE, '/own.xml')
     assert launched()[0]['additional_env'] == {}
 
 
-def test_the_lifecycle_manager_starts_the_node_without_autostart(read):
-    file = read('with_lifecycle_manager.launch.py')
-    (included, arguments), manager = file['generate_launch_description']()
-    assert Path(included).is_file()
-    assert dict(arguments['launch_arguments']) == {'autostart': 'false'}
-    assert manager['parameters'][0]['node_names'] == ['plane_detector']
+def test_the_recipe_passes_only_what_it_names(file):
+    recipe = (ROOT / 'docs' / 'recipes.md').read_text('utf-8')
+    (code,) = [code for code in re.findall(r'```python\n(.*?)```', recipe, re.DOTALL)
+               if 'GroupAction' in code]
+    calls = {node.func.id: node for node in ast.walk(ast.parse(code))
+             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+    keywords = {word.arg: word.value for word in calls['GroupAction'].keywords}
+    assert keywords['forwarding'].value is False
+    (given,) = (word.value for word in calls['IncludeLaunchDescription'].keywords)
+    assert {name.value for name in given.func.value.keys} <= set(file['ARGUMENTS'])
+
+
+@pytest.fixture
+def managed(read):
+    """Return a function: values -> the node and its manager, as launch executes the file."""
+    def launch(**values):
+        file = read('with_lifecycle_manager.launch.py')
+        check, (included, rest), start_manager = file['generate_launch_description']()
+        check(None)
+        values, start = declared(runpy.run_path(included),
+                                 values | dict(rest['launch_arguments']))
+        context = SimpleNamespace(launch_configurations=values)
+        return start(context)[0], *start_manager(context)
+    return launch
+
+
+def test_without_nav2_nothing_is_started(managed):
+    with pytest.raises(RuntimeError, match='apt install ros-jazzy-nav2-lifecycle-manager'):
+        managed()
+
+
+def test_the_manager_has_name_and_namespace_of_the_node(managed, monkeypatch):
+    monkeypatch.setattr(sys.modules['ament_index_python.packages'],
+                        'get_package_share_directory', lambda _: str(ROOT))
+    node, manager = managed(node_name='planes', namespace='front', use_sim_time='True')
+    assert node['parameters'][1] == {'autostart': False, 'use_sim_time': True}
+    assert (node['name'], node['namespace']) == ('planes', 'front')
+    assert manager['namespace'] == 'front'
+    assert manager['parameters'] == [{'autostart': True, 'node_names': ['planes'],
+                                      'bond_timeout': 0.0, 'use_sim_time': True}]
