@@ -23,7 +23,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 
 # These read sources and documents, for which no loop need be compiled.
 READERS = {'test_architecture.py', 'test_compilation.py', 'test_defaults.py',
-           'test_dependencies.py', 'test_docs.py'}
+           'test_dependencies.py', 'test_docs.py', 'test_shipping.py'}
 
 
 @pytest.fixture(scope='session', autouse=True)
