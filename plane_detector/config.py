@@ -216,9 +216,6 @@ class TrackingConfig(Settings, section='tracking'):
     keep_frames: int = setting(
         30, 'a plane that is not found keeps its label for this long', 'frames', 0, 250,
         inner=True)
-    smoothing: float = setting(
-        0.0, 'weight of the previous coefficients while the change is within their noise; '
-        '0: none', '', 0.0, 0.999, inner=True)
 
 
 @dataclass(frozen=True)

@@ -166,16 +166,16 @@ class PlaneDetector:
                                  is_metric=scale.is_metric, doubt=seen.doubt)
         with stages('tracking'):
             # 6. Labels that are stable from image to image.
-            planes, track_labels = self._tracker.update(planes, config.tracking)
+            planes = self._tracker.update(replace(planes, planes=replace(
+                planes.planes, classes=np.array(ground.classes, np.uint8))), config.tracking)
         with stages('patches'):
             # 7. Pixels off all planes, if the colours show better where a surface ends.
             labels = fill_patches(planes.labels, regions.patches, planes.planes, depth_m,
-                                  seen.intrinsics)
+                                  seen.intrinsics, shape_labels)
         return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
-                         scale_event=self._scale.event, classes=ground.classes, shapes=shapes,
-                         track_labels=track_labels, shape_labels=shape_labels,
+                         scale_event=self._scale.event, shapes=shapes, shape_labels=shape_labels,
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
                          gravity_probability=around.gravity.probability,

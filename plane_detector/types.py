@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -129,6 +130,19 @@ class DepthModel(Protocol):
         """Return the depth of an image (H, W, 3) uint8, of the size of the image."""
 
 
+class PlaneClass(IntEnum):
+    """Values of the field ``class`` of ``~/planes``."""
+
+    UNKNOWN = 0
+    FLOOR = 1
+    CEILING = 2
+    WALL = 3
+    OTHER_HORIZONTAL = 4
+    OTHER = 5
+    RAMP = 6
+    STEP = 7
+
+
 @dataclass(frozen=True)
 class Plane:
     """
@@ -154,6 +168,114 @@ class Plane:
     # Probability that the plane is horizontal, vertical or neither as the normal says, if lines of
     # the image oriented it; NaN: its depth alone did, and the covariance tells.
     class_certainty: float = float('nan')
+    plane_class: PlaneClass = PlaneClass.UNKNOWN
+    label: int = 0  # above 0, the same from image to image if tracked; 0: not labelled
+
+
+class Motion(Protocol):
+    """A change of frame: p_target = rotation @ p_source + translation_m."""
+
+    @property
+    def rotation(self) -> np.ndarray:
+        """Rotation, (3, 3)."""
+
+    @property
+    def translation_m(self) -> np.ndarray:
+        """Translation, (3,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Planes(Sequence[Plane]):
+    """
+    K planes in one frame, as arrays; indexing and iteration give each as a :class:`Plane`.
+
+    Examples
+    --------
+    >>> wall = Plane(np.array([0, 0, -1.0]), 2.0, np.array([0, 0, 2.0]), 9, 0.0, 1.0, np.eye(4), 1)
+    >>> planes = Planes.of([wall, wall])
+    >>> planes.normals.shape, planes[1].offset_m, [plane.inlier_count for plane in planes]
+    ((2, 3), 2.0, [9, 9])
+
+    """
+
+    normals: np.ndarray  # (K, 3) float64, as in `Plane`, which also has the meaning of the others
+    offsets_m: np.ndarray  # (K,) float64
+    centroids_m: np.ndarray  # (K, 3) float64
+    counts: np.ndarray  # (K,) int64, of inliers
+    rms_m: np.ndarray  # (K,) float64
+    areas_m2: np.ndarray  # (K,) float64
+    covariances: np.ndarray  # (K, 4, 4) float64
+    confidences: np.ndarray  # (K,) float64
+    class_certainties: np.ndarray  # (K,) float64
+    classes: np.ndarray  # (K,) uint8, values of `PlaneClass`
+    labels: np.ndarray  # (K,) int64
+
+    @classmethod
+    def of(cls, planes: Sequence[Plane]) -> Planes:
+        """Return the arrays of single planes."""
+        def column(name: str, *shape: int, dtype: type = float) -> np.ndarray:
+            return np.array([getattr(plane, name) for plane in planes], dtype).reshape(-1, *shape)
+        return cls(column('normal', 3), column('offset_m'), column('centroid_m', 3),
+                   column('inlier_count', dtype=np.int64), column('rms_m'), column('area_m2'),
+                   column('covariance', 4, 4), column('confidence'), column('class_certainty'),
+                   column('plane_class', dtype=np.uint8), column('label', dtype=np.int64))
+
+    def __len__(self) -> int:
+        return len(self.offsets_m)
+
+    def __getitem__(self, index: int) -> Plane:
+        return Plane(self.normals[index], float(self.offsets_m[index]), self.centroids_m[index],
+                     int(self.counts[index]), float(self.rms_m[index]),
+                     float(self.areas_m2[index]), self.covariances[index],
+                     float(self.confidences[index]), float(self.class_certainties[index]),
+                     PlaneClass(self.classes[index]), int(self.labels[index]))
+
+    def picked(self, index: np.ndarray | Sequence[int]) -> Planes:
+        """Return some of the planes, by a mask (K,) bool or by their indices."""
+        return Planes(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+    def followed_by(self, others: Planes) -> Planes:
+        """Return these planes and others, which are in the same frame."""
+        return Planes(*(np.concatenate([getattr(self, name), getattr(others, name)])
+                        for name in self.__dataclass_fields__))
+
+    def moved(self, motion: Motion, scale: float = 1.0) -> Planes:
+        """
+        Return the planes in another frame, of lengths that are ``scale`` times as large there.
+
+        Their normals still point to the camera, so that offsets may be negative there. With
+        n' = R n and d' = s d - t . R n, the covariance is J C J^T for J = [[R, 0], [-t^T R, s]].
+        """
+        rotation, translation_m = motion.rotation, motion.translation_m
+        normals, jacobian = self.normals @ rotation.T, np.zeros((4, 4))
+        jacobian[:3, :3], jacobian[3, 3] = rotation, scale
+        jacobian[3, :3] = -translation_m @ rotation
+        return replace(
+            self, normals=normals, offsets_m=scale * self.offsets_m - normals @ translation_m,
+            centroids_m=scale * (self.centroids_m @ rotation.T) + translation_m,
+            rms_m=scale * self.rms_m, areas_m2=scale**2 * self.areas_m2,
+            covariances=jacobian @ self.covariances @ jacobian.T)
+
+    @cached_property
+    def distances_m(self) -> np.ndarray:
+        """Distance of each centroid from the origin of the frame, (K,), above 0."""
+        return np.maximum(np.sqrt((self.centroids_m ** 2).sum(axis=1)), 1e-12)
+
+    @cached_property
+    def normal_variances(self) -> np.ndarray:
+        """Sum of the variances of each normal, (K,), squared radians."""
+        return np.einsum('nii->n', self.covariances[:, :3, :3])
+
+    @cached_property
+    def centroid_variances_m2(self) -> np.ndarray:
+        """Variance of the distance of each plane from its centroid, (K,)."""
+        point = np.ones((len(self), 4))
+        point[:, :3] = self.centroids_m
+        return np.einsum('ni,nij,nj->n', point, self.covariances, point)
+
+
+NO_PLANES = Planes.of(())
+NO_SHAPE_LABELS = np.zeros((0, 0), np.int32)
 
 
 class ShapeType(IntEnum):
@@ -183,13 +305,14 @@ class Shape:
     # (cone, 6).
     covariance: np.ndarray
     confidence: float  # share, 0 to 1, of the surrounding surface that the shape explains
+    label: int = 0  # as that of a plane; planes and shapes are counted apart
 
 
 @dataclass(frozen=True)
 class PlaneSegmentation:
     """The planes of one image, largest first, and the plane of each pixel."""
 
-    planes: tuple[Plane, ...]  # empty when there is none
+    planes: Planes  # empty when there is none
     labels: np.ndarray  # (H, W) int32, index into ``planes``; -1: no plane, or invalid depth
     disparity_noise: float  # standard deviation of 1/depth used by the segmentation, 1/m
     # The part of it with which the sensor bends whole planes, 1/m.
@@ -216,14 +339,11 @@ class Detection(PlaneSegmentation):
     depth_m: np.ndarray  # (H, W) float32, NaN invalid; in the unit by ``scale_method``
     scale_method: str  # ``metric``, ``fixed``, ...: metres; ``relative``: in an unknown unit
     stage_seconds: Mapping[str, float] = field(default_factory=dict)
-    # Of each plane, above 0, the same from image to image; empty: not tracked.
-    track_labels: tuple[int, ...] = ()
-    classes: tuple[int, ...] = ()  # a value of ``PlaneClass`` for each plane; empty: all unknown
     scale_note: str = ''  # result of the scale method with its uncertainty, or why there is none
     scale_event: str = ''  # what changed with this image, if anything
-    # Largest first; with N planes, ``labels`` are N + i in the pixels of shape i.
-    shapes: tuple[Shape, ...] = ()
-    shape_labels: tuple[int, ...] = ()  # as ``track_labels``
+    shapes: tuple[Shape, ...] = ()  # largest first
+    # (H, W) int32, index into ``shapes``, -1 none; (0, 0) without shapes
+    shape_labels: np.ndarray = field(default_factory=lambda: NO_SHAPE_LABELS)
     gravity_camera: np.ndarray | None = None  # (3,) float64, direction as used for the classes
     # ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
     gravity_source: str = 'none'
@@ -232,11 +352,16 @@ class Detection(PlaneSegmentation):
     gravity_probability: float = float('nan')
     # (A, 3) float64, perpendicular horizontal axes of the scene, from the lines of the image.
     horizontal_axes: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
-    # Or what has its attributes: `find_ground` finds them when they are first asked for.
+    # Or an object with these attributes, computed on first access, as `find_ground` returns.
     ground_pixels: GroundPixels = field(default_factory=GroundPixels)
     drop_note: str = ''  # why there are no drops; empty if they are searched for
     camera_height_m: float = float('nan')  # above the own floor; NaN unknown
     tilt_deg: float = float('nan')  # of the optical axis below the horizon; NaN unknown
+
+    @property
+    def classes(self) -> tuple[PlaneClass, ...]:
+        """Class of each plane."""
+        return tuple(map(PlaneClass, self.planes.classes.tolist()))
 
     @property
     def ground(self) -> np.ndarray:

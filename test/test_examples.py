@@ -33,7 +33,7 @@ PUBLIC = {
     'plane_detector.stage_timer': ('StageTimer',),
     'plane_detector.tracking.tracker': ('PlaneTracker',),
     'plane_detector.tools.replay.options': ('ReplayOptions',),
-    'plane_detector.types': ('CameraIntrinsics', 'Plane'),
+    'plane_detector.types': ('CameraIntrinsics', 'Plane', 'Planes'),
 }
 
 

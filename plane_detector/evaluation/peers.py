@@ -151,5 +151,4 @@ def all_methods() -> list[Method]:
 
 def plane_array(segmentation: PlaneSegmentation) -> np.ndarray:
     """Return normals and offsets of the planes, (K, 4)."""
-    return np.array([np.append(plane.normal, plane.offset_m)
-                     for plane in segmentation.planes]).reshape(-1, 4)
+    return np.column_stack([segmentation.planes.normals, segmentation.planes.offsets_m])

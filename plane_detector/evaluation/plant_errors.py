@@ -120,17 +120,16 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('apex, axis * np.', 'apex, -axis * np.', 'cones on the other side'),),
     'shapes/labelling.py': (
         ('high_m - low_m', 'high_m', 'a cylinder is measured from its position'),),
-    'tracking/camera_motion.py': (
-        ('planes.offsets_m -', 'planes.offsets_m +', 'sign of the translation'),),
+    'types.py': (
+        ('self.offsets_m - normals', 'self.offsets_m + normals', 'sign of the translation'),
+        ('-translation_m @ rotation', '-translation_m', 'covariance moved without the rotation')),
     'tracking/matching.py': (
         ('after.normals.T +', 'after.normals.T -', 'sign of an offset'),
         ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten')),
     'tracking/tracker.py': (
         ('bincount(pixels + 1,', 'bincount(pixels + 2,', 'labels off by one'),
-        ('old_offset_m + (1 - share) * plane.offset_m',
-         'plane.offset_m + (1 - share) * old_offset_m', 'smoothing of offsets inverted'),
-        ('track.label for track in self._known.tracks[:len(planes)]',
-         'range(1, len(planes) + 1)', 'labels are not those of the tracks')),
+        ('labels=np.array(labels, np.int64)', 'labels=np.arange(1, len(labels) + 1)',
+         'labels are not those of the tracks')),
     'ground/ground.py': (
         ('self.normals, self', '-self.normals, self', 'normals look down'),
         ('] + self.offsets[', '] - self.offsets[', 'sign of an offset'),
@@ -166,7 +165,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
 
 def part_of(file: str) -> str:
     """Return the part of TESTS that a file belongs to: its folder; in ros, inputs or outputs."""
-    folder = file.split('/')[0]
+    folder = file.split('/')[0] if '/' in file else 'geometry'
     return folder if folder != 'ros' else 'outputs' if 'outputs' in file else 'inputs'
 
 

@@ -1,15 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rotation and translation between frames, and the transformation of planes."""
+"""Rotation and translation between frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-
-from plane_detector.types import Plane
 
 
 @dataclass(frozen=True)
@@ -73,16 +71,6 @@ class RigidTransform:
         """Return points (..., 3) in the target frame, of the same dtype; NaN stays NaN."""
         moved_m = points_m @ self.rotation.T.astype(points_m.dtype)
         return moved_m + self.translation_m.astype(points_m.dtype)
-
-    def plane(self, plane: Plane) -> Plane:
-        """
-        Return a plane in the target frame.
-
-        Its normal still points to the camera; its offset may be negative there.
-        """
-        normal = self.rotation @ plane.normal
-        return replace(plane, normal=normal, centroid_m=self.points(plane.centroid_m),
-                       offset_m=float(plane.offset_m - normal @ self.translation_m))
 
 
 def interpolate(before: RigidTransform, after: RigidTransform, share: float) -> RigidTransform:

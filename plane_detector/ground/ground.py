@@ -88,10 +88,10 @@ class Surfaces:
     def of(cls, found: PlaneSegmentation, down: np.ndarray, height_m: float) -> Surfaces:
         """Collect the planes of an image."""
         planes = found.planes
-        normals = np.array([*(plane.normal for plane in planes), -down])
-        return cls(normals, np.array([*(plane.offset_m for plane in planes), height_m]),
-                   np.array([*(plane.covariance for plane in planes), np.zeros((4, 4))]),
-                   np.array([*(plane.centroid_m for plane in planes), height_m * down]),
+        normals = np.vstack([planes.normals, -down])
+        return cls(normals, np.append(planes.offsets_m, height_m),
+                   np.concatenate([planes.covariances, np.zeros((1, 4, 4))]),
+                   np.vstack([planes.centroids_m, height_m * down]),
                    np.degrees(np.arccos(np.clip(-normals @ down, -1, 1))), down)
 
     def heights(self) -> np.ndarray:

@@ -5,13 +5,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from enum import IntEnum
 
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.types import Plane
+from plane_detector.types import Plane, PlaneClass, Planes
 
 # Largest inclination of a plane that still counts as horizontal or vertical.
 TOLERANCE_DEG = 8.0
@@ -30,27 +28,14 @@ FRAME_TOLERANCE_DEG = 4.0
 MIN_FRAME_SHARE = 0.5
 
 
-class PlaneClass(IntEnum):
-    """Values of the field ``class`` of ``~/planes``."""
-
-    UNKNOWN = 0
-    FLOOR = 1
-    CEILING = 2
-    WALL = 3
-    OTHER_HORIZONTAL = 4
-    OTHER = 5
-    RAMP = 6
-    STEP = 7
-
-
-def classify_planes(planes: Sequence[Plane], down: np.ndarray,
+def classify_planes(planes: Planes, down: np.ndarray,
                     tolerance_deg: float = TOLERANCE_DEG) -> tuple[PlaneClass, ...]:
     """
     Tell walls, the ceiling and other horizontal planes apart.
 
     Parameters
     ----------
-    planes : sequence of Plane
+    planes : Planes
         With true angles, in any unit. One whose normal is too uncertain for its class is OTHER.
     down : (3,) floating
         Unit direction of gravity in the optical frame.
@@ -69,12 +54,12 @@ def classify_planes(planes: Sequence[Plane], down: np.ndarray,
     >>> def plane(normal, offset_m):
     ...     return Plane(np.array(normal), offset_m, np.zeros(3), 1, 0.0, 1.0, np.zeros((4, 4)), 1)
     >>> table, ceiling, wall = plane([0, -1, 0], 0.8), plane([0, 1, 0], 1.2), plane([0, 0, -1], 3)
-    >>> [kind.name for kind in classify_planes([table, ceiling, wall], np.array([0.0, 1.0, 0.0]))]
+    >>> planes = Planes.of([table, ceiling, wall])
+    >>> [kind.name for kind in classify_planes(planes, np.array([0.0, 1.0, 0.0]))]
     ['OTHER_HORIZONTAL', 'CEILING', 'WALL']
 
     """
-    facing_down = np.array([plane.normal @ down for plane in planes])
-    offsets = np.array([plane.offset_m for plane in planes])
+    facing_down, offsets = planes.normals @ down, planes.offsets_m
     upright, level = np.sin(np.radians(tolerance_deg)), np.cos(np.radians(tolerance_deg))
     above = facing_down >= level
     outermost = above & (offsets >= (1.0 - SAME_LEVEL_SHARE) * offsets[above].max(initial=0.0))
@@ -86,7 +71,7 @@ def classify_planes(planes: Sequence[Plane], down: np.ndarray,
     return tuple(PlaneClass(value) for value in classes)
 
 
-def are_certain(planes: Sequence[Plane], down: np.ndarray,
+def are_certain(planes: Planes, down: np.ndarray,
                 tolerance_deg: float = TOLERANCE_DEG) -> np.ndarray:
     """
     Return which planes (K,), bool, are horizontal, vertical or neither with MIN_PROBABILITY.
@@ -100,15 +85,13 @@ def are_certain(planes: Sequence[Plane], down: np.ndarray,
     >>> normal, covariance = np.array([0.0, -1.0, 0.0]), np.diag([0.2, 0.0, 0.2, 0.0])
     >>> poor = Plane(normal, 0.8, np.zeros(3), 1, 0.0, 1.0, covariance, 1.0)
     >>> fine = Plane(normal, 0.8, np.zeros(3), 1, 0.0, 1.0, covariance / 100, 1.0)
-    >>> are_certain([poor, fine], np.array([0.0, 1.0, 0.0])).tolist()
+    >>> are_certain(Planes.of([poor, fine]), np.array([0.0, 1.0, 0.0])).tolist()
     [False, True]
 
     """
-    if not planes:
-        return np.zeros(0, bool)
-    known = np.array([plane.class_certainty for plane in planes])
-    free = _probabilities(np.array([plane.normal for plane in planes], float),
-                          np.array([plane.covariance for plane in planes], float),
+    known = planes.class_certainties
+    free = _probabilities(np.ascontiguousarray(planes.normals, float),
+                          np.ascontiguousarray(planes.covariances, float),
                           np.asarray(down, float), np.radians(tolerance_deg))
     return np.where(np.isnan(known), free, known) >= MIN_PROBABILITY
 
@@ -176,21 +159,21 @@ def _within(off_rad, sigma_rad, most_rad):
     return 0.5 * (math.erf((most_rad - off_rad) / scale) + math.erf((most_rad + off_rad) / scale))
 
 
-def lowest_level(planes: Sequence[Plane], down: np.ndarray) -> Plane | None:
+def lowest_level(planes: Planes, down: np.ndarray) -> Plane | None:
     """Return the lowest horizontal plane that faces up; None if there is none."""
-    level = [plane for plane in planes
-             if plane.normal @ down <= -np.cos(np.radians(TOLERANCE_DEG))]
-    return max(level, key=lambda plane: plane.offset_m, default=None)
+    is_level = planes.normals @ down <= -np.cos(np.radians(TOLERANCE_DEG))
+    return (planes[int(np.where(is_level, planes.offsets_m, -np.inf).argmax())]
+            if is_level.any() else None)
 
 
-def refine_gravity(planes: Sequence[Plane], coarse_gravity_camera: np.ndarray,
+def refine_gravity(planes: Planes, coarse_gravity_camera: np.ndarray,
                    tolerance_deg: float) -> np.ndarray | None:
     """
     Refine a coarse direction of gravity by planes that are perpendicular to each other.
 
     Parameters
     ----------
-    planes : sequence of Plane
+    planes : Planes
         With true angles.
     coarse_gravity_camera : (3,) floating
         Unit direction.
@@ -204,10 +187,9 @@ def refine_gravity(planes: Sequence[Plane], coarse_gravity_camera: np.ndarray,
         together are not most of the image.
 
     """
-    if not planes:
+    if not len(planes):
         return None
-    normals = np.stack([plane.normal for plane in planes])
-    pixels = np.array([plane.inlier_count for plane in planes], float)
+    normals, pixels = planes.normals, planes.counts.astype(float)
     normals = normals * np.where(normals @ coarse_gravity_camera < 0, -1.0, 1.0)[:, None]
     near = normals @ coarse_gravity_camera >= np.cos(np.radians(tolerance_deg))
     cosine = np.abs(normals @ normals.T)

@@ -27,7 +27,7 @@ from plane_detector.segmentation.cells.plane_fit import (
     Y,
     squared_error,
 )
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Planes
 
 # derived: the columns of the sums behind those of the moments: z x, z y and z of the plane at the
 # middle of the cells, z**3 of the plane, and the square of (1/z - plane) / (1/z); then the first
@@ -52,7 +52,7 @@ CONFIDENCE_WEIGHTS = (1.19, 0.43, -0.56)
 
 
 def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
-                   min_pixels: float = 1.0) -> tuple[tuple[Plane, ...], np.ndarray]:
+                   min_pixels: float = 1.0) -> tuple[Planes, np.ndarray]:
     """
     Measure planes, largest first.
 
@@ -66,7 +66,8 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
 
     Returns
     -------
-    planes : tuple of Plane
+    planes : Planes
+        Labelled from 1 on.
     labels : (H, W) int32
         Index into these, -1 none.
 
@@ -83,7 +84,7 @@ def measure_planes(regions: PixelRegions, intrinsics: CameraIntrinsics,
 
 
 def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
-                     intrinsics: CameraIntrinsics) -> tuple[Plane, ...]:
+                     intrinsics: CameraIntrinsics) -> Planes:
     """Measure some of the planes from the sums (K, 21) over their pixels."""
     noise, camera, sums_kept = regions.noise, intrinsics, sums[kept]
     table = _measured(
@@ -91,15 +92,14 @@ def planes_from_sums(regions: PixelRegions, sums: np.ndarray, kept: np.ndarray,
         (noise.pixel_sigma**2 + noise.disparity_floor**2, noise.depth_floor_m**2,
          *_smooth_noise(regions)),
         (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height))
-    certainty, of_class = (np.broadcast_to(one, len(sums))[kept]
+    certainty, of_class = (np.broadcast_to(one, len(sums))[kept].astype(float)
                            for one in (regions.certainty, regions.class_certainty))
-    table[:, CONFIDENCE] *= certainty
-    return tuple(
-        Plane(normal, offset_m, centroid_m, round(pixels), rms_m, area_m2, covariance, sure, kind)
-        for normal, centroid_m, covariance, (offset_m, rms_m, area_m2, sure), pixels, kind in zip(
-            table[:, :CENTROID], table[:, CENTROID:OFFSET],
-            table[:, COVARIANCE:].reshape(-1, 4, 4), table[:, OFFSET:COVARIANCE].tolist(),
-            sums_kept[:, N].tolist(), of_class.tolist(), strict=True))
+    normals, centroids_m = table[:, :CENTROID].copy(), table[:, CENTROID:OFFSET].copy()
+    offsets_m, rms_m, areas_m2, sure = table[:, OFFSET:COVARIANCE].T.copy()
+    return Planes(normals, offsets_m, centroids_m, np.rint(sums_kept[:, N]).astype(np.int64),
+                  rms_m, areas_m2, table[:, COVARIANCE:].reshape(-1, 4, 4).copy(),
+                  sure * certainty, of_class, np.zeros(len(kept), np.uint8),
+                  np.arange(1, len(kept) + 1))
 
 
 def _smooth_noise(regions: PixelRegions) -> tuple[float, float]:

@@ -35,7 +35,7 @@ from plane_detector.directions.vanishing import SceneDirections
 from plane_detector.planes.classification import LEAST_SIGMA_RAD, TOLERANCE_DEG
 from plane_detector.planes.line_evidence import MAIN_AXES, LineEvidence
 from plane_detector.planes.region_samples import RegionSamples
-from plane_detector.types import Plane
+from plane_detector.types import Planes
 
 # tuned: python -m plane_detector.evaluation.benchmark orientation: the results stay within one
 # degree when any of these is doubled or halved.
@@ -115,14 +115,14 @@ class ScoredOrientations:
     log_evidence: float  # log likelihood of these axes by all normals of the network
 
 
-def score_orientations(planes: tuple[Plane, ...], directions: SceneDirections,
+def score_orientations(planes: Planes, directions: SceneDirections,
                        evidence: LineEvidence, samples: RegionSamples) -> ScoredOrientations:
     """
     Score the hypotheses of every plane.
 
     Parameters
     ----------
-    planes : tuple of Plane
+    planes : Planes
         At least one, as in the network's depth.
     directions : SceneDirections
         With gravity.
@@ -132,8 +132,7 @@ def score_orientations(planes: tuple[Plane, ...], directions: SceneDirections,
         Of their pixels.
 
     """
-    hypotheses = _hypotheses(np.stack([plane.normal for plane in planes]), directions, evidence,
-                             samples.middles)
+    hypotheses = _hypotheses(planes.normals, directions, evidence, samples.middles)
     moved = samples.depth_change(hypotheses.normals)
     lost = (LINE_WEIGHT * evidence.contradiction(hypotheses.normals)
             + 0.5 * (moved / DEPTH_ERROR_SHARE) ** 2)
@@ -196,17 +195,16 @@ def _probability(hypotheses: _Hypotheses, posterior: np.ndarray, chosen: np.ndar
     return (posterior * is_close * near[:, hypotheses.freedoms]).sum(1)
 
 
-def normal_variances(planes: tuple[Plane, ...], samples: RegionSamples,
+def normal_variances(planes: Planes, samples: RegionSamples,
                      sigmas_rad: np.ndarray | float) -> np.ndarray:
     """Return the variances (..., K) of normals, rad^2, by errors (..., 1) of the network."""
-    covariances = np.stack([plane.covariance[:3, :3] for plane in planes])
-    of_fit = np.trace(covariances, axis1=1, axis2=2) / 2
+    of_fit = np.trace(planes.covariances[:, :3, :3], axis1=1, axis2=2) / 2
     return of_fit + 1 / (1 / sigmas_rad**2 + 1 / _tilts_rad(planes, samples) ** 2)
 
 
-def _tilts_rad(planes: tuple[Plane, ...], samples: RegionSamples) -> np.ndarray:
+def _tilts_rad(planes: Planes, samples: RegionSamples) -> np.ndarray:
     """Return the largest error (K,) of normals that the bend of their regions allows."""
-    bend = samples.roughness * [plane.offset_m / np.sqrt(plane.area_m2) for plane in planes]
+    bend = samples.roughness * planes.offsets_m / np.sqrt(planes.areas_m2)
     return np.maximum(TILT_PER_BEND * bend, 1e-6)
 
 

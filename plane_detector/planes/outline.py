@@ -18,7 +18,7 @@ import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.planes.region_samples import MIN_COSINE
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Planes
 
 _TOLERANCE_PX = 2.0
 
@@ -42,7 +42,7 @@ class Rectangle:
 
 
 def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrinsics,
-                 planes: Sequence[Plane]) -> tuple[tuple[Polygon, ...], ...]:
+                 planes: Planes) -> tuple[tuple[Polygon, ...], ...]:
     """
     Return the outlines of each plane: of all its connected parts, and of the holes in them.
 
@@ -57,7 +57,7 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
         Of these labels, by :func:`row_ends`.
     intrinsics : CameraIntrinsics
         Of the image.
-    planes : sequence of Plane
+    planes : Planes
 
     Returns
     -------
@@ -68,9 +68,10 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
     Examples
     --------
     >>> camera = CameraIntrinsics(100.0, 100.0, 0.0, 0.0, 101, 51)
+    >>> from plane_detector.types import Plane
     >>> wall = Plane(np.array([0.0, 0.0, -1.0]), 2.0, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
     >>> labels = np.zeros((51, 101), np.int32)
-    >>> ((polygon,),) = all_polygons(labels, row_ends(labels, 1), camera, [wall])
+    >>> ((polygon,),) = all_polygons(labels, row_ends(labels, 1), camera, Planes.of([wall]))
     >>> polygon.corners_m[2]
     array([2., 1., 2.])
 
@@ -84,16 +85,15 @@ def all_polygons(labels: np.ndarray, ends: np.ndarray, intrinsics: CameraIntrins
         top, bottom, left = int(rows[0]), rows[-1] + 1, int(of_plane[rows, 0].min())
         mask = labels[top:bottom, left:of_plane[rows, 1].max() + 1] == index
         outlines.append(_simple_outlines(mask, (top, left)))
-    flat = [(corners_px, plane) for of_plane, plane in zip(outlines, planes, strict=True)
-            for corners_px, _ in of_plane]
-    corners_m = iter(_on_planes([corners_px for corners_px, _ in flat],
-                                [plane for _, plane in flat], intrinsics))
+    corners_m = iter(_on_planes(
+        [corners_px for of_plane in outlines for corners_px, _ in of_plane],
+        planes, np.repeat(np.arange(len(planes)), [len(one) for one in outlines]), intrinsics))
     return tuple(tuple(Polygon(next(corners_m), is_hole) for _, is_hole in of_plane)
                  for of_plane in outlines)
 
 
 def hulls(ends: np.ndarray, intrinsics: CameraIntrinsics,
-          planes: Sequence[Plane]) -> list[np.ndarray]:
+          planes: Planes) -> list[np.ndarray]:
     """
     Return the corners (N, 3) of the convex hull of the pixels of each plane, with their borders.
 
@@ -103,17 +103,18 @@ def hulls(ends: np.ndarray, intrinsics: CameraIntrinsics,
         As for :func:`all_polygons`.
 
     """
-    return _on_planes([_hull_px(of_plane) for of_plane in ends], planes, intrinsics)
+    return _on_planes([_hull_px(of_plane) for of_plane in ends], planes,
+                      np.arange(len(planes)), intrinsics)
 
 
-def _on_planes(pixels: Sequence[np.ndarray], planes: Sequence[Plane],
+def _on_planes(pixels: Sequence[np.ndarray], planes: Planes, of_plane: np.ndarray,
                intrinsics: CameraIntrinsics) -> list[np.ndarray]:
     """Return where the rays of pixels (N, 2), column and row, meet the plane of each, (N, 3)."""
     if not pixels:
         return []
     counts = [len(one) for one in pixels]
-    normals = np.repeat([plane.normal for plane in planes], counts, axis=0)
-    offsets_m = np.repeat([plane.offset_m for plane in planes], counts)
+    index = np.repeat(of_plane, counts)
+    normals, offsets_m = planes.normals[index], planes.offsets_m[index]
     rays = np.ones((len(normals), 3))
     rays[:, :2] = ((np.concatenate(pixels) - [intrinsics.cx, intrinsics.cy])
                    / [intrinsics.fx, intrinsics.fy])

@@ -9,34 +9,35 @@ and turned without these pixels, which only take the label.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from plane_detector.compilation import kernel
 from plane_detector.segmentation.cells.pixel_regions import PATCH_SCALE
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import NO_SHAPE_LABELS, CameraIntrinsics, Planes
 
 # A pixel off the plane of its patch by more than this share of its depth is on another surface.
 # tuned: eleven frames labelled by hand and 21 others, through FastDepth: flat from .15 to .5.
 MAX_DEPTH_SHARE = 0.25
 
 
-def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Sequence[Plane],
-                 depth_m: np.ndarray, intrinsics: CameraIntrinsics) -> np.ndarray:
+def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Planes, depth_m: np.ndarray,
+                 intrinsics: CameraIntrinsics,
+                 shape_labels: np.ndarray = NO_SHAPE_LABELS) -> np.ndarray:
     """
     Give the pixels on no plane that of the patch around them.
 
     Parameters
     ----------
     labels : (H, W) int32
-        Index into the planes, -1 none; larger ones are of other shapes.
+        Index into the planes, -1 none.
     patches : (h, w) int32
         As in :class:`~plane_detector.segmentation.cells.pixel_regions.PixelRegions`.
-    planes : sequence of Plane
+    planes : Planes
     depth_m : (H, W) floating
         NaN where invalid; such pixels keep -1.
     intrinsics : CameraIntrinsics
+    shape_labels : (H, W) int32, optional
+        Pixels of shapes, which are not filled, are at least 0. Default: no shapes.
 
     Returns
     -------
@@ -45,26 +46,30 @@ def fill_patches(labels: np.ndarray, patches: np.ndarray, planes: Sequence[Plane
 
     Examples
     --------
+    >>> from plane_detector.types import Plane
     >>> wall = Plane(np.array([0, 0, -1.0]), 2.0, np.array([0, 0, 2.0]), 9, 0.0, 1.0, np.eye(4), 1)
     >>> camera = CameraIntrinsics.from_field_of_view(8, 8, 60.0)
     >>> labels, depth_m = np.zeros((8, 8), np.int32), np.full((8, 8), 2.0)
     >>> labels[4:, 5:], depth_m[4:, 5:], depth_m[7, 7] = -1, 2.2, 1.0
-    >>> fill_patches(labels, np.ones((2, 2), np.int32), [wall], depth_m, camera)[-1]
+    >>> fill_patches(labels, np.ones((2, 2), np.int32), Planes.of([wall]), depth_m, camera)[-1]
     array([ 0,  0,  0,  0,  0,  0,  0, -1], dtype=int32)
 
     """
-    if not patches.size or not planes:
+    if not patches.size or not len(planes):
         return labels
-    small, kinds = labels[::PATCH_SCALE, ::PATCH_SCALE], int(labels.max()) + 2
+    # Of all shapes together, one kind more than planes.
+    known = np.where(shape_labels >= 0, len(planes), labels) if shape_labels.size else labels
+    small, kinds = known[::PATCH_SCALE, ::PATCH_SCALE], len(planes) + 2
     votes = np.bincount((patches * kinds + small + 1).ravel(),
                         minlength=kinds * (int(patches.max()) + 1)).reshape(-1, kinds)
     winner = votes.argmax(axis=1).astype(np.int32) - 1
     winner[0] = -1
     winner[winner >= len(planes)] = -1
-    slopes = np.array([-plane.normal / plane.offset_m for plane in planes])
-    return _fill(np.ascontiguousarray(labels, np.int32), winner[patches], slopes,
-                 np.ascontiguousarray(depth_m, np.float32),
-                 (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
+    slopes = -planes.normals / planes.offsets_m[:, None]
+    filled = _fill(np.ascontiguousarray(known, np.int32), winner[patches], slopes,
+                   np.ascontiguousarray(depth_m, np.float32),
+                   (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy))
+    return np.where(filled < len(planes), filled, -1) if shape_labels.size else filled
 
 
 @kernel('int32[:, ::1](int32[:, ::1], int32[:, ::1], float64[:, ::1], float32[:, ::1], '

@@ -14,7 +14,7 @@ from plane_detector.compilation import kernel
 from plane_detector.geometry.projection import pixel_rays
 from plane_detector.geometry.robust import SIGMA_PER_MEDIAN, median
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Planes
 
 # derived: 30 in a region of a hundredth of the image, enough for means and spreads.
 SAMPLES = 3000
@@ -109,7 +109,7 @@ class RegionSamples:
                              self.own_cosine[order], shares)
 
 
-def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
+def sample_regions(regions: PixelRegions, planes: Planes,
                    intrinsics: CameraIntrinsics) -> RegionSamples:
     """
     Sample pixels on a regular grid over the image.
@@ -118,7 +118,7 @@ def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
     ----------
     regions : PixelRegions
         Of 1/z; labels index into ``planes``.
-    planes : tuple of Plane
+    planes : Planes
         Measured in these regions, at least one.
     intrinsics : CameraIntrinsics
 
@@ -132,10 +132,9 @@ def sample_regions(regions: PixelRegions, planes: tuple[Plane, ...],
     row, column = row[order], column[order]
     region = labels[row, column].astype(np.int64)
     rays = np.stack([ray_x[column], ray_y[row], np.ones(len(row))], axis=1)
-    normals = np.stack([plane.normal for plane in planes])
     shares = np.bincount(region, minlength=len(planes)) / labels.size
     return RegionSamples(rays, disparity[row, column].astype(float), region,
-                         -np.einsum('ij,ij->i', normals[region], rays), shares)
+                         -np.einsum('ij,ij->i', planes.normals[region], rays), shares)
 
 
 @kernel('float64[:, ::1](float64[:, ::1], int64[::1], float64[::1], float64[:, :, ::1])',

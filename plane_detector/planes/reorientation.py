@@ -22,7 +22,7 @@ from plane_detector.planes.plane_axes import OWN_SIGMA_RAD, PLANE_VOTE, axes_of_
 from plane_detector.planes.region_samples import MIN_COSINE, sample_regions
 from plane_detector.segmentation.cells.labels import rename_labels
 from plane_detector.segmentation.cells.pixel_regions import PixelRegions
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Planes
 
 # Pieces of one plane touch and have equal normals and distances: largest differences in degrees,
 # as share of the distance per radian, and as share of the distance.
@@ -37,7 +37,7 @@ STEP_PER_RAD = 0.08
 
 
 def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixels: float,
-                   lines: ImageDirections | None) -> tuple[tuple[Plane, ...], np.ndarray]:
+                   lines: ImageDirections | None) -> tuple[Planes, np.ndarray]:
     """
     Measure planes, rotated by the lines of the image if these give an orientation.
 
@@ -53,20 +53,20 @@ def measure_turned(regions: PixelRegions, intrinsics: CameraIntrinsics, min_pixe
 
     Returns
     -------
-    planes : tuple of Plane
+    planes : Planes
         Largest first.
     labels : (H, W) int32
         Index into these, -1 none.
 
     """
     planes, labels = measure_planes(regions, intrinsics, min_pixels)
-    if lines is None or not len(lines.axes) or not planes:
+    if lines is None or not len(lines.axes) or not len(planes):
         return planes, labels
     turned = reorient(replace(regions, labels=labels), planes, lines, intrinsics)
     return measure_planes(turned, intrinsics, min_pixels)
 
 
-def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirections,
+def reorient(regions: PixelRegions, planes: Planes, lines: ImageDirections,
              intrinsics: CameraIntrinsics) -> PixelRegions:
     """
     Rotate regions to their most likely orientation, and merge those that are then coplanar.
@@ -75,7 +75,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
     ----------
     regions : PixelRegions
         Of 1/z in one unit, with true angles; labels index into ``planes``.
-    planes : tuple of Plane
+    planes : Planes
         Measured in these regions, at least one.
     lines : ImageDirections
         Of the image, with gravity.
@@ -89,8 +89,7 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
 
     """
     samples = sample_regions(regions, planes, intrinsics)
-    normals = np.stack([plane.normal for plane in planes])
-
+    normals, offsets = planes.normals.copy(), planes.offsets_m.copy()
     beside = lines_in_regions(lines.segments, regions.labels, len(planes))
 
     def scored(axes: ImageDirections) -> ScoredOrientations:
@@ -104,7 +103,6 @@ def reorient(regions: PixelRegions, planes: tuple[Plane, ...], lines: ImageDirec
         if PLANE_VOTE * (other.log_evidence - best.log_evidence) + log_prior > 0:
             best = other
     found = most_likely(best, samples)
-    offsets = np.array([plane.offset_m for plane in planes])
     refitted = samples.offsets(found.normals)
     changed = found.is_changed & np.isfinite(refitted)
     normals[changed], offsets[changed] = found.normals[changed], refitted[changed]
@@ -161,10 +159,10 @@ def _groups(joined: np.ndarray) -> np.ndarray:
     return group
 
 
-def _continuous(regions: PixelRegions, planes: tuple[Plane, ...], intrinsics: CameraIntrinsics,
+def _continuous(regions: PixelRegions, planes: Planes, intrinsics: CameraIntrinsics,
                 sigmas_rad: np.ndarray) -> np.ndarray:
     """Return which regions (K, K) touch without a jump of the depth between them."""
-    slopes = np.array([-plane.normal[:2] / plane.offset_m for plane in planes])
+    slopes = -planes.normals[:, :2] / planes.offsets_m[:, None]
     slopes /= [intrinsics.fx, intrinsics.fy]
     pairs, jumps = _border_jumps(regions.labels, np.ascontiguousarray(regions.disparity), slopes,
                                  BORDER_REACH_PX)

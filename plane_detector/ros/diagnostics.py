@@ -21,7 +21,6 @@ from rclpy.node import Node
 
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import plane_name
-from plane_detector.ros.outputs.messages import plane_labels
 from plane_detector.ros.qos import overriding_options
 from plane_detector.scale.estimate import RELATIVE
 from plane_detector.types import Detection
@@ -332,7 +331,7 @@ def planes_status(name: str, frame: DetectedFrame,
 
     ``planes_in_all`` is their number in all frames so far.
     """
-    detection, labels = frame.detection, plane_labels(frame.detection).tolist()
+    detection, labels = frame.detection, frame.detection.planes.labels.tolist()
     rows = {'planes': str(len(labels))}
     if planes_in_all is not None:
         rows['planes_in_all'] = str(planes_in_all)

@@ -199,11 +199,10 @@ class FrameProcessor:
 
 
 def _normals_of(detection: Detection) -> dict[int, np.ndarray]:
-    """Return the normals of the large planes by their labels; none without tracking."""
-    fewest = _LARGE_SHARE * detection.labels.size
-    return {label: plane.normal for label, plane
-            in zip(detection.track_labels, detection.planes, strict=False)
-            if plane.inlier_count >= fewest}
+    """Return the normals of the large planes by their labels."""
+    large = detection.planes.counts >= _LARGE_SHARE * detection.labels.size
+    planes = detection.planes.picked(large)
+    return dict(zip(planes.labels.tolist(), planes.normals, strict=True))
 
 
 def _has_turned(before: dict[int, np.ndarray], after: dict[int, np.ndarray]) -> bool:

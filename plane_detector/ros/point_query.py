@@ -10,7 +10,6 @@ import numpy as np
 from geometry_msgs.msg import PointStamped, PoseStamped
 from rclpy.lifecycle import LifecycleNode
 
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros import qos
 from plane_detector.ros.fault_log import FaultLog
 from plane_detector.ros.outputs import messages
@@ -55,8 +54,8 @@ class PointQuery:
             except ValueError as error:
                 self._faults.tell(error)
                 continue
-            header, plane = result.target_header, result.target_detection.planes[index]
-            (pose,) = messages.poses_to_msg(header, [plane]).poses  # as in ~/plane_poses
+            header, planes = result.target_header, result.target_detection.planes
+            (pose,) = messages.poses_to_msg(header, planes.picked([index])).poses
             self._publisher.publish(PoseStamped(header=header, pose=pose))
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
 
@@ -121,8 +120,7 @@ def describe_plane(result: DetectedFrame, index: int) -> str:
     """Return a description of a plane in words."""
     detection = result.detection
     plane, rectangle = detection.planes[index], result.rectangles[index]
-    label = messages.plane_labels(detection)[index]
-    kind = PlaneClass(detection.classes[index] if detection.classes else 0)
-    return (f'plane {label}, {kind.name.lower().replace("_", " ")}, distance '
+    kind = plane.plane_class
+    return (f'plane {plane.label}, {kind.name.lower().replace("_", " ")}, distance '
             f'{plane.offset_m:.2f}, {rectangle.width_m:.2f} x {rectangle.height_m:.2f}, area '
             f'{plane.area_m2:.2f}, confidence {plane.confidence:.0%}')

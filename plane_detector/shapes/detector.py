@@ -23,13 +23,23 @@ from plane_detector.shapes.fitting import (
     plane_residuals,
     shape_misfit,
 )
-from plane_detector.shapes.labelling import label_shapes, on_image, open_share
+from plane_detector.shapes.labelling import (
+    PlanesAndShapes,
+    label_shapes,
+    on_image,
+    open_share,
+)
 from plane_detector.shapes.search import Candidate, agreeing, best_candidates, connected
 from plane_detector.shapes.surface import AXIS, DEVIATIONS, FREEDOMS, surface_of
 from plane_detector.shapes.surfels import smooth_components, surfels_of_grid
 from plane_detector.shapes.views import DepthView, FoundShape
 from plane_detector.tracking.shape_tracker import ShapeTrack, update_shape_tracks
-from plane_detector.types import CameraIntrinsics, PlaneSegmentation, Shape, ShapeType
+from plane_detector.types import (
+    NO_SHAPE_LABELS,
+    CameraIntrinsics,
+    PlaneSegmentation,
+    ShapeType,
+)
 
 # A plane with more than this share of the image is not a facet of a curved surface.
 # tuned: benchmark shapes --first-seed 100 --scenes 40; at 1.7 times 1 of 197 more is found.
@@ -54,8 +64,6 @@ _MIN_EXPLAINED_SHARE = 0.8
 # The search in a component ends after this many rejected shapes.
 _MAX_FAILURES = 2
 
-Found = tuple[PlaneSegmentation, tuple[Shape, ...], tuple[int, ...]]
-
 
 class ShapeDetector:
     """Finds the shapes that the settings request; must be called with every image in order."""
@@ -68,29 +76,32 @@ class ShapeDetector:
         self._tracks = ()
 
     def detect(self, depth_m: np.ndarray, planes: PlaneSegmentation, regions: PixelRegions,
-               intrinsics: CameraIntrinsics, config: Config, in_metres: bool) -> Found:
+               intrinsics: CameraIntrinsics, config: Config, in_metres: bool) -> PlanesAndShapes:
         """
-        Return planes and shapes as :func:`find_shapes`, and the labels of the shapes, above 0.
+        Return planes and shapes as :func:`find_shapes`; tracked shapes keep their labels.
 
         Planes are unchanged, and there are no shapes, if none are requested or the depth is not
-        ``in_metres``. The labels are empty if shapes are not tracked.
+        ``in_metres``.
         """
         if not (config.shapes.wanted and in_metres):
-            return planes, (), ()
+            return planes, (), NO_SHAPE_LABELS
         load_once('shapes')
-        planes, shapes = find_shapes(depth_m, planes, regions, intrinsics, config.shapes,
-                                     np.random.default_rng(config.ransac.seed))
+        planes, shapes, shape_labels = find_shapes(
+            depth_m, planes, regions, intrinsics, config.shapes,
+            np.random.default_rng(config.ransac.seed))
         if not config.tracking.enabled:
             self.reset()
-            return planes, shapes, ()
+            return planes, shapes, shape_labels
         self._tracks, labels = update_shape_tracks(
-            self._tracks, shapes, planes.labels, len(planes.planes), config.tracking.keep_frames)
-        return planes, shapes, labels
+            self._tracks, shapes, shape_labels, config.tracking.keep_frames)
+        shapes = tuple(replace(shape, label=label)
+                       for shape, label in zip(shapes, labels, strict=True))
+        return planes, shapes, shape_labels
 
 
 def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelRegions,
                 intrinsics: CameraIntrinsics, config: ShapesConfig,
-                rng: np.random.Generator) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
+                rng: np.random.Generator) -> PlanesAndShapes:
     """
     Find spheres, cylinders and cones where there is no plane, or only facets of a curved surface.
 
@@ -116,16 +127,17 @@ def find_shapes(depth_m: np.ndarray, found: PlaneSegmentation, regions: PixelReg
     Returns
     -------
     PlaneSegmentation
-        Without the planes that are facets of a shape; with K planes left, label K + i is shape i.
+        Without the planes that are facets of a shape.
     shapes : tuple of Shape
-        Largest first.
+        Largest first, labelled from 1 on.
+    shape_labels : (H, W) int32
+        Index into the shapes, -1 none.
 
     """
     grid, noise = regions.grid, regions.noise
-    size_px = np.array([plane.inlier_count for plane in found.planes])
     view = DepthView(np.ascontiguousarray(depth_m, np.float32), found.labels, found.planes,
-                     size_px < _MAX_FACET_SHARE * depth_m.size, noise, intrinsics, grid.size_px,
-                     surfels_of_grid(grid, intrinsics, noise))
+                     found.planes.counts < _MAX_FACET_SHARE * depth_m.size, noise, intrinsics,
+                     grid.size_px, surfels_of_grid(grid, intrinsics, noise))
     kinds = [ShapeType[name.upper()] for name in config.wanted]
     return label_shapes(view, found, list(_search(view, kinds, config, rng)), config)
 

@@ -28,8 +28,10 @@ from plane_detector.shapes.surface import (
 )
 from plane_detector.shapes.surfels import depth_sigma_m
 from plane_detector.shapes.views import DepthView, FoundShape
-from plane_detector.types import Plane, PlaneSegmentation, Shape, ShapeType
+from plane_detector.types import PlaneSegmentation, Shape, ShapeType
 
+# Remaining planes, shapes, and the index of the shape (H, W) int32 in each pixel, -1 none.
+PlanesAndShapes = tuple[PlaneSegmentation, tuple[Shape, ...], np.ndarray]
 # Pixels at a silhouette are mixtures, so the surroundings are examined this far outside.
 _RING_PX = 3
 # derived: over this many pixels a surface at 45 degrees to the ray changes as much in depth.
@@ -77,8 +79,8 @@ def open_share(view: DepthView, found: FoundShape) -> float:
 
 
 def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[FoundShape],
-                 config: ShapesConfig) -> tuple[PlaneSegmentation, tuple[Shape, ...]]:
-    """Return the remaining planes, with labels that include the shapes, and the shapes."""
+                 config: ShapesConfig) -> PlanesAndShapes:
+    """Return the remaining planes, the shapes, and their index (H, W) int32 in each pixel."""
     gone, kept = np.zeros(len(planes.planes), bool), []
     taken = np.zeros(planes.labels.shape, bool)
     joined = sorted(_joined(view, list(found)), key=lambda one: -one.members.sum())
@@ -88,20 +90,21 @@ def label_shapes(view: DepthView, planes: PlaneSegmentation, found: Sequence[Fou
             taken[one.window] |= mask
             gone |= one.absorbed
             kept.append(replace(one, mask=mask))
-    labels, left = remove_planes(planes.labels, planes.planes, gone)
+    shape_labels = np.full(taken.shape, -1, np.int32)
     for k, one in enumerate(kept):
-        labels[one.window][one.mask] = len(left) + k
-    return (replace(planes, planes=left, labels=labels),
-            tuple(_measured(view, one) for one in kept))
+        shape_labels[one.window][one.mask] = k
+    shapes = tuple(replace(_measured(view, one), label=k + 1) for k, one in enumerate(kept))
+    return without_planes(planes, gone), shapes, shape_labels
 
 
-def remove_planes(labels: np.ndarray, planes: tuple[Plane, ...],
-                  gone: np.ndarray) -> tuple[np.ndarray, tuple[Plane, ...]]:
-    """Return new labels (H, W) and the planes without those marked in ``gone`` (K,) bool."""
+def without_planes(found: PlaneSegmentation, gone: np.ndarray) -> PlaneSegmentation:
+    """Return an image without the planes marked in ``gone`` (K,) bool."""
     if not gone.any():
-        return labels.copy(), planes
-    number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1).astype(labels.dtype)
-    return number[labels], tuple(p for p, g in zip(planes, gone, strict=True) if not g)
+        return found
+    number = np.append(np.where(gone, -1, np.cumsum(~gone) - 1), -1).astype(found.labels.dtype)
+    planes = found.planes.picked(~gone)
+    return replace(found, labels=number[found.labels], planes=replace(
+        planes, labels=np.arange(1, len(planes) + 1)))
 
 
 def _joined(view: DepthView, found: list[FoundShape]) -> list[FoundShape]:

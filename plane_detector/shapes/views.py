@@ -17,7 +17,7 @@ from plane_detector.segmentation.cells.noise import CORRELATED_CELLS, Noise
 from plane_detector.shapes.fitting import FittedShape, Pixels, Silhouette, shape_residuals
 from plane_detector.shapes.surface import DEVIATIONS, depths_on_rays
 from plane_detector.shapes.surfels import Surfels, depth_sigma_m
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Planes
 
 # For speed only every fourth ray is tested.
 _THROUGH_STEP_PX = 4
@@ -80,7 +80,7 @@ class DepthView:
 
     depth_m: np.ndarray  # (H, W) float32
     labels: np.ndarray  # (H, W) int32, plane of each pixel, or -1
-    planes: tuple[Plane, ...]
+    planes: Planes
     is_open: np.ndarray  # (K,) bool, planes that a shape may replace
     noise: Noise
     intrinsics: CameraIntrinsics
@@ -158,7 +158,7 @@ class DepthView:
 
     def plane_pixels(self, k: int, most: int) -> Pixels:
         """Return the pixels of a plane, subsampled to about ``most``."""
-        step = max(1, int(np.sqrt(self.planes[k].inlier_count / most)))
+        step = max(1, int(np.sqrt(self.planes.counts[k] / most)))
         v, u = step * np.array(np.nonzero((self.labels[::step, ::step] == k)
                                           & np.isfinite(self.depth_m[::step, ::step])))
         return self.pixels_at(v * self.labels.shape[1] + u, step * step)

@@ -24,12 +24,12 @@ with quiet_interrupt(), explained_imports():
     from rclpy.node import Node
     from sensor_msgs.msg import PointCloud2
 
-    from plane_detector.planes.classification import PlaneClass
     from plane_detector.ros.inputs.synchronizer import stamp_text
     from plane_detector.ros.inputs.topic_watch import GRACE_S
     from plane_detector.ros.node import not_of_ros
     from plane_detector.ros.outputs.messages import read_cloud
     from plane_detector.scale.estimate import RELATIVE
+    from plane_detector.types import PlaneClass
 
 _CLEAR = '\x1b[2J\x1b[H'
 _HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7} {"area":>8} '

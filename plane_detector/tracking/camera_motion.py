@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plane_detector.tracking.matching import PlaneArrays
+from plane_detector.types import Planes
 
 # derived: a change of a millionth changes no label; a camera that stands still needs two rounds.
 _MOST_ROUNDS, _CONVERGED = 8, 1e-6
@@ -40,21 +40,15 @@ class PlaneMotion:
     translation_m: np.ndarray  # (3,) float64, in the unit of the present image
     scale: float  # factor on lengths; 1 if the unit is known
 
-    def move(self, planes: PlaneArrays) -> PlaneArrays:
+    def move(self, planes: Planes) -> Planes:
         """Return planes of the previous camera frame in the present one."""
-        turn = np.eye(4)
-        turn[:3, :3], turn[3, 3] = self.rotation, self.scale
-        normals = planes.normals @ self.rotation.T
-        return PlaneArrays(
-            normals, self.scale * planes.offsets_m - normals @ self.translation_m,
-            self.scale * (planes.centroids_m @ self.rotation.T) + self.translation_m,
-            self.scale ** 2 * planes.areas_m2, turn @ planes.covariances @ turn.T)
+        return planes.moved(self, self.scale)
 
 
 NO_MOTION = PlaneMotion(np.eye(3), np.zeros(3), 1.0)
 
 
-def estimate_motion(before: PlaneArrays, after: PlaneArrays, weights: np.ndarray) -> PlaneMotion:
+def estimate_motion(before: Planes, after: Planes, weights: np.ndarray) -> PlaneMotion:
     """
     Estimate the motion from planes visible in both images.
 
@@ -98,7 +92,7 @@ def _rotation(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.
     return rotation
 
 
-def _translation_and_scale(before: PlaneArrays, after: PlaneArrays, weights: np.ndarray
+def _translation_and_scale(before: Planes, after: Planes, weights: np.ndarray
                            ) -> tuple[np.ndarray, float]:
     """Solve after = scale * before - normals . t, with priors that keep t and scale - 1 small."""
     distances_m = after.distances_m

@@ -12,70 +12,17 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from plane_detector.compilation import kernel
-from plane_detector.types import Plane
+from plane_detector.types import Planes
 
 # Standard deviations of one plane in two images, apart from the motion of the camera: of the angle
 # between the normals, and of the distance from the plane as a share of that from the camera.
 _ANGLE_DEG, _OFFSET_SHARE = 10.0, 0.03
-_TINY_M = _TINY_M2 = 1e-12
-
-
-@dataclass(frozen=True)
-class PlaneArrays:
-    """N planes in one camera frame, float64; fields of :class:`~plane_detector.types.Plane`."""
-
-    normals: np.ndarray  # (N, 3)
-    offsets_m: np.ndarray  # (N,)
-    centroids_m: np.ndarray  # (N, 3)
-    areas_m2: np.ndarray  # (N,)
-    covariances: np.ndarray  # (N, 4, 4)
-
-    @classmethod
-    def of(cls, planes: Sequence[Plane]) -> PlaneArrays:
-        """Return the coefficients of planes."""
-        return cls(np.array([plane.normal for plane in planes]).reshape(-1, 3),
-                   np.array([plane.offset_m for plane in planes], float),
-                   np.array([plane.centroid_m for plane in planes]).reshape(-1, 3),
-                   np.array([plane.area_m2 for plane in planes], float),
-                   np.array([plane.covariance for plane in planes]).reshape(-1, 4, 4))
-
-    def __len__(self) -> int:
-        return len(self.offsets_m)
-
-    def picked(self, index: np.ndarray | Sequence[int]) -> PlaneArrays:
-        """Return some planes, by a mask (N,) bool or by their indices."""
-        return PlaneArrays(self.normals[index], self.offsets_m[index], self.centroids_m[index],
-                           self.areas_m2[index], self.covariances[index])
-
-    def followed_by(self, others: PlaneArrays) -> PlaneArrays:
-        """Return these planes and others."""
-        if not len(others):
-            return self
-        return PlaneArrays(*(np.concatenate([getattr(self, name), getattr(others, name)])
-                             for name in self.__dataclass_fields__))
-
-    @cached_property
-    def distances_m(self) -> np.ndarray:
-        """Distance of each centroid from the camera, (N,), above 0."""
-        return np.maximum(np.sqrt((self.centroids_m ** 2).sum(axis=1)), _TINY_M)
-
-    @cached_property
-    def normal_variances(self) -> np.ndarray:
-        """Sum of the variances of each normal, (N,), squared radians."""
-        return np.einsum('nii->n', self.covariances[:, :3, :3])
-
-    @cached_property
-    def distance_variances(self) -> np.ndarray:
-        """Variance of each plane's position at its centroid, (N,), squared shares of distance."""
-        point = np.ones((len(self), 4))
-        point[:, :3] = self.centroids_m
-        return np.einsum('ni,nij,nj->n', point, self.covariances, point) / self.distances_m ** 2
+_TINY_M2 = 1e-12
 
 
 @dataclass(frozen=True)
@@ -105,7 +52,7 @@ def _joined(groups: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
             np.array([len(group) for group in groups], np.intp))
 
 
-def likeness(before: PlaneArrays, after: PlaneArrays, overlap: Overlap,
+def likeness(before: Planes, after: Planes, overlap: Overlap,
              growth: np.ndarray) -> np.ndarray:
     """
     Return how well planes agree in position and coefficients, (T, N), 0 to 1.
@@ -118,7 +65,7 @@ def likeness(before: PlaneArrays, after: PlaneArrays, overlap: Overlap,
     return place * np.exp(-0.5 * squared_deviation(before, after, growth))
 
 
-def squared_deviation(before: PlaneArrays, after: PlaneArrays, growth: np.ndarray | float = 1.0,
+def squared_deviation(before: Planes, after: Planes, growth: np.ndarray | float = 1.0,
                       angle_deg: float = _ANGLE_DEG,
                       offset_share: float = _OFFSET_SHARE) -> np.ndarray:
     """
@@ -126,7 +73,7 @@ def squared_deviation(before: PlaneArrays, after: PlaneArrays, growth: np.ndarra
 
     Parameters
     ----------
-    before, after : PlaneArrays
+    before, after : Planes
         T and N planes, in one camera frame.
     growth : (T,) float or float
         Factor on the variances of the next two.
@@ -144,11 +91,12 @@ def squared_deviation(before: PlaneArrays, after: PlaneArrays, growth: np.ndarra
     turn_variance = (math.radians(angle_deg) ** 2 * growth
                      + np.add.outer(before.normal_variances, after.normal_variances))
     off_variance = (offset_share ** 2 * growth
-                    + np.add.outer(before.distance_variances, after.distance_variances))
+                    + np.add.outer(*(one.centroid_variances_m2 / one.distances_m ** 2
+                                     for one in (before, after))))
     return turn_rad ** 2 / turn_variance + (off ** 2 + back ** 2) / (2 * off_variance)
 
 
-def _nearness(before: PlaneArrays, after: PlaneArrays) -> np.ndarray:
+def _nearness(before: Planes, after: Planes) -> np.ndarray:
     """Return (T, N): 1 for equal centroids, less with the distance over the smaller size."""
     apart_m = before.centroids_m[:, None] - after.centroids_m
     smaller_m2 = np.maximum(np.minimum.outer(before.areas_m2, after.areas_m2), _TINY_M2)

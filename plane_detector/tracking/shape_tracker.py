@@ -31,8 +31,7 @@ class ShapeTrack:
 
 
 def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], labels: np.ndarray,
-                        first_label: int, keep_frames: int
-                        ) -> tuple[tuple[ShapeTrack, ...], tuple[int, ...]]:
+                        keep_frames: int) -> tuple[tuple[ShapeTrack, ...], tuple[int, ...]]:
     """
     Match the shapes of an image with the known ones; return the tracks after it, and the labels.
 
@@ -43,15 +42,14 @@ def update_shape_tracks(tracks: Sequence[ShapeTrack], shapes: Sequence[Shape], l
     shapes : sequence of Shape
         Of the next image.
     labels : (H, W) int32
-        ``first_label`` + i in the pixels of shape i.
-    first_label : int
+        Index into the shapes, -1 none.
     keep_frames : int
         A shape that is not found keeps its label for this many images.
 
     """
     step = max(1, min(labels.shape) // _ROWS)
     thinned = labels[::step, ::step].ravel()
-    pixels = [np.flatnonzero(thinned == first_label + k) for k in range(len(shapes))]
+    pixels = [np.flatnonzero(thinned == k) for k in range(len(shapes))]
     match = _match(tracks, shapes, pixels)
     names, gone = labels_of_found(tracks, match, len(shapes), keep_frames)
     seen = [ShapeTrack(*one) for one in zip(names, shapes, pixels, strict=True)]

@@ -14,7 +14,7 @@ A label is reused only after its plane has been dropped.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,14 +23,13 @@ from plane_detector.config import TrackingConfig
 from plane_detector.tracking.camera_motion import estimate_motion
 from plane_detector.tracking.matching import (
     Overlap,
-    PlaneArrays,
     best_pairs,
     labels_of_found,
     likeness,
     measure_overlap,
     squared_deviation,
 )
-from plane_detector.types import Detection, Plane, PlaneSegmentation
+from plane_detector.types import NO_PLANES, Detection, Planes, PlaneSegmentation
 
 # The overlap is measured on about this many rows.
 _ROWS = 120
@@ -44,8 +43,6 @@ _MOTION_MAX_TURN_RAD = np.radians(30.0)
 # derived: a plane is merged into the one with more than half of its pixels, if both are one plane
 # within three standard deviations, as for other decisions on coefficients.
 _MERGED_SHARE, _MOST_DEVIATIONS = 0.5, 3.0
-# Larger changes of the coefficients are not noise and are not smoothed.
-_NOISE_DEVIATIONS, _NOISE_ANGLE_DEG, _NOISE_OFFSET = 3.0, 0.3, 0.003
 
 
 @dataclass(frozen=True)
@@ -63,10 +60,10 @@ class KnownPlanes:
     """The known planes after an image."""
 
     tracks: tuple[Track, ...]  # of the planes of the image, in its order, then missing ones
-    planes: PlaneArrays  # their coefficients in the camera frame of that image
+    planes: Planes  # their coefficients in the camera frame of that image
 
 
-NONE_KNOWN = KnownPlanes((), PlaneArrays.of(()))
+NONE_KNOWN = KnownPlanes((), NO_PLANES)
 
 
 class PlaneTracker:
@@ -76,11 +73,12 @@ class PlaneTracker:
     Examples
     --------
     >>> normal, centroid_m = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 2.0])
+    >>> from plane_detector.types import Plane
     >>> wall = Plane(normal, 2.0, centroid_m, 12, 0.0, 1.0, np.eye(4), 1.0)
-    >>> one_wall = PlaneSegmentation((wall,), np.zeros((3, 4), np.int32), 0.0)
+    >>> one_wall = PlaneSegmentation(Planes.of([wall]), np.zeros((3, 4), np.int32), 0.0)
     >>> tracker = PlaneTracker()
-    >>> [tracker.update(one_wall, TrackingConfig())[1] for _ in range(2)]
-    [(1,), (1,)]
+    >>> [tracker.update(one_wall, TrackingConfig()).planes.labels.tolist() for _ in range(2)]
+    [[1], [1]]
 
     """
 
@@ -88,25 +86,21 @@ class PlaneTracker:
         self._known = NONE_KNOWN
         self._shape: tuple[int, int] | None = None
 
-    def update(self, found: PlaneSegmentation, config: TrackingConfig
-               ) -> tuple[PlaneSegmentation, tuple[int, ...]]:
+    def update(self, found: PlaneSegmentation, config: TrackingConfig) -> PlaneSegmentation:
         """
-        Return the planes of the next image, and the label of each, above 0 and unique.
+        Return the planes of the next image with their labels, above 0 and unique.
 
         Their unit may change from image to image; an image of another size resets the tracker.
-        Coefficients are smoothed if ``config.smoothing`` is above 0. Without ``config.enabled``
-        there are no labels, and the tracker is reset.
+        Without ``config.enabled`` the planes are returned unchanged, and the tracker is reset.
         """
         if not config.enabled:
             self.reset()
-            return found, ()
+            return found
         if found.labels.shape != self._shape:
             self.reset()
             self._shape = found.labels.shape
-        self._known, planes = update_tracks(self._known, found, config)
-        if planes is not found.planes:
-            found = replace(found, planes=planes)
-        return found, tuple(track.label for track in self._known.tracks[:len(planes)])
+        self._known = update_tracks(self._known, found, config)
+        return replace(found, planes=self._known.planes.picked(slice(len(found.planes))))
 
     def reset(self) -> None:
         """Discard all known planes."""
@@ -114,9 +108,9 @@ class PlaneTracker:
 
 
 def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
-                  ) -> tuple[KnownPlanes, tuple[Plane, ...]]:
-    """Return what is known after an image, and its planes, smoothed if that is requested."""
-    pixels, after = _pixels_of_planes(found), PlaneArrays.of(found.planes)
+                  ) -> KnownPlanes:
+    """Return what is known after an image."""
+    pixels, after = _pixels_of_planes(found), found.planes
     overlap = measure_overlap([track.pixels for track in known.tracks], pixels)
     moved = _moved_along(known, after, pixels, overlap)
     match = _match(known.tracks, moved, after, overlap)
@@ -125,11 +119,8 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
               for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
     tracks += [Track(one.label, one.pixels, one.streak, one.missed + 1)
                for one in map(known.tracks.__getitem__, gone)]
-    planes = found.planes
-    if config.smoothing > 0:
-        planes = _smoothed(planes, known, after, match, config.smoothing)
-        after = PlaneArrays.of(planes)
-    return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone))), planes
+    after = replace(after, labels=np.array(labels, np.int64))
+    return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone)))
 
 
 def _streak(tracks: Sequence[Track], index: int | None) -> int:
@@ -148,8 +139,8 @@ def _pixels_of_planes(found: PlaneSegmentation) -> list[np.ndarray]:
     return [order[begin:end] for begin, end in zip(ends, ends[1:], strict=False)]
 
 
-def _moved_along(known: KnownPlanes, after: PlaneArrays, pixels: Sequence[np.ndarray],
-                 overlap: Overlap) -> PlaneArrays:
+def _moved_along(known: KnownPlanes, after: Planes, pixels: Sequence[np.ndarray],
+                 overlap: Overlap) -> Planes:
     """Move the known planes with the motion of those that are reliably found in both images."""
     if not known.tracks:
         return known.planes
@@ -158,7 +149,7 @@ def _moved_along(known: KnownPlanes, after: PlaneArrays, pixels: Sequence[np.nda
     return estimate_motion(known.planes.picked(old), after.picked(new), weights).move(known.planes)
 
 
-def _is_sure(known: KnownPlanes, after: PlaneArrays, share: np.ndarray) -> np.ndarray:
+def _is_sure(known: KnownPlanes, after: Planes, share: np.ndarray) -> np.ndarray:
     """Return the pairs (T, N) bool whose pixels and normals leave no doubt."""
     if not len(after):
         return np.zeros(share.shape, bool)
@@ -168,7 +159,7 @@ def _is_sure(known: KnownPlanes, after: PlaneArrays, share: np.ndarray) -> np.nd
             & (cosine > np.cos(_MOTION_MAX_TURN_RAD)))
 
 
-def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays,
+def _match(tracks: Sequence[Track], before: Planes, after: Planes,
            overlap: Overlap) -> dict[int, int]:
     """Return the track of each found plane; unmatched planes are left out."""
     if not tracks or not len(after):
@@ -183,28 +174,6 @@ def _match(tracks: Sequence[Track], before: PlaneArrays, after: PlaneArrays,
         rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
 
 
-def _smoothed(planes: Sequence[Plane], known: KnownPlanes, after: PlaneArrays,
-              match: Mapping[int, int], share: float) -> tuple[Plane, ...]:
-    """Return planes averaged with their past, unless the change exceeds the noise."""
-    smooth = list(planes)
-    for new, old in match.items():
-        changed = squared_deviation(known.planes.picked([old]), after.picked([new]),
-                                    1.0, _NOISE_ANGLE_DEG, _NOISE_OFFSET)
-        if not known.tracks[old].missed and changed.item() <= _NOISE_DEVIATIONS ** 2:
-            smooth[new] = _averaged(planes[new], known.planes.normals[old],
-                                    known.planes.offsets_m[old], share)
-    return tuple(smooth)
-
-
-def _averaged(plane: Plane, old_normal: np.ndarray, old_offset_m: float, share: float) -> Plane:
-    """Return the plane with the given share of old coefficients."""
-    normal = share * old_normal + (1 - share) * plane.normal
-    normal /= np.linalg.norm(normal)
-    offset_m = float(share * old_offset_m + (1 - share) * plane.offset_m)
-    centroid_m = plane.centroid_m - (plane.centroid_m @ normal + offset_m) * normal
-    return replace(plane, normal=normal, offset_m=offset_m, centroid_m=centroid_m)
-
-
 def merged_labels(before: Detection | None, after: Detection) -> tuple[int, ...]:
     """
     Return, for each plane of an image, the label that was merged into it since the last image.
@@ -213,17 +182,16 @@ def merged_labels(before: Detection | None, after: Detection) -> tuple[int, ...]
     its pixels, and is coplanar with it. 0: none; the largest plane if there are several.
     """
     taken = np.zeros(len(after.planes), int)
-    if (before is None or not before.track_labels or not after.track_labels
-            or before.labels.shape != after.labels.shape):
+    if (before is None or before.labels.shape != after.labels.shape):
         return tuple(taken.tolist())
     most = np.zeros(len(after.planes), int)
-    for old, label in enumerate(before.track_labels):
-        if label in after.track_labels:
+    for old, label in enumerate(before.planes.labels):
+        if label in after.planes.labels:
             continue
         pixels = after.labels[before.labels == old]
-        # Entry 0 counts the pixels without a plane; entries after the planes are of shapes.
-        counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:len(after.planes) + 1]
-        new = int(np.argmax(counts))
+        # Entry 0 counts the pixels without a plane.
+        counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:]
+        new = int(np.argmax(counts)) if len(counts) else 0
         if (counts[new] > max(_MERGED_SHARE * pixels.size, most[new])
                 and _is_taken(before, old, after, new)):
             taken[new], most[new] = label, counts[new]
@@ -232,8 +200,7 @@ def merged_labels(before: Detection | None, after: Detection) -> tuple[int, ...]
 
 def _is_taken(before: Detection, old: int, after: Detection, new: int) -> bool:
     """Return whether the other label existed before, and both are one plane."""
-    if after.track_labels[new] not in before.track_labels:
+    if after.planes.labels[new] not in before.planes.labels:
         return False
-    deviation = squared_deviation(PlaneArrays.of([before.planes[old]]),
-                                  PlaneArrays.of([after.planes[new]]))
+    deviation = squared_deviation(before.planes.picked([old]), after.planes.picked([new]))
     return bool(deviation.item() <= _MOST_DEVIATIONS**2)

@@ -2,12 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Points and planes in another frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from plane_detector.geometry.rigid_transform import RigidTransform, interpolate, quaternions
-from plane_detector.types import Plane
+from plane_detector.types import Plane, Planes
 
 TURN = RigidTransform.from_quaternion((0.2, -0.4, 0.1, 0.9), (1.0, -2.0, 0.5))
 # z forward, x right, y down into x forward, y left, z up; 1.2 m above the floor.
@@ -41,13 +43,40 @@ def test_one_after_the_other():
 def test_the_points_of_a_plane_stay_on_it():
     floor = Plane(np.array([0.0, -1.0, 0.0]), 1.2, np.array([0.5, 1.2, 3.0]), 9, 0.0, 1.0,
                   np.eye(4), 1.0)
-    moved = OPTICAL_TO_BASE.plane(floor)
+    moved = Planes.of([floor]).moved(OPTICAL_TO_BASE)[0]
     np.testing.assert_allclose(moved.normal, [0, 0, 1])
     assert moved.offset_m == pytest.approx(0.0), 'the origin of the base is on the floor'
     assert moved.normal @ moved.centroid_m + moved.offset_m == pytest.approx(0.0)
-    turned = TURN.plane(floor)
+    turned = Planes.of([floor]).moved(TURN)[0]
     on_it_m = TURN.points(np.array([-2.0, 1.2, 7.0]))
     assert turned.normal @ on_it_m + turned.offset_m == pytest.approx(0.0)
+
+
+def test_the_error_of_a_moved_plane_is_that_of_its_moved_samples():
+    """Of planes with the errors that their covariance states, after ten poses with turns."""
+    rng, normal = np.random.default_rng(4), np.array([0.6, 0.0, -0.8])
+    spread = np.diag([2e-3, 3e-3, 0.0, 6e-3]) ** 2
+    across = np.eye(4)
+    across[:3, :3] = np.column_stack([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], normal])
+    covariance = across @ spread @ across.T
+    truth = Plane(normal, 2.0, -2.0 * normal, 9, 0.0, 1.0, covariance, 1.0)
+    samples = rng.multivariate_normal([*normal, 2.0], covariance, 2000)
+    planes = Planes.of([truth] + [replace(truth, normal=sample[:3], offset_m=sample[3])
+                                  for sample in samples])
+    scale = 1.0
+    for turn in Rotation.random(10, rng=rng):
+        step = RigidTransform(turn.as_matrix(), rng.normal(0, 1.0, 3))
+        planes, scale = planes.moved(step, 1.1), 1.1 * scale
+        own = np.column_stack([planes.normals, planes.offsets_m])
+        off = own[1:] - own[0]
+        point = np.append(planes.centroids_m[0], 1.0)
+        stated = planes.covariances[0]
+        np.testing.assert_allclose(np.cov(off.T), stated, atol=0.1 * stated.max())
+        z_score = (off @ point).std() / np.sqrt(point @ stated @ point)
+        assert 0.9 < z_score < 1.1, 'at the centroid'
+        assert planes.centroid_variances_m2[0] == pytest.approx(point @ stated @ point)
+        assert planes.offsets_m[0] == pytest.approx(-planes.normals[0] @ planes.centroids_m[0])
+    assert planes.rms_m[0] == 0.0 and planes.areas_m2[0] == pytest.approx(scale ** 2)
 
 
 def test_rotations_are_those_of_scipy():

@@ -107,7 +107,8 @@ def ground_by_pixels(terrain):
     scene = terrain.scene
     found = detect(terrain, scene.depth_m)
     own = found.labels[-1, 320]
-    planes = PlaneSegmentation((found.planes[own],), np.where(found.labels == own, 0, -1), 0.0)
+    planes = PlaneSegmentation(found.planes.picked([own]),
+                               np.where(found.labels == own, 0, -1), 0.0)
     return find_ground(planes, scene.depth_m, scene.intrinsics,
                        Gravity(scene.gravity_camera, 1.0, 'measured'), MEASURED).pixels.mask
 
@@ -297,7 +298,7 @@ def test_surfaces_keep_their_labels_when_the_robot_drives_on_to_a_ramp():
             labels = found.labels[terrain.kinds == kind]
             if (labels >= 0).sum() > 5000:
                 plane = np.bincount(labels[labels >= 0]).argmax()
-                states.append((found.track_labels[plane], found.classes[plane]))
+                states.append((found.planes.labels[plane], found.classes[plane]))
         assert share(found, terrain, Kind.FLOOR, Kind.RAMP) > 0.98
     assert len(set(seen[Kind.FLOOR])) == 1 and seen[Kind.FLOOR][0][1] == PlaneClass.FLOOR
     labels, classes = zip(*seen[Kind.RAMP], strict=True)

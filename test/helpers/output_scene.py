@@ -14,13 +14,21 @@ from ros_helpers import header
 
 from plane_detector.config import NodeConfig
 from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.types import CameraIntrinsics, Detection, GroundPixels, Plane, Shape, ShapeType
+from plane_detector.types import (
+    CameraIntrinsics,
+    Detection,
+    GroundPixels,
+    Plane,
+    PlaneClass,
+    Planes,
+    Shape,
+    ShapeType,
+)
 
 CAMERA = CameraIntrinsics(80.0, 95.0, 30.5, 45.25, 110, 72)
 WALL, FLOOR, BALL, NOTHING = 0, 1, 2, -1
-TRACKS = 7, 3
+TRACKS, CLASSES = (7, 3), (PlaneClass.WALL, PlaneClass.FLOOR)
 BALL_LABEL = 32768 + 5
 MESSAGE_LABELS = {WALL: 7, FLOOR: 3, BALL: BALL_LABEL, NOTHING: 0}
 EQUATIONS = {WALL: (np.array([-0.28, 0.0, -0.96]), 3.0), FLOOR: (np.array([0.0, -1.0, 0.0]), 0.6)}
@@ -63,17 +71,19 @@ def points() -> np.ndarray:
 def plane(index: int) -> Plane:
     normal, offset_m = EQUATIONS[index]
     own_m = points()[depth_and_labels()[1] == index]
-    return Plane(normal, offset_m, own_m.mean(axis=0), len(own_m), 0.003, 2.5, np.eye(4), 0.75)
+    return Plane(normal, offset_m, own_m.mean(axis=0), len(own_m), 0.003, 2.5, np.eye(4), 0.75,
+                 plane_class=CLASSES[index], label=TRACKS[index])
 
 
 def detection(**changes) -> Detection:
     depth_m, labels = depth_and_labels()
+    is_ball = labels == BALL
     ball = Shape(ShapeType.SPHERE, np.array([0.4, -0.1, 1.6]), np.zeros(3), 0.1, 0.0, 0.0, 100,
-                 0.01, np.eye(4), 0.8)
-    values = {'planes': (plane(WALL), plane(FLOOR)), 'labels': labels, 'disparity_noise': 0.0,
-              'depth_m': depth_m, 'scale_method': 'metric', 'track_labels': TRACKS,
-              'classes': (PlaneClass.WALL, PlaneClass.FLOOR), 'shapes': (ball,),
-              'shape_labels': (5,), 'ground_pixels': GroundPixels(
+                 0.01, np.eye(4), 0.8, label=5)
+    values = {'planes': Planes.of([plane(WALL), plane(FLOOR)]),
+              'labels': np.where(is_ball, NOTHING, labels), 'disparity_noise': 0.0,
+              'depth_m': depth_m, 'scale_method': 'metric', 'shapes': (ball,),
+              'shape_labels': np.where(is_ball, 0, NOTHING), 'ground_pixels': GroundPixels(
                   labels == FLOOR, np.array([[0.5, 1.0, 2.0], [0.6, 1.0, 2.0]]),
                   np.array([0.25, np.nan])), **changes}
     return Detection(**values)

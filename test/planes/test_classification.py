@@ -23,7 +23,7 @@ from plane_detector.planes.classification import (
     lowest_level,
     refine_gravity,
 )
-from plane_detector.types import Plane
+from plane_detector.types import NO_PLANES, Plane, Planes
 
 DOWN = np.array([0.0, 1.0, 0.0])
 
@@ -40,32 +40,32 @@ ROOF = plane([1, 1, 0], 2.0)
 
 
 def test_each_kind_of_plane():
-    planes = (WALL, FLOOR, TABLE, CEILING, LAMP, ROOF, SIDE)
+    planes = Planes.of((WALL, FLOOR, TABLE, CEILING, LAMP, ROOF, SIDE))
     assert classify_planes(planes, DOWN) == (
         PlaneClass.WALL, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER_HORIZONTAL,
         PlaneClass.CEILING, PlaneClass.OTHER_HORIZONTAL, PlaneClass.OTHER, PlaneClass.WALL)
-    assert lowest_level(planes, DOWN) is FLOOR
+    assert lowest_level(planes, DOWN).offset_m == FLOOR.offset_m
 
 
 def test_the_tolerance_is_inclusive_and_no_more():
     leaning = plane([0, -np.cos(np.radians(7.9)), np.sin(np.radians(7.9))], 1.0)
-    assert classify_planes((leaning,), DOWN) == (PlaneClass.OTHER_HORIZONTAL,)
+    assert classify_planes(Planes.of([leaning]), DOWN) == (PlaneClass.OTHER_HORIZONTAL,)
     leaning = plane([0, -np.cos(np.radians(8.1)), np.sin(np.radians(8.1))], 1.0)
-    assert classify_planes((leaning,), DOWN) == (PlaneClass.OTHER,)
+    assert classify_planes(Planes.of([leaning]), DOWN) == (PlaneClass.OTHER,)
 
 
 @pytest.mark.parametrize(('sigma_deg', 'is_known'), [(0.0, True), (4.0, True), (25.0, False)])
 @pytest.mark.parametrize('one', [TABLE, WALL])
 def test_a_class_needs_a_normal_that_is_known_well_enough(one, sigma_deg, is_known):
     covariance = np.diag([1.0, 1.0, 1.0, 0.0]) * np.radians(sigma_deg) ** 2
-    kind, = classify_planes((replace(one, covariance=covariance),), DOWN)
+    kind, = classify_planes(Planes.of([replace(one, covariance=covariance)]), DOWN)
     assert (kind == PlaneClass.OTHER) is not is_known
 
 
 @pytest.mark.parametrize(('certainty', 'is_known'), [(0.89, False), (0.91, True)])
 @pytest.mark.parametrize('one', [FLOOR, CEILING, WALL])
 def test_a_class_needs_the_certainty_of_the_orientation(one, certainty, is_known):
-    kind, = classify_planes((replace(one, class_certainty=certainty),), DOWN)
+    kind, = classify_planes(Planes.of([replace(one, class_certainty=certainty)]), DOWN)
     assert (kind == PlaneClass.OTHER) is not is_known
 
 
@@ -77,8 +77,8 @@ def test_a_level_surface_of_uncertain_orientation_is_no_step():
         scene.rgb, scene.intrinsics, scene.depth_m, scene.gravity_camera)
     steps = [k for k, kind in enumerate(found.classes) if kind == PlaneClass.STEP]
     assert steps
-    planes = tuple(replace(one, class_certainty=0.8 if k == steps[0] else 1.0)
-                   for k, one in enumerate(found.planes))
+    certainties = np.where(np.arange(len(found.planes)) == steps[0], 0.8, 1.0)
+    planes = replace(found.planes, class_certainties=certainties)
     again = find_ground(replace(found, planes=planes), found.depth_m, scene.intrinsics,
                         Gravity(scene.gravity_camera, 1.0, 'measured'), Config())
     assert again.classes[steps[0]] == PlaneClass.OTHER
@@ -86,21 +86,22 @@ def test_a_level_surface_of_uncertain_orientation_is_no_step():
 
 
 def test_pieces_of_one_ceiling_are_all_ceiling():
-    assert classify_planes((CEILING, plane([0, 1, 0], 1.15)), DOWN) == (PlaneClass.CEILING,) * 2
+    pieces = Planes.of([CEILING, plane([0, 1, 0], 1.15)])
+    assert classify_planes(pieces, DOWN) == (PlaneClass.CEILING,) * 2
 
 
 def test_coarse_gravity_becomes_the_floors():
     coarse = unit_direction((0.2, 1.0, -0.2))
-    np.testing.assert_allclose(refine_gravity((FLOOR, WALL, CEILING, ROOF), coarse, 20.0), DOWN,
-                               atol=1e-9)
+    np.testing.assert_allclose(
+        refine_gravity(Planes.of([FLOOR, WALL, CEILING, ROOF]), coarse, 20.0), DOWN, atol=1e-9)
 
 
 def test_coarse_gravity_stays_coarse_without_right_angles():
     coarse = unit_direction((0.2, 1.0, 0.0))
-    assert refine_gravity((), coarse, 20.0) is None
-    assert refine_gravity((FLOOR,), coarse, 20.0) is None
-    assert refine_gravity((FLOOR, ROOF), coarse, 20.0) is None
-    assert refine_gravity((FLOOR, WALL), coarse, 5.0) is None
+    assert refine_gravity(NO_PLANES, coarse, 20.0) is None
+    assert refine_gravity(Planes.of([FLOOR]), coarse, 20.0) is None
+    assert refine_gravity(Planes.of([FLOOR, ROOF]), coarse, 20.0) is None
+    assert refine_gravity(Planes.of([FLOOR, WALL]), coarse, 5.0) is None
 
 
 def test_mounting_turns_the_imus_frame_into_the_cameras():

@@ -16,7 +16,7 @@ from plane_detector.planes import orientation
 from plane_detector.planes.line_evidence import LineEvidence, lines_in_regions
 from plane_detector.planes.orientation import most_likely, score_orientations
 from plane_detector.planes.region_samples import RegionSamples
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Plane, Planes
 
 AXES = np.array([[0.0, 1.0, 0.0], [0.8, 0.0, 0.6], [-0.6, 0.0, 0.8]])
 SHARE = 0.06  # of the image
@@ -64,7 +64,7 @@ def orient(planes, found, evidence):
     spots = RegionSamples(np.stack([-p.normal for p in planes]).repeat(2, axis=0),
                           bent(np.full(2 * count, 0.5)), np.arange(count).repeat(2),
                           np.ones(2 * count), np.full(count, SHARE))
-    return most_likely(score_orientations(planes, found, evidence, spots), spots)
+    return most_likely(score_orientations(Planes.of(planes), found, evidence, spots), spots)
 
 
 def test_planes_near_an_axis_are_turned_to_it():
@@ -81,7 +81,8 @@ def test_a_floor_faces_the_camera_even_if_the_network_sees_it_lean_over():
     assert leaning.normal @ AXES[0] > 0
     lines = LineEvidence(AXES, np.array([[0.0, 0.5, 0.45]]))
     pieces = replace(samples_of((leaning,), below), image_shares=np.array([0.01]))
-    found = most_likely(score_orientations((leaning,), directions(), lines, pieces), pieces)
+    planes = Planes.of([leaning])
+    found = most_likely(score_orientations(planes, directions(), lines, pieces), pieces)
     assert angle_deg(found.normals[0], -AXES[0]) < 1
 
 
@@ -129,7 +130,7 @@ def test_a_piece_that_noise_cuts_out_of_a_wall_is_the_wall(depth_share, expected
     noise[-1] /= depth_share
     samples = replace(samples, disparity=(disparity * noise).ravel(),
                       image_shares=np.array([0.3, 0.1, 0.1, 0.1, 0.1, 0.005]))
-    scored = score_orientations(planes, directions(), no_lines(len(planes)), samples)
+    scored = score_orientations(Planes.of(planes), directions(), no_lines(len(planes)), samples)
     found = most_likely(scored, samples)
     assert angle_deg(found.normals[-1], wall.normal) == pytest.approx(expected_deg, abs=1.0)
 

@@ -10,7 +10,7 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import random_room
 from plane_detector.pipeline import segment_planes
 from plane_detector.planes.outline import all_polygons, enclosing_rectangle, hulls, row_ends
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import CameraIntrinsics, Plane, Planes
 
 CAMERA = CameraIntrinsics(100.0, 120.0, 40.0, 50.0, 100, 80)
 WALL, LEANING = (Plane(np.array(normal), 2.0, np.array([0.1, 0.0, 2.0]), 2500, 0.0, 1.0,
@@ -24,7 +24,7 @@ def in_pixels(corners_m):
 def outlines(mask, plane=WALL):
     """Return the corners in pixels of each outline of a mask, and which are holes."""
     labels = np.where(mask, 0, -1).astype(np.int32)
-    found, = all_polygons(labels, row_ends(labels, 1), CAMERA, [plane])
+    found, = all_polygons(labels, row_ends(labels, 1), CAMERA, Planes.of([plane]))
     for polygon in found:
         assert np.abs(polygon.corners_m @ plane.normal + plane.offset_m).max() < 1e-9
     corners = [{(round(u), round(v)) for u, v in in_pixels(polygon.corners_m)}
@@ -63,7 +63,7 @@ def test_the_hull_is_that_of_the_corners_of_all_pixels():
         v, u = np.nonzero(labels == 0)
         around = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
         corners = (np.stack([u, v], axis=1)[:, None] + around).reshape(-1, 2).astype(np.float32)
-        (hull_m,) = hulls(row_ends(labels, 1), CAMERA, [WALL])
+        (hull_m,) = hulls(row_ends(labels, 1), CAMERA, Planes.of([WALL]))
         expected = {tuple(corner) for corner in cv2.convexHull(corners)[:, 0].tolist()}
         assert {tuple(corner) for corner in in_pixels(hull_m).round(1).tolist()} == expected
 
@@ -71,7 +71,7 @@ def test_the_hull_is_that_of_the_corners_of_all_pixels():
 def test_a_plane_seen_edge_on_has_finite_corners():
     floor = Plane(np.array([0.0, -1.0, 0.0]), 1.5, np.zeros(3), 1, 0.0, 1.0, np.eye(4), 1.0)
     labels = np.zeros((80, 100), np.int32)
-    polygon, = all_polygons(labels, row_ends(labels, 1), CAMERA, [floor])[0]
+    polygon, = all_polygons(labels, row_ends(labels, 1), CAMERA, Planes.of([floor]))[0]
     assert np.abs(polygon.corners_m @ floor.normal + floor.offset_m).max() < 1e-9
     assert np.abs(polygon.corners_m).max() < 100 * floor.offset_m
 

@@ -9,7 +9,7 @@ import pytest
 
 from plane_detector.planes.patches import fill_patches
 from plane_detector.segmentation.cells.pixel_regions import NO_PATCHES
-from plane_detector.types import CameraIntrinsics, Plane
+from plane_detector.types import NO_PLANES, CameraIntrinsics, Plane, Planes
 
 CAMERA = CameraIntrinsics.from_field_of_view(42, 30, 60.0)
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -26,7 +26,7 @@ def two_walls():
     patches[:, 5:] = 2
     labels = np.zeros(SHAPE, np.int32)
     labels[:, 20:] = 1
-    return patches, (wall(2.0), wall(3.0)), labels, np.where(labels == 0, 2.0, 3.0)
+    return patches, Planes.of([wall(2.0), wall(3.0)]), labels, np.where(labels == 0, 2.0, 3.0)
 
 
 def test_a_hole_takes_the_plane_of_its_own_patch():
@@ -45,11 +45,23 @@ def test_depth_of_another_surface_is_not_filled(depth_m):
     np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
 
 
-@pytest.mark.parametrize('label', [-1, 2])
-def test_a_patch_mostly_on_no_plane_or_on_a_shape_stays(label):
+@pytest.mark.parametrize('is_shape', [False, True])
+def test_a_patch_mostly_on_no_plane_or_on_a_shape_stays(is_shape):
     patches, planes, labels, depths_m = two_walls()
-    labels[:, 4:20], labels[:2, 4:20] = label, -1
-    np.testing.assert_array_equal(fill_patches(labels, patches, planes, depths_m, CAMERA), labels)
+    labels[:, 4:20] = -1
+    shape_labels = np.full(SHAPE, -1, np.int32)
+    shape_labels[2:, 4:20] = 0 if is_shape else -1
+    np.testing.assert_array_equal(
+        fill_patches(labels, patches, planes, depths_m, CAMERA, shape_labels), labels)
+
+
+def test_a_shape_in_the_patch_of_a_wall_is_not_filled():
+    patches, planes, labels, depths_m = two_walls()
+    labels[10:20, 2:10] = -1
+    shape_labels = np.full(SHAPE, -1, np.int32)
+    shape_labels[10:20, 2:6] = 0
+    filled = fill_patches(labels, patches, planes, depths_m, CAMERA, shape_labels)
+    np.testing.assert_array_equal(filled == -1, shape_labels == 0)
 
 
 def test_pixels_of_no_patch_stay():
@@ -61,4 +73,4 @@ def test_pixels_of_no_patch_stay():
 def test_without_patches_or_planes_the_labels_are_returned():
     patches, planes, labels, depths_m = two_walls()
     assert fill_patches(labels, NO_PATCHES, planes, depths_m, CAMERA) is labels
-    assert fill_patches(labels, patches, (), depths_m, CAMERA) is labels
+    assert fill_patches(labels, patches, NO_PLANES, depths_m, CAMERA) is labels

@@ -55,7 +55,7 @@ def test_a_wall_is_one_plane_and_its_pixels_are_near_it():
 @pytest.mark.parametrize('depth_m', [np.nan, 0.0])
 def test_without_depth_there_is_no_plane(depth_m):
     found = segment_planes(np.full((120, 160), depth_m, np.float32), SMALL, PAPER)
-    assert found.planes == () and (found.labels == -1).all()
+    assert not len(found.planes) and (found.labels == -1).all()
 
 
 def test_a_plane_without_clustering_takes_its_inliers_wherever_they_are():

@@ -64,7 +64,7 @@ def test_where_everything_is_curved_there_is_no_plane():
     v, u = np.mgrid[:480, :640]
     depth_m = 2.0 + 0.6 * np.sin(u / 9.0) * np.cos(v / 11.0) + 0.3 * np.sin(v / 4.0)
     found = segment_planes(depth_m, VGA)
-    assert found.planes == () and (found.labels == -1).all()
+    assert not len(found.planes) and (found.labels == -1).all()
 
 
 def test_an_image_frame_two_centimetres_off_the_wall_is_its_own_plane():

@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 from plane_detector.tracking.camera_motion import NO_MOTION, PlaneMotion, estimate_motion
-from plane_detector.tracking.matching import PlaneArrays
+from plane_detector.types import Plane, Planes
 
 
 def planes(*normals_and_offsets):
     """Return planes with these normals (x, y, z) and offsets, each around its nearest point."""
     normals = np.array([normal for normal, _ in normals_and_offsets], float)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    offsets_m = np.array([offset_m for _, offset_m in normals_and_offsets])
-    count = len(normals)
-    return PlaneArrays(normals, offsets_m, -offsets_m[:, None] * normals, np.ones(count),
-                       np.tile(1e-6 * np.eye(4), (count, 1, 1)))
+    return Planes.of([Plane(normal, offset_m, -offset_m * normal, 1, 0.0, 1.0, 1e-6 * np.eye(4), 1)
+                      for normal, (_, offset_m) in zip(normals, normals_and_offsets, strict=True)])
 
 
 FLOOR, LEFT, BACK, BOX = ([0, -1, 0], 1.4), ([1, 0, 0], 1.5), ([0, 0, -1], 4.0), ([1, 0, -5], 2.0)

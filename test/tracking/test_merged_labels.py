@@ -2,11 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """When two labels become one, the remaining plane names the merged label."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from plane_detector.tracking.tracker import merged_labels
-from plane_detector.types import Detection, Plane
+from plane_detector.types import Detection, Plane, Planes
 
 
 def wall(distance_m=2.0, x_m=0.0):
@@ -15,8 +17,8 @@ def wall(distance_m=2.0, x_m=0.0):
 
 
 def detection(labels, planes, track_labels):
-    return Detection(planes, labels, 0.0, np.full(labels.shape, 2.0, np.float32), 'metric',
-                     track_labels=track_labels)
+    planes = replace(Planes.of(planes), labels=np.array(track_labels))
+    return Detection(planes, labels, 0.0, np.full(labels.shape, 2.0, np.float32), 'metric')
 
 
 @pytest.fixture
@@ -44,9 +46,3 @@ def test_an_occluding_plane_does_not_merge_the_one_behind(halves):
     assert merged_labels(halves, hidden) == (0, 0)
     known_before = detection(labels, (wall(1.0), wall()), (3, 9))
     assert merged_labels(halves, known_before) == (0, 0), 'not in its plane'
-
-
-def test_pixels_of_shapes_merge_no_label(halves):
-    """Behind the labels of the planes come those of the shapes."""
-    shapes = detection(np.where(halves.labels == 0, 2, halves.labels), halves.planes, (9, 3))
-    assert merged_labels(halves, shapes) == (0, 0)

@@ -20,14 +20,14 @@ def ball(x_m, radius_m=0.2, kind=ShapeType.SPHERE):
 def labels_at(*columns):
     labels = np.full(SHAPE, -1, np.int32)
     for k, column in enumerate(columns):
-        labels[20:30, column:column + 10] = 3 + k
+        labels[20:30, column:column + 10] = k
     return labels
 
 
 def run(*images, keep_frames=5):
     tracks, names = (), []
     for shapes, labels in images:
-        tracks, found = update_shape_tracks(tracks, shapes, labels, 3, keep_frames)
+        tracks, found = update_shape_tracks(tracks, shapes, labels, keep_frames)
         names.append(found)
     return names
 

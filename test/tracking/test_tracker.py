@@ -14,9 +14,9 @@ from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rooms import box, camera_rotation, render
 from plane_detector.pipeline import segment_planes
 from plane_detector.tracking.camera_motion import PlaneMotion
-from plane_detector.tracking.matching import PlaneArrays, best_pairs
+from plane_detector.tracking.matching import best_pairs
 from plane_detector.tracking.tracker import PlaneTracker
-from plane_detector.types import CameraIntrinsics, Plane, PlaneSegmentation
+from plane_detector.types import CameraIntrinsics, Plane, Planes, PlaneSegmentation
 
 CAMERA = CameraIntrinsics(200.0, 200.0, 159.5, 119.5, 320, 240)
 SHAPE = (120, 160)
@@ -45,15 +45,7 @@ def image(*planes, patches=PATCHES, shape=SHAPE):
     labels = np.full(shape, -1, np.int32)
     for index, patch in enumerate(patches[:len(planes)]):
         labels[patch] = index
-    return PlaneSegmentation(planes, labels, 0.001)
-
-
-def after_motion(motion, planes):
-    """Return planes as seen after a motion of the camera."""
-    moved = motion.move(PlaneArrays.of(planes))
-    return [replace(one, normal=moved.normals[k], offset_m=float(moved.offsets_m[k]),
-                    centroid_m=moved.centroids_m[k], area_m2=float(moved.areas_m2[k]),
-                    covariance=moved.covariances[k]) for k, one in enumerate(planes)]
+    return PlaneSegmentation(Planes.of(planes), labels, 0.001)
 
 
 ROOM = image(FLOOR, LEFT, BACK, BOX)
@@ -69,7 +61,7 @@ class Tracked(PlaneTracker):
 
 
 def labels_of(tracker, found):
-    return tracker.update(found)[1]
+    return tuple(tracker.update(found).planes.labels.tolist())
 
 
 def test_labels_follow_the_plane_and_not_the_order():
@@ -94,7 +86,7 @@ def test_a_change_of_unit_changes_no_label(factor):
     tracker = Tracked()
     tracker.update(ROOM)
     unit = PlaneMotion(np.eye(3), np.zeros(3), factor)
-    assert labels_of(tracker, replace(ROOM, planes=tuple(after_motion(unit, ROOM.planes)))) == (
+    assert labels_of(tracker, replace(ROOM, planes=unit.move(ROOM.planes))) == (
         1, 2, 3, 4)
 
 
@@ -104,7 +96,7 @@ def test_a_rotation_without_shared_pixels_changes_no_label():
     tracker.update(ROOM)
     motion = PlaneMotion(cv2.Rodrigues(np.radians([0.0, 20.0, 0.0]))[0],
                          np.array([0.05, 0.0, 0.1]), 1.0)
-    moved = image(*after_motion(motion, ROOM.planes),
+    moved = image(*motion.move(ROOM.planes),
                     patches=(np.s_[80:, :], np.s_[:80, :90], np.s_[:80, 90:],
                              np.s_[50:90, 132:160]))
     assert labels_of(tracker, moved) == (1, 2, 3, 4)
@@ -118,23 +110,6 @@ def test_another_image_size_and_reset_clear_the_tracks():
     assert labels_of(tracker, image(FLOOR, LEFT, shape=(240, 320))) == (1, 2)
     tracker.reset()
     assert labels_of(tracker, image(LEFT, FLOOR, shape=(240, 320))) == (1, 2)
-
-
-def test_smoothing_removes_noise_and_keeps_changes():
-    rng = np.random.default_rng(1)
-    rough, smooth = [], []
-    tracker = Tracked(smoothing=0.8)
-    for _ in range(60):
-        noisy = plane(BACK.normal + rng.normal(0, 1e-3, 3), 4 + rng.normal(0, 2e-3), (0, 0, 4))
-        (tracked,) = tracker.update(image(noisy))[0].planes
-        assert np.linalg.norm(tracked.normal) == pytest.approx(1)
-        assert tracked.normal @ tracked.centroid_m + tracked.offset_m == pytest.approx(0)
-        rough.append(noisy.offset_m)
-        smooth.append(tracked.offset_m)
-    assert np.std(smooth[20:]) < 0.6 * np.std(rough[20:])
-    stepped, labels = tracker.update(image(plane([0, 0, -1], 3.9, (0, 0, 3.9))))
-    assert labels == (1,)
-    assert stepped.planes[0].offset_m == 3.9
 
 
 def walk(frame_count):
@@ -166,9 +141,9 @@ def label_switches(scenes, sigma, every=1):
     labels_seen, smallest = {}, {}
     for scene in scenes[::every]:
         depth_m = with_disparity_noise(scene.depth_m, sigma, rng) if sigma else scene.depth_m
-        found, track_labels = tracker.update(segment_planes(depth_m, CAMERA))
+        found = tracker.update(segment_planes(depth_m, CAMERA))
         for truth, index in matches(scene, found).items():
-            labels_seen.setdefault(truth, []).append(track_labels[index])
+            labels_seen.setdefault(truth, []).append(found.planes.labels[index])
         for truth, rectangle in enumerate(scene.rectangles):
             smallest.setdefault(rectangle, []).append((scene.labels == truth).sum())
     least = 0.01 * CAMERA.width * CAMERA.height
@@ -207,9 +182,9 @@ def test_planes_of_a_real_sequence_keep_their_labels(data_folder):
         depth_m = np.where(millimetres > 0, millimetres * np.float32(0.001), np.nan)
         now = tracker.update(segment_planes(depth_m.astype(np.float32), camera))
         if before is not None:
-            pairs = overlapping(before[0].labels, now[0].labels)
+            pairs = overlapping(before.labels, now.labels)
             same += len(pairs)
-            switched += sum(before[1][i] != now[1][j] for i, j in pairs)
+            switched += sum(before.planes.labels[i] != now.planes.labels[j] for i, j in pairs)
         before = now
     assert same > 500
     assert switched <= 0.005 * same

@@ -38,9 +38,8 @@ def samples(make_scene: Callable[[np.random.Generator], Scene],
             found = segment_planes(depth_m, scene.intrinsics)
             shared = overlap(scene.labels, found.labels, np.isfinite(scene.depth_m))
             matched += list((shared.iou > 0.5).any(axis=0))
-            shares = np.array([plane.inlier_count for plane in found.planes]) / found.labels.size
-            deviations_rad = np.array([np.sqrt(np.trace(plane.covariance[:3, :3]))
-                                       for plane in found.planes])
+            shares = found.planes.counts / found.labels.size
+            deviations_rad = np.sqrt(found.planes.normal_variances)
             features.append(np.stack([np.ones(len(shares)), np.log(shares), np.log(
                 np.maximum(deviations_rad, MIN_TILT_RAD))], axis=1))
     return np.concatenate(features), np.array(matched)

@@ -68,7 +68,7 @@ def found_shapes(scene: ShapeScene, depth_m: np.ndarray) -> list[SeenShape]:
     found = PlaneDetector(CONFIG).detect(np.zeros((*depth_m.shape, 3), np.uint8),
                                          scene.scene.intrinsics, depth_m)
     return [SeenShape(shape.type, shape.position_m, shape.axis, shape.radius_m,
-                      shape.half_angle_rad, found.labels == len(found.planes) + k)
+                      shape.half_angle_rad, found.shape_labels == k)
             for k, shape in enumerate(found.shapes)]
 
 

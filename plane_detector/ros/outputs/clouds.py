@@ -24,8 +24,6 @@ from plane_detector.ros.outputs.messages import (
     POINT_DTYPE,
     XYZ_DTYPE,
     cloud_msg,
-    label_names,
-    plane_labels,
     shape_labels,
 )
 from plane_detector.scale.estimate import RELATIVE
@@ -57,10 +55,8 @@ def points_to_msg(frame: DetectedFrame) -> PointCloud2:
     geometry = _geometry(frame)
     height, width = geometry[0].shape
     numbers = np.empty((height, width, POINT_DTYPE.itemsize // 4), '<f4')  # 4 bytes per field
-    # The name of -1, no plane, comes first: an index of 0 needs no wrap-around check.
     _pack_points(geometry, _thinned(frame, _colours(frame), np.uint8),
-                 _thinned(frame, frame.detection.labels, np.int32),
-                 np.roll(label_names(frame.detection), 1), numbers, numbers.view('<u4'))
+                 _thinned(frame, frame.labels, np.int32), numbers, numbers.view('<u4'))
     return cloud_msg(frame.target_header, POINT_DTYPE, numbers, height, width)
 
 
@@ -85,7 +81,7 @@ def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
 
 
 def _has_ground(frame: DetectedFrame) -> bool:
-    return any(frame.detection.classes) and frame.detection.scale_method != RELATIVE
+    return frame.detection.planes.classes.any() and frame.detection.scale_method != RELATIVE
 
 
 def _xyz_to_msg(frame: DetectedFrame, is_kept: np.ndarray) -> PointCloud2:
@@ -133,9 +129,8 @@ def _rows(m):
             (m[2, 0], m[2, 1], m[2, 2], m[2, 3]))
 
 
-@kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, uint32[::1], float32[:, :, ::1], '
-        'uint32[:, :, ::1])')
-def _pack_points(geometry, rgb, labels, names, numbers, bits):
+@kernel(f'void({_GEOMETRY}, {_RGB}, {_LABELS}, float32[:, :, ::1], uint32[:, :, ::1])')
+def _pack_points(geometry, rgb, labels, numbers, bits):
     """Fill (H, W, 5), viewed as floats and as bits: x y z, 0x00RRGGBB, label."""
     depth_m, ray_x, ray_y, moved = geometry
     # In variables: read from the array for every pixel, they take as long as all the rest.
@@ -151,7 +146,7 @@ def _pack_points(geometry, rgb, labels, names, numbers, bits):
             numbers[v, u, 2] = i * x + j * y + k * z + m
             bits[v, u, 3] = ((np.uint32(rgb[v, u, 0]) << np.uint32(16))
                              | (np.uint32(rgb[v, u, 1]) << np.uint32(8)) | np.uint32(rgb[v, u, 2]))
-            bits[v, u, 4] = names[np.uint32(labels[v, u] + 1)]
+            bits[v, u, 4] = np.uint32(labels[v, u])
 
 
 @kernel(f'int64({_GEOMETRY}, {_MASK}, float32[:, ::1])')
@@ -178,14 +173,14 @@ def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     detection, rectangles = frame.target_detection, frame.rectangles
     planes = detection.planes
     table = np.zeros(len(planes), PLANE_DTYPE)
-    table['label'] = plane_labels(detection)
-    table['class'], table['merged'] = detection.classes or 0, frame.merged or 0
-    if planes:
-        _set(table, ('x', 'y', 'z'), [plane.centroid_m for plane in planes])
-        _set(table, ('normal_x', 'normal_y', 'normal_z'), [plane.normal for plane in planes])
-        _set(table, ('d', 'num_inliers', 'rms', 'area', 'confidence'), [
-            (plane.offset_m, plane.inlier_count, plane.rms_m, plane.area_m2, plane.confidence)
-            for plane in planes])
+    _set(table, ('x', 'y', 'z'), planes.centroids_m)
+    _set(table, ('normal_x', 'normal_y', 'normal_z'), planes.normals)
+    for name, values in (('d', planes.offsets_m), ('label', planes.labels),
+                         ('num_inliers', planes.counts), ('rms', planes.rms_m),
+                         ('area', planes.areas_m2), ('class', planes.classes),
+                         ('confidence', planes.confidences), ('merged', frame.merged or 0)):
+        table[name] = values
+    if len(planes):
         _set(table, ('rect_x', 'rect_y', 'rect_z'), [one.centre_m for one in rectangles])
         _set(table, ('rect_qx', 'rect_qy', 'rect_qz', 'rect_qw'),
              quaternions(np.stack([one.rotation for one in rectangles])))
@@ -197,7 +192,7 @@ def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
 def boundaries_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return one point per corner, in order; the last corner of a polygon repeats the first."""
     outlines = [(label, polygon) for label, of_plane
-                in zip(plane_labels(frame.detection), frame.polygons, strict=True)
+                in zip(frame.detection.planes.labels, frame.polygons, strict=True)
                 for polygon in of_plane]
     closed_m = [np.zeros((0, 3))]
     for _, polygon in outlines:

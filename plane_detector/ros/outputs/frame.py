@@ -60,7 +60,7 @@ class DetectedFrame:
             return found
         shapes = tuple(replace(shape, position_m=turn.points(shape.position_m),
                                axis=turn.rotation @ shape.axis) for shape in found.shapes)
-        return replace(found, planes=tuple(map(turn.plane, found.planes)), shapes=shapes)
+        return replace(found, planes=found.planes.moved(turn), shapes=shapes)
 
     @cached_property
     def _row_ends(self) -> np.ndarray:

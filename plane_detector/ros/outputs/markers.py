@@ -18,12 +18,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from plane_detector.drawing import LabelPlace, label_colours
 from plane_detector.geometry.projection import pixel_rays
-from plane_detector.planes.classification import PlaneClass
 from plane_detector.planes.outline import Polygon
 from plane_detector.ros.outputs import messages
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.scale.estimate import RELATIVE
-from plane_detector.types import CameraIntrinsics, Detection, Plane, Shape, ShapeType
+from plane_detector.types import CameraIntrinsics, Detection, Plane, PlaneClass, Shape, ShapeType
 
 # As a share of the distance from the camera, like the sizes of captions.
 _LINE_WIDTH = 0.006
@@ -67,7 +66,7 @@ def markers_to_msg(frame: DetectedFrame) -> MarkerArray:
     The first marker deletes all that were shown before, also those of an earlier node.
     """
     found = frame.detection
-    labels = messages.plane_labels(found).tolist()
+    labels = found.planes.labels.tolist()
     captions = plane_captions(found, labels, frame.intrinsics, frame.label_places)
     blank = Marker(header=frame.target_header,
                    lifetime=Duration(seconds=frame.settings.marker_lifetime).to_msg())
@@ -131,7 +130,7 @@ def _cone_start_m(frame: DetectedFrame, index: int) -> float:
     """Return where along its axis the visible part of a cone begins, from the apex."""
     found = frame.detection
     shape, ray = found.shapes[index], pixel_rays(frame.intrinsics)
-    rows, columns = np.nonzero(found.labels == len(found.planes) + index)
+    rows, columns = np.nonzero(found.shape_labels == index)
     z_m = found.depth_m[rows, columns]
     points_m = np.stack([z_m * ray[0][columns], z_m * ray[1][rows], z_m], axis=-1)
     along_m = (points_m - shape.position_m) @ shape.axis
@@ -189,7 +188,7 @@ def arrow_length_m(plane: Plane) -> float:
 
 def plane_name(detection: Detection, index: int, label: int) -> str:
     """Return the label of a plane with its class, if that says more than "other"."""
-    kind = PlaneClass(detection.classes[index]) if detection.classes else PlaneClass.UNKNOWN
+    kind = PlaneClass(detection.planes.classes[index])
     return f'{label} {_SHORT_NAMES.get(kind, kind.name.lower())}'.rstrip()
 
 

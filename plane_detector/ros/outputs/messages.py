@@ -21,7 +21,7 @@ from std_msgs.msg import Header
 
 from plane_detector.geometry.rigid_transform import quaternions
 from plane_detector.segmentation.cells.labels import rename_labels
-from plane_detector.types import Detection, Plane
+from plane_detector.types import Detection, Planes
 
 FIRST_SHAPE_LABEL = 32768
 """Labels of shapes are above this, those of planes below."""
@@ -33,34 +33,25 @@ Message = TypeVar('Message', CompressedImage, Image, PointCloud2)
 _FIELD_TYPES = {'f4': PointField.FLOAT32, 'u4': PointField.UINT32, 'u1': PointField.UINT8}
 
 
-def plane_labels(detection: Detection) -> np.ndarray:
-    """Return the label of each plane, (N,) uint32: its track's, or 1, 2, ... without tracking."""
-    numbers = detection.track_labels or range(1, len(detection.planes) + 1)
-    return np.array(numbers, np.uint32)
-
-
 def shape_labels(detection: Detection) -> np.ndarray:
     """Return the label of each shape in the messages, (S,) uint32."""
-    numbers = detection.shape_labels or range(1, len(detection.shapes) + 1)
-    return np.array([FIRST_SHAPE_LABEL + number for number in numbers], np.uint32)
-
-
-def label_names(detection: Detection) -> np.ndarray:
-    """Return the label in messages of each index, (K + 1,) uint32; the last entry is of -1."""
-    return np.concatenate([plane_labels(detection), shape_labels(detection),
-                           np.zeros(1, np.uint32)])
+    return np.array([FIRST_SHAPE_LABEL + shape.label for shape in detection.shapes], np.uint32)
 
 
 def pixel_labels(detection: Detection) -> np.ndarray:
     """Return the label of each pixel, (H, W) int32, 0 for no plane and no shape."""
-    return rename_labels(detection.labels, label_names(detection)[:-1], 0)
+    labels = rename_labels(detection.labels, detection.planes.labels, 0)
+    if detection.shapes:
+        is_shape = detection.shape_labels >= 0
+        labels[is_shape] = shape_labels(detection)[detection.shape_labels[is_shape]]
+    return labels
 
 
-def poses_to_msg(header: Header, planes: Sequence[Plane]) -> PoseArray:
+def poses_to_msg(header: Header, planes: Planes) -> PoseArray:
     """Return the pose of each plane: its centroid, z along the normal."""
     return PoseArray(header=header, poses=[
-        pose_msg(plane.centroid_m, turn)
-        for plane, turn in zip(planes, plane_quaternions(planes), strict=True)])
+        pose_msg(centroid_m, turn)
+        for centroid_m, turn in zip(planes.centroids_m, plane_quaternions(planes), strict=True)])
 
 
 def pose_msg(position_m: np.ndarray, quaternion: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
@@ -71,15 +62,13 @@ def pose_msg(position_m: np.ndarray, quaternion: Sequence[float] = (0.0, 0.0, 0.
                 orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
 
 
-def plane_quaternions(planes: Sequence[Plane]) -> np.ndarray:
+def plane_quaternions(planes: Planes) -> np.ndarray:
     """
     Return the orientation of each plane, (N, 4) float64, x y z w; z is the normal.
 
     The x axis is the camera's x axis projected onto the plane (its y axis if that is the normal).
     """
-    if not planes:
-        return np.zeros((0, 4))
-    z_axes = np.stack([plane.normal for plane in planes])
+    z_axes = planes.normals
     reference = np.eye(3)[np.where(abs(z_axes[:, 0]) > 0.9, 1, 0)]
     x_axes = reference - (reference * z_axes).sum(axis=1, keepdims=True) * z_axes
     x_axes /= np.linalg.norm(x_axes, axis=1, keepdims=True)

@@ -30,7 +30,6 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.directions.finder import CameraImage, find_in_image
     from plane_detector.directions.vanishing import SceneDirections
     from plane_detector.geometry.disparity import to_disparity
-    from plane_detector.planes.classification import PlaneClass
     from plane_detector.ros.spinning import CannotRunError
     from plane_detector.segmentation.baselines import ransac_alone
     from plane_detector.tools.demo.directions import draw_directions
@@ -43,7 +42,7 @@ with quiet_interrupt(), explained_imports('numba', installed=['scipy']):
     from plane_detector.tools.demo.session import Received, Session
     from plane_detector.tools.files import csv_row, depth_panel, write_ply
     from plane_detector.tools.show import plane_lines
-    from plane_detector.types import CameraIntrinsics
+    from plane_detector.types import CameraIntrinsics, PlaneClass
 
 # By class: name of the colour, and its place in the palette.
 COLOURS = {PlaneClass.FLOOR: ('green', 1), PlaneClass.CEILING: ('yellow', 3),

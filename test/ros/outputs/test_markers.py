@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker
 
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import ShapeType
+from plane_detector.types import NO_PLANES, ShapeType
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 
@@ -78,7 +78,7 @@ def test_normals_look_at_the_camera(to_target):
 def test_spheres_and_cylinders(to_target):
     (ball,), axis = scene.detection().shapes, np.array([0.6, 0.0, 0.8])
     pipe = replace(ball, type=ShapeType.CYLINDER, axis=axis, length_m=1.5)
-    found = scene.detection(shapes=(ball, pipe), shape_labels=(5, 2))
+    found = scene.detection(shapes=(ball, replace(pipe, label=2)))
     markers = shown('shape', to_target, found=found)
     sphere, cylinder = markers[32773], markers[32770]
     assert (sphere.type, cylinder.type) == (Marker.SPHERE, Marker.CYLINDER)
@@ -100,12 +100,12 @@ def test_a_cone_is_drawn_where_it_is_seen_and_not_from_its_apex_behind_the_camer
     radius = np.hypot((u - 30.5) / 80.0, (v - 45.25) / 95.0)
     depth_m = np.tan(half_angle_rad) / (radius - np.tan(half_angle_rad))  # |x| = (z + 1) tan
     seen = (depth_m > 0.8) & (depth_m < 2.0)
-    labels = np.where(seen, 0, -1).astype(np.int32)
+    labels = np.full(seen.shape, -1, np.int32)
     cone = replace(scene.detection().shapes[0], type=ShapeType.CONE, position_m=apex_m,
                    axis=np.array([0.0, 0.0, 1.0]), radius_m=0.0, half_angle_rad=half_angle_rad,
                    length_m=3.0)
-    found = scene.detection(planes=(), labels=labels, depth_m=depth_m.astype(np.float32),
-                            shapes=(cone,), classes=(), track_labels=())
+    found = scene.detection(planes=NO_PLANES, labels=labels, depth_m=depth_m.astype(np.float32),
+                            shapes=(cone,), shape_labels=np.where(seen, 0, -1))
     marker = shown('shape', to_target, found=found)[scene.BALL_LABEL]
     assert (marker.type, len(marker.points) % 3) == (Marker.TRIANGLE_LIST, 0)
     turn = marker.pose.orientation

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from plane_detector.drawing import label_colours
 from plane_detector.ros.outputs.messages import read_cloud
 from plane_detector.ros.outputs.topics import OUTPUTS
-from plane_detector.types import Detection, ShapeType
+from plane_detector.types import NO_PLANES, Detection, ShapeType
 
 BOTH_FRAMES = pytest.mark.parametrize('to_target', [None, scene.TARGET], ids=['camera', 'target'])
 PIXEL_LABELS = np.vectorize(scene.MESSAGE_LABELS.get)(scene.depth_and_labels()[1])
@@ -205,7 +205,7 @@ def test_shapes(to_target):
     cone = replace(ball, type=ShapeType.CONE, axis=axis, radius_m=0.0, half_angle_rad=0.4,
                    length_m=0.9)
     msg = make('shapes', to_target=to_target,
-               found=scene.detection(shapes=(ball, cone), shape_labels=(5, 2)))
+               found=scene.detection(shapes=(ball, replace(cone, label=2))))
     (table,) = cloud_array(msg)
     assert has_frame_of(msg, to_target)
     for name, values in (('type', (1, 3)), ('label', (32773, 32770)), ('radius', (0.1, 0.0)),
@@ -220,7 +220,7 @@ def test_shapes(to_target):
 
 def test_without_a_plane_the_clouds_are_empty_and_have_their_fields():
     depth_m, labels = scene.depth_and_labels()
-    nothing = Detection((), np.full_like(labels, -1), 0.0, depth_m, 'metric')
+    nothing = Detection(NO_PLANES, np.full_like(labels, -1), 0.0, depth_m, 'metric')
     for name in ('planes', 'boundaries', 'shapes'):
         msg = make(name, found=nothing)
         assert (msg.height, msg.width, len(msg.data)) == (1, 0, 0)
