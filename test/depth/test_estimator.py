@@ -1,6 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_models import (

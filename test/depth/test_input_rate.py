@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of a network input, or of a number of views, that keeps a rate; simulated times."""
 
+import needs_onnxruntime  # noqa: F401
 import pytest
 from onnx_models import PLAIN, write_depth_network
 

@@ -5,6 +5,7 @@
 from dataclasses import replace
 
 import cv2
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_models import PLAIN, write_depth_network

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """External files that an ONNX file may refer to."""
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_models import PLAIN, write_depth_network

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outputs that cannot be depth are refused with a reason, at configure or at a frame."""
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_models import PLAIN, constant, write_depth_network, write_network

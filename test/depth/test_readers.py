@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Networks of several outputs: units, axes, letterboxing, the lens, and its correction."""
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_geometry_models import (

@@ -4,6 +4,7 @@
 
 import dataclasses
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 from onnx_geometry_models import put_in_cache

@@ -89,5 +89,6 @@ def constant(name: str, value: object, dtype: type = np.float32) -> object:
 
 
 def onnx_package() -> ModuleType:
-    """Return the package onnx; the test is skipped where it is missing."""
+    """Return the package onnx; the test is skipped where it or what runs it is missing."""
+    pytest.importorskip('onnxruntime', reason='ONNX Runtime, for networks, is not installed')
     return pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')

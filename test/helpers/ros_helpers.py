@@ -221,8 +221,9 @@ class NodeProcess:
     """The node with these arguments, and what it printed."""
 
     def __init__(self, arguments, domain, log_path):
+        path = os.pathsep.join([str(ROOT), os.environ.get('PYTHONPATH', '')]).rstrip(os.pathsep)
         environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1',
-                       'PYTHONPATH': str(ROOT)}
+                       'PYTHONPATH': path}
         self._log_path = log_path
         with open(log_path, 'wb') as log:
             self.process = subprocess.Popen(

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import needs_onnxruntime  # noqa: F401
 import numpy as np
 import pytest
 
