@@ -6,7 +6,8 @@ How the node and the programs end: soon after a signal, quietly, with an exit co
 SIGINT and SIGTERM request a `Stop`, and the main thread ends at its next check. An exception
 raised by a signal would be lost in a destructor or an error handler, and give a traceback during
 shutdown. If the main thread does not end in time, or at a second signal, another thread ends the
-process.
+process. That thread needs the interpreter's lock, which a C function that never returns may hold:
+then a process of our own, started beforehand, kills this one.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -26,8 +28,28 @@ Result = TypeVar('Result')
 FAILED, INTERRUPTED = 1, 130
 MOST_ENDING_S = 2.5
 """Longest time from the first signal to the end of the process."""
+KILLED_AFTER_S = 8
+"""Longest time from the first signal until the process is killed if no thread of it can run."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _OVER = b'\0'
+# The guard passes on what Python's C code writes for each signal, until the process ends or says
+# that it is over.
+_GUARD = """
+import os, signal, sys
+parent, kill_s = int(sys.argv[1]), int(sys.argv[2])
+
+def kill(*_):
+    if os.getppid() == parent:
+        os.write(2, b'the process has not ended after a signal: it is killed\\n')
+        os.kill(parent, signal.SIGKILL)
+
+signal.signal(signal.SIGALRM, kill)
+signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+while (number := os.read(0, 1)) > b'\\0':
+    kill_s = kill_s and signal.alarm(kill_s)  # once
+    os.write(1, number)
+os.write(1, number)
+"""
 
 
 @contextmanager
@@ -58,13 +80,15 @@ def stopped_by_signals() -> Iterator[Stop]:
     not ended `MOST_ENDING_S` after the first. An ignored signal, as SIGINT under nohup, stays
     ignored.
     """
-    stop, (watched, written) = Stop(), os.pipe()
+    stop, (signals, written) = Stop(), os.pipe()
     os.set_blocking(written, False)
     # Python's C code writes each signal to the pipe at once, whatever the main thread is doing.
     descriptor = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
     before = {number: signal.signal(number, lambda *_: stop.set()) for number in _SIGNALS
               if signal.getsignal(number) is not signal.SIG_IGN}
-    watcher = threading.Thread(target=_watch, args=(watched, stop), name='ending', daemon=True)
+    guard = _start_guard(signals)
+    watcher = threading.Thread(target=_watch, args=(guard.stdout.fileno(), stop), name='ending',
+                               daemon=True)
     watcher.start()
     try:
         yield stop
@@ -72,16 +96,34 @@ def stopped_by_signals() -> Iterator[Stop]:
         signal.set_wakeup_fd(descriptor)
         os.write(written, _OVER)
         watcher.join()
+        guard.stdout.close()
+        guard.wait()
         os.close(written)
-        os.close(watched)
+        os.close(signals)
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _start_guard(signals: int) -> subprocess.Popen:
+    """
+    Start a process that kills this one if it does not end after a signal.
+
+    It reads the signals from a pipe and passes them on to its standard output.
+    """
+    # It inherits the mask: a signal to all processes of a terminal or a service is not for it.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        return subprocess.Popen(
+            [sys.executable, '-I', '-S', '-c', _GUARD, str(os.getpid()), str(KILLED_AFTER_S)],
+            stdin=signals, stdout=subprocess.PIPE)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _watch(watched: int, stop: Stop) -> None:
     """Request the stop at the first signal; end the process at the second one or in time."""
     number = os.read(watched, 1)
-    if number == _OVER:
+    if number in (_OVER, b''):  # the guard has gone; the main thread still handles signals
         return
     # The main thread may be in C++ and not come to its handler; `set` may wait for `uncut` work.
     threading.Thread(target=stop.set, daemon=True).start()

@@ -12,6 +12,10 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+# chosen: a lens sees between .06 and 179 degrees along the longer side; the longest telephoto and
+# the widest fisheye are far inside. Outside, products of coefficients overflow.
+_LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE, _MOST_CENTRE_SHARE = 0.01, 1000.0, 1000.0
+
 
 @dataclass(frozen=True)
 class CameraIntrinsics:
@@ -21,16 +25,17 @@ class CameraIntrinsics:
     Parameters
     ----------
     fx, fy : float
-        Focal lengths in pixels.
+        Focal lengths in pixels, .01 to 1000 times the longer side.
     cx, cy : float
-        Principal point in pixels; the centre of the first pixel is (0, 0).
+        Principal point in pixels; the centre of the first pixel is (0, 0). It may lie outside of
+        the image, by less than 1000 times the longer side.
     width, height : int
         Size of the image in pixels.
 
     Raises
     ------
     ValueError
-        A focal length or a side is not positive, or a value is not finite.
+        A value is not finite or out of these ranges, or a side is not positive.
 
     Examples
     --------
@@ -54,6 +59,17 @@ class CameraIntrinsics:
                              'is the camera calibrated?')
         if min(self.width, self.height) <= 0:
             raise ValueError(f'image size must be positive, not {self.width} x {self.height}')
+        side = max(self.width, self.height)
+        for name, share, least, most in (
+                ('fx', self.fx / side, _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE),
+                ('fy', self.fy / side, _LEAST_FOCAL_SHARE, _MOST_FOCAL_SHARE),
+                ('cx', self.cx / side, -_MOST_CENTRE_SHARE, _MOST_CENTRE_SHARE),
+                ('cy', self.cy / side, -_MOST_CENTRE_SHARE, _MOST_CENTRE_SHARE)):
+            if not least <= share <= most:
+                raise ValueError(
+                    f'{name} {getattr(self, name):g} px cannot be that of a {self.width} x '
+                    f'{self.height} image, {least * side:g} to {most * side:g} px can: calibrate '
+                    'the camera again, or correct its CameraInfo')
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_deg: float):

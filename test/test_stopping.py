@@ -114,6 +114,63 @@ ending.until_signal(work)
         128 + (signal.SIGTERM if ignored else signal.SIGINT), '', '')
 
 
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_process_whose_interpreter_hangs_ends_after_a_signal(number):
+    """An endless loop in C keeps the interpreter's lock: no handler and no other thread runs."""
+    program = """
+import collections, itertools
+from plane_detector import ending
+ending.KILLED_AFTER_S = 1
+
+def work():
+    print('hangs', flush=True)
+    collections.deque(itertools.repeat(None), maxlen=0)
+
+ending.until_signal(work)
+"""
+    with subprocess.Popen([sys.executable, '-c', program], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.readline() == 'hangs\n'
+            process.send_signal(number)
+            assert process.communicate(timeout=STUCK_S) == (
+                '', 'the process has not ended after a signal: it is killed\n')
+        finally:
+            process.kill()
+    assert process.returncode == -signal.SIGKILL
+
+
+def test_slow_work_that_heeds_the_signal_ends_by_itself():
+    """It takes longer than the guard waits, without a signal; then it ends, and the guard too."""
+    program = """
+import time
+from plane_detector import ending
+from plane_detector.stopping import raise_if_stopped, Stopped
+ending.KILLED_AFTER_S = 1
+
+def work():
+    time.sleep(1.5)
+    print('slow', flush=True)
+    while True:
+        raise_if_stopped()
+
+try:
+    ending.until_signal(work)
+except Stopped:
+    time.sleep(1.5)
+    print('ended')
+"""
+    with subprocess.Popen([sys.executable, '-c', program], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout.readline() == 'slow\n'
+            process.send_signal(signal.SIGTERM)
+            assert process.communicate(timeout=STUCK_S) == ('ended\n', '')
+        finally:
+            process.kill()
+    assert process.returncode == 0
+
+
 SCRIPT = """
 import os, runpy, signal, sys
 class Interrupting:

@@ -174,6 +174,7 @@ def _surfaces(normals: np.ndarray) -> np.ndarray:
             break
         found.append(unit((near[largest] * left) @ known))
         left *= 1 - near[largest]
+        left[largest] = 0  # also if it is not finite, and so not near itself
     return np.array(found, float).reshape(-1, 3)
 
 

@@ -9,6 +9,7 @@ import pytest
 from plane_detector.directions.line_segments import detect_line_segments, segments_from_pixels
 from plane_detector.directions.posterior import (
     Expected,
+    _surfaces,
     collect_evidence,
     surface_normals,
 )
@@ -95,6 +96,12 @@ def test_normals_of_a_floor_in_the_depth():
     disparity = np.broadcast_to(np.where(y > 0.1, y / 1.5, np.nan), (VGA.height, VGA.width))
     normals = surface_normals(disparity, VGA)
     assert np.mean(normals @ [0, 1, 0] > 0.999) > 0.25
+
+
+def test_a_normal_that_is_not_near_itself_does_not_keep_the_search_going():
+    """As one whose length has lost its digits."""
+    normals = np.concatenate([np.tile([0.0, 1.0, 0.0], (300, 1)), np.full((20, 3), 0.1)])
+    assert len(_surfaces(normals)) < 5
 
 
 def test_few_lines_are_refused(rng):

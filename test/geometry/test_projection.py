@@ -49,6 +49,25 @@ def test_intrinsics_of_an_uncalibrated_camera_are_refused(name):
         CameraIntrinsics(**values)
 
 
+@pytest.mark.parametrize('name, value, range_px', [
+    ('fx', 1e308, '6.4 to 640000'), ('fy', 1e160, '6.4 to 640000'), ('fx', 641e3, '6.4 to 640000'),
+    ('fy', 6.3, '6.4 to 640000'), ('cx', 1e308, '-640000 to 640000'),
+    ('cx', -641e3, '-640000 to 640000'), ('cy', -1e200, '-640000 to 640000')])
+def test_intrinsics_out_of_reason_are_refused_with_value_range_and_remedy(name, value, range_px):
+    values = {'fx': 500.0, 'fy': 500.0, 'cx': 320.0, 'cy': 240.0, 'width': 640, 'height': 480}
+    assert CameraIntrinsics(**values)
+    with pytest.raises(ValueError) as caught:
+        CameraIntrinsics(**{**values, name: value})
+    assert str(caught.value) == (
+        f'{name} {value:g} px cannot be that of a 640 x 480 image, {range_px} px can: calibrate '
+        'the camera again, or correct its CameraInfo')
+
+
+@pytest.mark.parametrize('focal_px', [6.4, 640e3])
+def test_the_longest_and_the_shortest_lens_are_possible(focal_px):
+    assert CameraIntrinsics(focal_px, focal_px, 320.0, 240.0, 640, 480).fx == focal_px
+
+
 INVALID = [0.0, -0.0, -1.0, np.inf, -np.inf, np.nan, 0.9e-3, 1e-40]
 
 

@@ -47,6 +47,8 @@ OUTLIER_COST = 1.6
 POTTS_WEIGHT = 1.5
 # derived: a cell has one error, but eight neighbours, each pair of which is shared by two cells.
 PAIRS_PER_CELL = 4
+# chosen: real images take at most 10 sweeps. Rounding of huge misfits must not let them go on.
+MOST_SWEEPS = 1000
 # derived: with one sample per cluster, a cluster is a connected piece.
 CONNECTED = DbscanConfig(eps=1.0, min_samples=1)
 # Types of kernels' arguments: planes, table, is_planar of the cells; weights of the three terms.
@@ -70,11 +72,11 @@ def compete_for_cells(frame: Frame, regions: PlaneRegions) -> PlaneRegions:
 
 @kernel('int32[:, ::1](int32[:, ::1], boolean[:, ::1], UniTuple(float64[:, ::1], 2), float64)')
 def _compete(given, is_open, model, threshold2):
-    """Change the labels of open cells while that lowers the energy, so that the sweeps end."""
+    """Change the labels of open cells while that lowers the energy."""
     labels, (rows, columns) = given.copy(), given.shape
     work = np.empty(9, np.int32), np.full(len(model[0]) + 1, -1)
-    has_open, has_converged = np.ones(rows, np.bool_), False
-    while not has_converged:
+    has_open = np.ones(rows, np.bool_)
+    for _ in range(MOST_SWEEPS):
         has_converged = True
         for row in range(rows):
             is_done, has_open[row] = not has_open[row], False
@@ -89,6 +91,8 @@ def _compete(given, is_open, model, threshold2):
                         has_open[v] = True
                         for u in range(max(column - 1, 0), min(column + 2, columns)):
                             is_open[v, u] = True
+        if has_converged:
+            break
     return labels
 
 

@@ -106,7 +106,8 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     ----------
     graph : RegionGraph
     misfit : callable
-        Returns (K, K) float64; entries i < j are at most 1 for a fit, all others infinite.
+        Returns (K, K) float64; entries i < j are at most 1 for a fit, all others infinite. NaN
+        ends the merging.
     is_apart : callable
         Returns whether two regions stay separate although they fit; called once per pair.
 
@@ -114,7 +115,7 @@ def merge_pairs(graph: RegionGraph, misfit: Callable[[RegionGraph], np.ndarray],
     cost, refused, is_own = misfit(graph), [], False
     while cost.size:
         i, j = divmod(int(cost.argmin()), len(cost))
-        if cost[i, j] > 1:
+        if not cost[i, j] <= 1:  # NaN is the least for argmin
             break
         if is_apart(graph, i, j):
             refused.append((i, j))

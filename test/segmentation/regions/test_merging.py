@@ -129,6 +129,19 @@ def test_merged_regions_have_the_sums_of_all_their_cells():
                                   regions.coefficients[[3, 5, 6]])
 
 
+def test_misfits_that_are_no_numbers_end_the_merging():
+    model = noisy_model(view([wall(2.5)]), 0.004)
+    graph = RegionGraph.of(model, hand_made(model, stripes(model.grid.shape, 3)))
+    calls = []
+
+    def misfit(found):
+        calls.append(1)
+        assert len(calls) < 10, 'it goes on'
+        return np.full((len(found.planes),) * 2, np.nan)
+    np.testing.assert_array_equal(merge_pairs(graph, misfit, lambda *_: False).labels,
+                                  graph.labels)
+
+
 def test_joint_misfit_by_hand():
     """The worse side's mean square about the joint plane, in variances, over the most."""
     model = noisy_model(two_walls(0.05), 0.004)
