@@ -5,15 +5,16 @@ Real images with the measured depth of a sensor.
 
 A data folder contains one folder per set, with ``<id>_rgb.png`` or ``.jpg``, ``<id>_depth.png``
 (uint16, registered to the image, 0 invalid) and ``intrinsics.json`` with fx, fy, cx, cy, width,
-height and depth_unit_m. The sets below ``labelled`` and the set ``abw`` also have planes
-labelled by hand, ``<id>_labels.png``. Test packs of ZeroPlane have a reader of their own.
+height and depth_unit_m, or below ``frames`` those of each id. The sets below ``labelled`` and
+``sensors`` and the set ``abw`` also have planes labelled by hand, ``<id>_labels.png``. Test packs
+of ZeroPlane have a reader of their own.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -60,6 +61,7 @@ def read_frame(depth_path: Path) -> Frame:
     """Read the frame of a depth image; raises as :func:`frames`."""
     folder, name = depth_path.parent, depth_path.name.removesuffix('_depth.png')
     about = json.loads((folder / 'intrinsics.json').read_text())
+    about |= about.get('frames', {}).get(name, {})
     intrinsics = CameraIntrinsics(
         *(about[key] for key in ('fx', 'fy', 'cx', 'cy', 'width', 'height')))
     raw = cv2.imread(str(depth_path), cv2.IMREAD_UNCHANGED)
@@ -75,7 +77,7 @@ def read_frame(depth_path: Path) -> Frame:
 
 
 NO_PLANE, UNKNOWN = -1, -2
-TABLETOPS = 'osd_tabletop'
+TABLETOPS, OF_TODAY = 'osd_tabletop', 'sensors'
 ABW = 'abw'
 # Of the scanner of the set ABW (Hoover et al. 1996), as its range images are stored: depth in
 # millimetres is _ABW_NEAREST_MM + range / _ABW_STEPS_PER_MM.
@@ -100,12 +102,16 @@ def labelled_frames(data: Path) -> Iterator[LabelledFrame]:
     Labels that ``intrinsics.json`` lists as not one plane are UNKNOWN. On table tops, labels 1 to
     9 are one plane, the table, and the objects on it are NO_PLANE. Raises as :func:`frames`.
     """
-    paths = sorted(data.glob('labelled/*/*_labels.png'))
+    paths = sorted(path for parent in ('labelled', OF_TODAY)
+                   for path in data.glob(f'{parent}/*/*_labels.png'))
     if not paths:
-        raise FileNotFoundError(f'{data} has no frames labelled by hand in the folder labelled')
+        raise FileNotFoundError(f'{data} has no frames labelled by hand in the folders labelled '
+                                f'and {OF_TODAY}')
     for path in paths:
         name, raw = path.name.removesuffix('_labels.png'), _read_image(path).astype(np.int32)
         frame = read_frame(path.with_name(f'{name}_depth.png'))
+        if path.parts[-3] == OF_TODAY:
+            frame = replace(frame, set_name=OF_TODAY)
         if frame.set_name == TABLETOPS:
             labels = np.select([raw == 0, raw < 10], [UNKNOWN, 0], NO_PLANE)
         else:

@@ -32,7 +32,7 @@ from plane_detector.segmentation.pixels.edge_snapping import (
 from plane_detector.segmentation.pixels.gaps import close_gaps
 from plane_detector.segmentation.pixels.labelling import label_pixels
 from plane_detector.segmentation.regions.competition import compete_for_cells, reassign_cells
-from plane_detector.segmentation.regions.curved import find_curved
+from plane_detector.segmentation.regions.curved import MAX_RADIUS_M, find_curved
 from plane_detector.segmentation.regions.depth_steps import split_at_depth_steps
 from plane_detector.segmentation.regions.merging import (
     join_nearly_flat,
@@ -183,7 +183,8 @@ def _label_flat_ones(frame: Frame, graph: RegionGraph, correlation: Correlation 
         close_gaps(labels, graph.planes, frame.image, frame.grid,
                    frame.config.segmentation.flatness_distance)
     planes = add_small_planes(frame, labels, graph, min_turn_deg)
-    curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending)
+    max_radius_m = MAX_RADIUS_M if frame.noise.is_metric else np.inf
+    curved = find_curved(graph, noise_density, min_turn_deg, frame.noise.bending, max_radius_m)
     owner, joined = graph.owner, graph.planes
     if frame.noise.is_metric:
         owner, joined = join_nearly_flat(frame.cells, graph, curved, correlation,

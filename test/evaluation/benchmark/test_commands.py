@@ -30,7 +30,9 @@ RUNS = {
         ({'samples.SIGMAS': (0.0,), 'samples.CURVED_SIGMAS': (0.0,), 'samples.SENSORS': {}},
          r'without small planes \| -0.\d+ \(0.000\) / -0.\d+ / \+?0?'),
     'labelled --frames --only-ours':
-        ({}, r'office/7 \| plane_detector \| 1.000 \| 1.000 \| 1.000'),
+        ({'labelled.SENSOR_CASES': {}, 'labelled.SEEDS': 1, 'labelled.DRAWS': 1},
+         r'sensors/7 \| plane_detector \| 1.000 \| 1.000 \| 1.000[\s\S]*'
+         r'\| 7 \| 1.00 \| 1.00 \| 1.00 \|'),
     'sensors --rooms 1':
         ({'sensors.SENSORS': {'whole cm'}}, r'whole cm \| \d+ \| [23].\d+ \| 0.\d+'),
     'time --repeats 1': ({'runtime.SIZES': ((640, 480),),
@@ -53,13 +55,15 @@ RUNS = {
 
 @pytest.fixture(scope='module')
 def data(tmp_path_factory):
-    """Return a data folder with a wall, once without labels and once labelled by hand."""
+    """Return a data folder with a wall, once without labels and twice labelled by hand."""
     folder = tmp_path_factory.mktemp('data')
     wall = single_wall(CameraIntrinsics(131.0, 131.0, 79.5, 59.5, 160, 120), 20.0, 2.0)
-    (folder / 'labelled').mkdir()
-    for path in (folder / 'office', folder / 'labelled' / 'office'):
+    for parent in ('labelled', 'sensors'):
+        (folder / parent).mkdir()
+    for path in (folder / 'office', folder / 'labelled' / 'office', folder / 'sensors' / 'd435'):
         write_frame(path, np.rint(1000 * wall.depth_m).astype(np.uint16))
-    cv2.imwrite(str(path / '7_labels.png'), np.full((120, 160), 3, np.uint8))
+        if path.parent != folder:
+            cv2.imwrite(str(path / '7_labels.png'), np.full((120, 160), 3, np.uint8))
     return folder
 
 

@@ -9,6 +9,7 @@ from cell_helpers import FLOOR, ball, best_iou, fold, millimetres, noisy, view, 
 from plane_detector import Config, segment_planes
 from plane_detector.config import SegmentationConfig
 from plane_detector.evaluation.benchmark.samples import noisy_depth
+from plane_detector.evaluation.scenes.noise import with_disparity_noise
 from plane_detector.evaluation.scenes.rendering import VGA
 from plane_detector.evaluation.scenes.surfaces import bar, cone
 from plane_detector.types import CameraIntrinsics
@@ -27,6 +28,17 @@ def upright(radius):
 
 def lying(radius):
     return bar((-4, 2.2 + radius, -0.3), (4, 2.2 + radius, -0.3), radius)
+
+
+@pytest.mark.parametrize(('width', 'height'), [(96, 72), (128, 96), (160, 120)])
+@pytest.mark.parametrize('rows', [2, 3])
+def test_a_wall_above_a_few_rows_of_floor_stays(rows, width, height):
+    camera = CameraIntrinsics.from_field_of_view(width, height, 60.0)
+    slope = np.broadcast_to((np.arange(height)[:, None] - camera.cy) / camera.fy, (height, width))
+    edge = slope[-rows, 0] - 0.5 / camera.fy
+    depth_m = np.where(slope > edge, 2 * edge / np.where(slope > edge, slope, 1), 2)
+    found = segment_planes(depth_m.astype(np.float32), camera)
+    assert (found.labels[:-rows] == 0).all()
 
 
 @pytest.mark.parametrize('keep', KEEP)
@@ -92,3 +104,14 @@ def test_curved_things_have_hardly_a_plane_where_a_sensor_bends_planes(sensor, t
     shares, ious = zip(*(judged(thing, lambda scene, seed=seed: noisy_depth(scene, sensor, seed))
                          for seed in range(3)), strict=True)
     assert np.mean(shares) > 0.9 and min(ious) > 0.8
+
+
+@pytest.mark.parametrize(('radius_m', 'is_plane'), [(1.0, False), (5.0, True)])
+def test_a_bow_of_millimetres_is_a_plane_a_column_is_not(radius_m, is_plane):
+    # A tray of .4 m from .6 m above, with noise that shows its bow of 4 mm.
+    camera = CameraIntrinsics(924.0, 924.0, 319.5, 239.5, 640, 480)
+    across = (np.arange(640) - camera.cx) / camera.fx * 0.6
+    depth_m = np.tile(0.6 + radius_m - np.sqrt(radius_m**2 - across**2), (480, 1))
+    noisy_m = with_disparity_noise(depth_m.astype(np.float32), SIGMA, np.random.default_rng(0))
+    found = segment_planes(noisy_m, camera)
+    assert ((found.labels == 0).mean() > 0.9) == is_plane
