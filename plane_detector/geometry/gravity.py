@@ -67,6 +67,19 @@ def gravity_from_acceleration(acceleration: Sequence[float],
     return -mounting.points(force / strength)
 
 
+def is_identity(quaternion: Sequence[float]) -> bool:
+    """
+    Return whether a quaternion x y z w, of any length, is no rotation.
+
+    Examples
+    --------
+    >>> is_identity((0.0, 0.0, 0.0, -2.0)), is_identity((0.0, 0.0, 1.0, 1.0))
+    (True, False)
+
+    """
+    return not any(quaternion[:3])
+
+
 def smooth_gravity(previous: np.ndarray | None, reading: np.ndarray,
                    interval_s: float) -> np.ndarray:
     """Return the low-pass filtered unit direction (3,) after one more reading."""

@@ -132,10 +132,9 @@ class PlaneDetectorNode(LifecycleNode):
         """Load the network and create the outputs; report the reason if that fails."""
         try:
             detector = self._transitions.prepared()
-            self._outputs, self._query = OutputPublishers(self), PointQuery(self)
-            if self._given_transforms is None and (self._live.settings.base_frame
-                                                   or self._live.settings.target_frame):
-                self._listening = listen_to_tf(self)
+            self._outputs = OutputPublishers(self)
+            self._query = PointQuery(self)
+            self._listening = self._needed_tf()
         except ImportError as error:
             raise CannotRunError(explanation(error)) from error
         except Exception as error:  # whatever a model file may cause, the node keeps running
@@ -159,7 +158,8 @@ class PlaneDetectorNode(LifecycleNode):
             # Not those of the processor: it takes changes with a frame, and none has come yet.
             self._inputs = Subscriptions(self, *self._live.of(self._processor),
                                          self._processor.output, self._flow.accept,
-                                         self._statistics.add_unpaired)
+                                         self._statistics.add_unpaired,
+                                         self._given_transforms or self._listening)
         except Exception as error:  # a wrong qos_overrides parameter
             return self._fail(f'cannot be activated: {error}')
         self._health.failure = ''
@@ -245,14 +245,16 @@ class PlaneDetectorNode(LifecycleNode):
             self._health.tell_once(key, misfit)
         silence, obstacle = self._inputs.problem(), self._inputs.obstacle()
         if not silence and report.unpaired_lately and not report.stage_seconds:
-            silence = obstacle = self._inputs.explain_unpaired(self.get_fully_qualified_name())
+            silence = self._inputs.explain_unpaired(self.get_fully_qualified_name())
+            obstacle = obstacle or silence
             self._health.tell_changes('unpaired', silence)
         if not silence:
             silence = self._inputs.explain_loss()
             self._health.tell_changes('loss', silence)
         self._requests.expire(obstacle)
         arrivals = self._inputs.arrivals()
-        facts['images_received'] = f'{arrivals.received} of {arrivals.implied}, in 5 s'
+        facts['images_received'] = (
+            f'{arrivals.images}, with {arrivals.camera_infos} CameraInfo, in 5 s')
         is_idle = self._live.settings.mode == 'continuous' and not self._outputs.wanted()
         return *self._health.status(report, silence, is_idle), facts
 
@@ -263,6 +265,19 @@ class PlaneDetectorNode(LifecycleNode):
             self._health.tell_once('namesake', (
                 f'another node is called {name} too: both publish into the same topics; start one '
                 'of them with -r __node:=NAME (or a node of this name has just died)'))
+
+    def _needed_tf(self) -> FrameTransforms | None:
+        """Listen to TF if the settings need it; the mounting of an IMU may do without."""
+        settings = self._live.settings
+        is_required = settings.base_frame or settings.target_frame
+        if self._given_transforms is not None or not (is_required or settings.use_imu):
+            return None
+        try:
+            return listen_to_tf(self)
+        except ValueError:
+            if is_required:
+                raise
+            return None
 
     def _load(self) -> PlaneDetector:
         """Make the pipeline, which may download the network; called in a thread."""

@@ -32,6 +32,8 @@ from plane_detector.stopping import Background, Stop, Stopped, current_stop, rai
 Result = TypeVar('Result')
 ANSWERED_WITHIN_S = 30.0
 """A call without a frame is answered after this time."""
+MOST_CALLS = 16
+"""More calls than this do not wait, as each takes time of the executor."""
 _REMEMBERED = 8
 
 
@@ -156,7 +158,10 @@ class FrameRequests:
         """Request the next frame; the result of the future is (success, message)."""
         call = _Call(self._count, self._clock() + ANSWERED_WITHIN_S, Future())
         with self._lock:
-            self._calls.append(call)
+            if len(self._calls) < MOST_CALLS:
+                self._calls.append(call)
+                return call.future
+        call.future.set_result((False, f'{MOST_CALLS} calls are waiting for a frame already'))
         return call.future
 
     def accept(self, frame: Any) -> None:

@@ -1,24 +1,19 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""A node as a process: it spins until a signal, and takes the messages of its inputs."""
+"""A node as a process: it spins until a signal."""
 
 from __future__ import annotations
 
 import gc
 import sys
-import time
 from collections.abc import Callable
-from contextlib import ExitStack
-from typing import Any, NoReturn
+from typing import NoReturn
 
 import rclpy
-from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from rclpy.subscription import Subscription
 
 from plane_detector.ending import end_process, stopped_by_signals
 from plane_detector.process import load_numba_alone, retain_freed_memory, use_one_thread
@@ -31,25 +26,6 @@ _SPIN_S = 0.2
 # times in each frame. tuned: frames per second of all stages in one process on two loaded cores,
 # 10.6 at 5 ms, 14.2 at 1 ms, flat from 0.2 to 1 ms, with the same core time per frame.
 _SWITCH_INTERVAL_S = 0.001
-
-
-class InputGroup(ReentrantCallbackGroup):
-    """
-    Of subscriptions to frequent messages, which `run` takes itself; any executor may too.
-
-    Their callbacks have two arguments: the message and its info.
-
-    An executor of rclpy builds a set of all 35 entities of the node before and after each message:
-    with three messages an image, .8 ms of its core time.
-    """
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.is_taken = False
-
-    def can_execute(self, entity: Any) -> bool:
-        """Return whether an executor may wait for a subscription."""
-        return not self.is_taken
 
 
 class CannotRunError(Exception):
@@ -122,16 +98,10 @@ def _spin(node: Node, stop: Stop) -> None:
     """Spin until a signal, in short waits: Python handles signals only between them."""
     executor, faults = SingleThreadedExecutor(), FaultLog(node.get_logger(), 'error in a callback')
     executor.add_node(node)
-    spun_s = 0.0
     try:
         while rclpy.ok() and not stop.is_set:
-            inputs = [one for one in node.subscriptions
-                      if isinstance(one.callback_group, InputGroup)]
             try:
-                is_other_ready = not inputs or _take(node, inputs)
-                if is_other_ready or time.monotonic() > spun_s + _SPIN_S:
-                    executor.spin_once(timeout_sec=0 if inputs else _SPIN_S)
-                    spun_s = time.monotonic()
+                executor.spin_once(timeout_sec=_SPIN_S)
             except (CannotRunError, ExternalShutdownException):
                 raise
             except Exception as error:
@@ -139,38 +109,3 @@ def _spin(node: Node, stop: Stop) -> None:
     finally:
         node.destroy_node()
         executor.shutdown()
-
-
-def _take(node: Node, inputs: list[Subscription]) -> bool:
-    """
-    Wait for messages of the inputs and handle them; return whether the executor has work.
-
-    The executor alone knows timers, and looks at them five times a second or more.
-    """
-    others = [one for one in node.subscriptions if one not in inputs]
-    services, guards = list(node.services), list(node.guards)
-    with ExitStack() as held:
-        for entity in (*inputs, *others, *services, *guards, node.context):
-            held.enter_context(entity.handle)
-        ready = _rclpy.WaitSet(len(inputs) + len(others), len(guards), 0, 0, len(services), 0,
-                               node.context.handle)
-        ready.clear_entities()
-        for subscription in (*inputs, *others):
-            ready.add_subscription(subscription.handle)
-        for service in services:
-            ready.add_service(service.handle)
-        for guard in guards:
-            ready.add_guard_condition(guard.handle)
-        ready.wait(round(1e9 * _SPIN_S))
-        arrived = ready.get_ready_entities('subscription')
-        for one in inputs:
-            one.callback_group.is_taken = True
-            if (one.handle.pointer in arrived
-                    and (taken := one.handle.take_message(one.msg_type, one.raw)) is not None):
-                one.callback(*taken)
-        triggered = ready.get_ready_entities('guard_condition')
-        for guard in guards:
-            if guard.handle.pointer in triggered:
-                guard.trigger()  # the wait has reset it
-        return bool(triggered or ready.get_ready_entities('service')
-                    or any(one.handle.pointer in arrived for one in others))

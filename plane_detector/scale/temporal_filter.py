@@ -29,13 +29,22 @@ class ScaleState:
     outliers: tuple[ScaleEstimate, ...] = ()  # last frames that contradict it, but not each other
     missed: int = 0  # frames since the method in use succeeded last
     event: str = ''  # change at this frame, for the log; empty if none
+    method: str = 'auto'  # scale.method at this frame
 
 
 def update_scale(state: ScaleState | None, measured: ScaleEstimate,
                  config: ScaleConfig) -> ScaleState:
-    """Return the state after one more frame; None before the first, or to reset the filter."""
-    if state is None:
-        return ScaleState(measured, event=f'scale: {measured}')
+    """
+    Return the state after one more frame; None before the first, or to reset the filter.
+
+    Another ``scale.method`` resets it too.
+    """
+    if state is None or state.method != config.method:
+        return ScaleState(measured, event=f'scale: {measured}', method=config.method)
+    return replace(_after(state, measured, config), method=config.method)
+
+
+def _after(state: ScaleState, measured: ScaleEstimate, config: ScaleConfig) -> ScaleState:
     current = state.estimate
     if _kind(measured) == _kind(current):
         if measured.method not in MEASURED:

@@ -9,6 +9,7 @@ Print the planes of a running node as a table, live.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Iterable, Mapping
 from typing import TextIO
@@ -129,6 +130,8 @@ def main(args: list[str] | None = None) -> int:
             rclpy.spin_once(node, timeout_sec=0.2)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except BrokenPipeError:  # as of `show | head`; what the interpreter flushes last goes nowhere
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     finally:
         node.destroy_node()
         rclpy.try_shutdown()

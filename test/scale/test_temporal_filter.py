@@ -76,3 +76,10 @@ def test_a_better_method_is_taken_at_once():
     assert run(ANGLES, FLOOR)[-1].estimate is FLOOR
     assert run(FLOOR, depth)[-1].estimate is depth
     assert run(RELATIVE, ANGLES)[-1].event
+
+
+def test_another_method_resets_the_filter():
+    (state,) = run(FLOOR)
+    off = update_scale(state, RELATIVE, replace(CONFIG, method='none'))
+    assert off.estimate is RELATIVE, 'metres are not held'
+    assert update_scale(off, RELATIVE, replace(CONFIG, method='none')).event == ''

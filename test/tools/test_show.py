@@ -5,6 +5,8 @@
 import io
 import os
 import re
+import select
+import subprocess
 import sys
 import threading
 from pathlib import Path
@@ -46,6 +48,24 @@ def test_the_table_is_printed_live(robot):
     robot.add(PlanePrinter('/plane_detector', printed, context=robot.context))
     robot.publish('/plane_detector/planes', two_planes())
     assert robot.spin(lambda: '2 planes at' in printed.getvalue())
+
+
+def test_a_reader_that_ends_ends_it_quietly(robot):
+    """As of `show | head -1`."""
+    domain = str(robot.context.get_domain_id())
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'plane_detector.tools.show'], stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE, text=True, env={**os.environ, 'ROS_DOMAIN_ID': domain})
+    with process:
+        def publish_until(condition):
+            assert robot.spin(lambda: robot.publish('/plane_detector/planes', two_planes())
+                              or robot.spin(timeout_s=0.1) or condition(), 60.0)
+        publish_until(lambda: select.select([process.stdout], [], [], 0)[0])
+        assert '2 planes at' in process.stdout.readline()
+        process.stdout.close()
+        publish_until(lambda: process.poll() is not None)
+        assert (process.returncode, process.stderr.read()) == (
+            0, 'waiting for /plane_detector/planes\n')
 
 
 @pytest.fixture

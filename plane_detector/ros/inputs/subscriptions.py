@@ -5,33 +5,49 @@
 from __future__ import annotations
 
 import math
+import time
+from collections import deque
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import Any, Protocol
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu
+from std_msgs.msg import Header
 
 from plane_detector.config import Config, NodeConfig
+from plane_detector.geometry.gravity import is_identity
+from plane_detector.ros.fault_log import plain
 from plane_detector.ros.inputs.synchronizer import Frame, FrameSynchronizer, depth_use, ns_of
 from plane_detector.ros.inputs.topic_watch import (
     COMPRESSED,
+    GRACE_S,
     MESSAGES_LOST,
+    ArrivalCount,
     Arrivals,
-    ImageLoss,
     TopicWatch,
 )
+from plane_detector.ros.inputs.transforms import FrameTransforms
 from plane_detector.ros.qos import overriding_options
-from plane_detector.ros.spinning import InputGroup
 
 _RELIABILITY = {'auto': ReliabilityPolicy.BEST_AVAILABLE,
                 'reliable': ReliabilityPolicy.RELIABLE,
                 'best_effort': ReliabilityPolicy.BEST_EFFORT}
+# The policies that follow the publishers, and the stronger and the weaker value of each.
+_BEST = {'reliability': ReliabilityPolicy.BEST_AVAILABLE,
+         'durability': DurabilityPolicy.BEST_AVAILABLE}
+_STRENGTHS = {'reliability': (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT),
+              'durability': (DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE)}
 # derived: a camera's jitter is no change of the difference between its stamps.
 _OFFSET_CHANGE = 0.3
+# chosen: three jumps in this time are no loop of a bag; then they are logged no more often.
+_MOST_JUMPS, _JUMPS_WITHIN_S = 3, 5.0
+_MOST_FRAME_IDS, _SHOWN = 16, 80
 # derived: a share of some 75 images in a window varies by a few percent.
 _LOSS_CHANGE = 0.15
 
@@ -41,9 +57,10 @@ class InputSubscription:
     A subscription that keeps the last message and can adapt to its publishers.
 
     With reliability ``auto`` it starts compatible with every publisher: best effort if none is
-    known, reliable if all of them are. When `follow` finds that they have changed, it creates a
-    second subscription with the other reliability, and the first one is destroyed when the second
-    has received a message, so that no message is lost in between.
+    known, reliable if all of them are. So does durability: transient local, by which a message
+    that was published once arrives later, if all publishers offer it. When `follow` finds that
+    they have changed, it creates a second subscription with the other policies, and the first one
+    is destroyed when the second has received a message, so that no message is lost in between.
     """
 
     def __init__(self, node: Node, msg_type: Any, topic: str, callback: Callable[[Any], None],
@@ -51,8 +68,9 @@ class InputSubscription:
         self._node = node
         self._arguments = msg_type, topic
         self._callback = callback
-        self._wanted = _RELIABILITY[reliability]
-        self._follows = False
+        self._wanted = QoSProfile(depth=1, reliability=_RELIABILITY[reliability],
+                                  durability=DurabilityPolicy.BEST_AVAILABLE)
+        self._followed: tuple[str, ...] = ()
         self._last_sent_ns = 0
         self.topic = node.resolve_topic_name(topic)
         self._next: Subscription | None = None
@@ -65,36 +83,38 @@ class InputSubscription:
 
     def follow(self) -> None:
         """Adapt to the publishers of now; to be called from time to time."""
-        if not self._follows:
-            return
-        offered = self._offered()
-        if self._next is not None and self._next.qos_profile.reliability == offered:
+        if self._next is not None and self._fits(self._next):
             return
         self._destroy_next()
-        if self._current.qos_profile.reliability != offered:
+        if not self._fits(self._current):
             self._next = self._subscribe(self._on_first_of_next)
 
     def _subscribe(self, callback: Callable[..., None]) -> Subscription:
         # The executor would look at each event before every message: a quarter of its time.
         silent = SubscriptionEventCallbacks(use_default_callbacks=False)
         return self._node.create_subscription(
-            *self._arguments, callback, QoSProfile(depth=1, reliability=self._wanted),
-            event_callbacks=silent, callback_group=InputGroup(),
+            *self._arguments, callback, copy(self._wanted), event_callbacks=silent,
+            callback_group=ReentrantCallbackGroup(),
             qos_overriding_options=overriding_options(self._settle))
 
     def _settle(self, profile: QoSProfile) -> SetParametersResult:
-        """Replace ``auto``, unless overridden, before the subscription is created."""
-        self._follows = profile.reliability == ReliabilityPolicy.BEST_AVAILABLE
-        if self._follows:
-            profile.reliability = self._offered()
+        """Replace what follows the publishers, before the subscription is created."""
+        self._followed = tuple(name for name, best in _BEST.items()
+                               if getattr(profile, name) == best)
+        for name in self._followed:
+            setattr(profile, name, self._offered(name))
         return SetParametersResult(successful=True)
 
-    def _offered(self) -> ReliabilityPolicy:
-        """Return the strongest reliability compatible with all publishers, present and future."""
+    def _fits(self, subscription: Subscription) -> bool:
+        return all(getattr(subscription.qos_profile, name) == self._offered(name)
+                   for name in self._followed)
+
+    def _offered(self, name: str) -> ReliabilityPolicy | DurabilityPolicy:
+        """Return the strongest policy compatible with all publishers, present and future."""
         infos = self._node.get_publishers_info_by_topic(self.topic)
-        if infos and all(i.qos_profile.reliability == ReliabilityPolicy.RELIABLE for i in infos):
-            return ReliabilityPolicy.RELIABLE
-        return ReliabilityPolicy.BEST_EFFORT
+        strong, weak = _STRENGTHS[name]
+        are_strong = infos and all(getattr(i.qos_profile, name) == strong for i in infos)
+        return strong if are_strong else weak
 
     def _on_message(self, msg: Any, info: Mapping[str, int]) -> None:
         self._last_sent_ns = info['source_timestamp']
@@ -120,13 +140,15 @@ class Subscriptions:
 
     ``output`` is that of the network: relative disparity can use measured depth. ``on_dropped`` is
     called with the number of images that did not become a frame. Both are called in the thread of
-    the executor.
+    the executor. ``transforms`` give the mounting of an IMU that has a frame of its own.
     """
 
     def __init__(self, node: Node, config: Config, settings: NodeConfig, output: str,
-                 on_frame: Callable[[Frame], None], on_dropped: Callable[[int], None]):
+                 on_frame: Callable[[Frame], None], on_dropped: Callable[[int], None],
+                 transforms: FrameTransforms | None = None):
         self._node = node
         self._on_frame, self._on_dropped = on_frame, on_dropped
+        self._transforms = transforms
         self._names = input_topics(node, settings.image_transport)
         self._output, self._reliability = output, settings.input_reliability
         depth = depth_use(config, output)
@@ -138,10 +160,16 @@ class Subscriptions:
         if depth != 'unused':
             wanted['depth'] = Image, self._on_depth
         if settings.use_imu:
-            wanted['imu'] = Imu, self._synchronizer.add_imu
+            wanted['imu'] = Imu, self._on_imu
         self._watch = TopicWatch(node)
-        self._loss = ImageLoss()
+        self._count = ArrivalCount()
         self._depth_offset_s = self._lost_share = 0.0
+        self._unpaired_since_s = math.inf
+        self._jumps_s: deque[float] = deque(maxlen=_MOST_JUMPS)
+        self._frame_ids: set[tuple[str, ...]] = set()
+        self._camera_header: Header | None = None
+        self._config = config
+        self._is_mounted, self._mounted_by_s = False, math.inf
         self._subscriptions: dict[str, InputSubscription] = {}
         try:
             for role, (msg_type, on_message) in wanted.items():
@@ -154,7 +182,11 @@ class Subscriptions:
     def apply(self, config: Config, settings: NodeConfig) -> None:
         """Apply changed settings, except those that are read at configure."""
         depth = depth_use(config, self._output)
-        self._synchronizer.apply(depth, settings.stamp_slop, config.scale.imu_to_camera)
+        self._synchronizer.apply(depth, settings.stamp_slop)
+        if config.scale.imu_to_camera != self._config.scale.imu_to_camera:
+            self._synchronizer.mount_imu(config.scale.imu_to_camera)
+            self._is_mounted = False
+        self._config = config
         if depth == 'unused' and 'depth' in self._subscriptions:
             self._subscriptions.pop('depth').destroy()
         elif depth == 'optional' and 'depth' not in self._subscriptions:
@@ -179,33 +211,45 @@ class Subscriptions:
         return self._watch.obstacle()
 
     def arrivals(self) -> Arrivals:
-        """Return how many of the images that the camera sent have arrived lately."""
-        return self._loss.arrivals()
+        """Return how many images and CameraInfo have arrived lately."""
+        return self._count.arrivals()
 
     def explain_loss(self) -> str:
-        """Return that images are lost, and the remedy; empty if they arrive."""
+        """Return that images are missing beside CameraInfo, and the remedy; empty if not."""
         arrivals = self.arrivals()
         if not arrivals.are_few:
             return ''
-        lost_share = 1 - arrivals.received / arrivals.implied
+        lost_share = 1 - arrivals.images / arrivals.camera_infos
         if abs(lost_share - self._lost_share) > _LOSS_CHANGE:
             self._lost_share = lost_share
-        return (f'{self._lost_share:.0%} of the images on {self._names["image"]} do not arrive, '
-                f'as the stamps tell: large {MESSAGES_LOST}, or this machine is too busy to '
-                'receive them')
+        return (f'{self._lost_share:.0%} of the images on {self._names["image"]} are missing: '
+                f'{self._names["camera_info"]} brings more messages. Large {MESSAGES_LOST}, this '
+                'machine is too busy to receive them, or the images are throttled')
 
     def explain_unpaired(self, node_name: str) -> str:
-        """Return by how much the stamps of image and depth differ, and the remedy."""
-        offset_s = self._synchronizer.take_unpaired_s()
+        """
+        Return by how much the stamps of image and required depth differ, and the remedy.
+
+        Empty until it has lasted; to be called while images find no partner.
+        """
+        offset_s, now_s = self._synchronizer.take_unpaired_s(), time.monotonic()
         if offset_s is None:
-            return ('images arrive, but no depth image with their stamp, within stamp_slop')
+            return ''
+        self._unpaired_since_s = min(self._unpaired_since_s, now_s)
+        if now_s - self._unpaired_since_s < GRACE_S or self.arrivals().are_few:
+            return ''
         if abs(offset_s - self._depth_offset_s) > _OFFSET_CHANGE * abs(self._depth_offset_s):
             self._depth_offset_s = offset_s
         offset_s = self._depth_offset_s
-        return (f'images arrive, but no depth image with their stamp, within stamp_slop: the '
-                f'nearest is {1e3 * abs(offset_s):.0f} ms {"later" if offset_s > 0 else "earlier"}'
-                f'; synchronise the camera, or: ros2 param set {node_name} stamp_slop '
-                f'{_rounded_up(abs(offset_s))}')
+        when = 'later' if offset_s > 0 else 'earlier'
+        found = ('images arrive, but no depth image with their stamp, within stamp_slop: the '
+                 f'nearest is {1e3 * abs(offset_s):.0f} ms {when}; ')
+        slop_s = _rounded_up(abs(offset_s))
+        if float(slop_s) > self._count.period_s / 2:
+            return found + ('synchronise the camera: a larger stamp_slop would pair images with '
+                            'the depth of others')
+        return found + ('synchronise the camera, or: ros2 param set '
+                        f'{node_name} stamp_slop {slop_s}')
 
     def _subscribe(self, role: str, msg_type: Any, on_message: Callable[[Any], Any],
                    is_watched: bool) -> None:
@@ -223,25 +267,89 @@ class Subscriptions:
                             is_needed=role != 'imu')
 
     def _on_image(self, msg: Any) -> None:
-        self._loss.add_image(ns_of(msg))
+        self._count.add_image(ns_of(msg))
+        self._camera_header = msg.header
         epoch = self._synchronizer.epoch
         self._hand_over(self._synchronizer.add_image(msg))
         if self._synchronizer.epoch != epoch:
+            self._note_jump()
+
+    def _note_jump(self) -> None:
+        """Forget the transforms of before, and log it; often: two publishers, and seldom."""
+        if self._transforms is not None:
+            self._transforms.forget()
+        now_s = time.monotonic()
+        self._jumps_s.append(now_s)
+        if now_s - self._jumps_s[0] > _JUMPS_WITHIN_S or len(self._jumps_s) < _MOST_JUMPS:
             self._node.get_logger().warning('time jumped back: buffers and tracking are reset')
+            return
+        topic = self._names['image']
+        senders = sorted({f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+                          for info in self._node.get_publishers_info_by_topic(topic)})
+        self._node.get_logger().warning(
+            f'time keeps jumping back on {topic}: two publishers with different clocks? It is '
+            f'published by {", ".join(senders)}', throttle_duration_sec=_JUMPS_WITHIN_S)
 
     def _on_camera_info(self, msg: CameraInfo) -> None:
-        self._loss.add_camera_info(ns_of(msg))
+        self._count.add_camera_info(ns_of(msg))
         self._hand_over(self._synchronizer.add_camera_info(msg))
 
     def _on_depth(self, msg: Image) -> None:
         self._hand_over(self._synchronizer.add_depth(msg))
+
+    def _on_imu(self, msg: Imu) -> None:
+        self._is_mounted = self._is_mounted or self._mount(msg.header.frame_id)
+        if self._is_mounted:
+            self._synchronizer.add_imu(msg)
+
+    def _mount(self, imu_frame: str) -> bool:
+        """Return whether the mounting of the IMU is settled: set, without a turn, or from TF."""
+        if not is_identity(self._config.scale.imu_to_camera):
+            return True
+        camera = self._camera_header
+        if camera is None:
+            return False
+        if not (imu_frame and camera.frame_id) or imu_frame == camera.frame_id:
+            return True
+        log, now_s = self._node.get_logger(), time.monotonic()
+        imu, image = plain(imu_frame, _SHOWN), plain(camera.frame_id, _SHOWN)
+        if self._transforms is not None:
+            found = self._transforms.rotation(imu_frame, camera)
+            if found is not None:
+                self._synchronizer.mount_imu(found)
+                log.info(f'mounting of the IMU: by TF, from {imu} to {image}')
+                return True
+            self._mounted_by_s = min(self._mounted_by_s, now_s + GRACE_S)
+            if now_s < self._mounted_by_s:
+                return False
+        log.warning(f'the IMU is in {imu}, the image in {image}, TF has no transform between them '
+                    'and scale.imu_to_camera is no turn: if their axes differ, gravity is wrong; '
+                    'publish the transform or set scale.imu_to_camera')
+        return True
 
     def _hand_over(self, frames: list[Frame]) -> None:
         dropped = self._synchronizer.take_dropped()
         if dropped:
             self._on_dropped(dropped)
         for frame in frames:
+            self._unpaired_since_s = math.inf
+            self._compare_frame_ids(frame)
             self._on_frame(frame)
+
+    def _compare_frame_ids(self, frame: Frame) -> None:
+        """Warn once if image, depth and CameraInfo are not of one camera by their frame_ids."""
+        stamped = {'image': frame.image, 'camera_info': frame.camera_info, 'depth': frame.depth}
+        ids = {role: msg.header.frame_id for role, msg in stamped.items() if msg is not None}
+        key = tuple(ids.values())
+        if key in self._frame_ids or len(self._frame_ids) >= _MOST_FRAME_IDS:
+            return
+        self._frame_ids.add(key)
+        if len(set(filter(None, key))) > 1:
+            named = ', '.join(f'"{plain(frame_id, _SHOWN)}" of {self._names[role]}'
+                              for role, frame_id in ids.items())
+            self._node.get_logger().warning(
+                f'the frame_ids differ: {named}. Depth must be registered to the image, and '
+                'CameraInfo be that of the image: other topics of the driver may be')
 
 
 def _rounded_up(seconds: float) -> str:

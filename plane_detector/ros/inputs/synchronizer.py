@@ -85,9 +85,12 @@ class FrameSynchronizer:
         self._unpaired_ns: int | None = None
         self.epoch = 0
 
-    def apply(self, depth: str, stamp_slop_s: float, imu_to_camera: tuple[float, ...]) -> None:
+    def apply(self, depth: str, stamp_slop_s: float) -> None:
         """Change the parameters of this object; messages that wait are matched by the new ones."""
         self._depth_use, self._stamp_slop_s = depth, stamp_slop_s
+
+    def mount_imu(self, imu_to_camera: Sequence[float]) -> None:
+        """Change the mounting of the IMU."""
         self._gravity.mount(imu_to_camera)
 
     def take_dropped(self) -> int:
@@ -111,7 +114,10 @@ class FrameSynchronizer:
             self.epoch += 1
             self._depths.forget_after(ns_of(msg) + _JUMP_NS)
             self._gravity.reset()
-        self._dropped += self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
+        dropped = self._images.shrink_to(1 if self._depth_use == 'unused' else _CACHED)
+        self._dropped += dropped
+        if dropped and self._depth_use == 'required' and self._infos.latest is not None:
+            self._unpaired_ns = self._depths.offset_of_nearest(ns_of(msg))
         return self._complete()
 
     def add_camera_info(self, msg: CameraInfo) -> list[Frame]:

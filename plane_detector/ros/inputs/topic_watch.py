@@ -1,17 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""Why messages do not arrive: silent topics, and images lost on their way."""
+"""Why messages do not arrive: silent topics, and images that are missing beside CameraInfo."""
 
 from __future__ import annotations
 
+import difflib
 import statistics
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import numpy as np
 from rclpy.node import Node
 from rclpy.qos import ReliabilityPolicy
 
@@ -105,8 +105,10 @@ class TopicWatch:
     def _explain(self, role: str, topic: _Topic) -> str:
         types = [info.topic_type for info in self._node.get_publishers_info_by_topic(topic.name)]
         own = self._node.get_fully_qualified_name() + '/'
+        used = {other.name for other in self._topics.values() if other.heard_s}
         published = {name: types[0] for name, types in self._node.get_topic_names_and_types()
-                     if not name.startswith(own) and self._node.count_publishers(name)}
+                     if not name.startswith(own) and name not in used
+                     and self._node.count_publishers(name)}
         return explain_silence(role, topic.name, topic.type_name, types, published)
 
     def _note(self, topic: _Topic, problem: str) -> None:
@@ -139,19 +141,31 @@ def explain_silence(role: str, topic: str, type_name: str, offered: Sequence[str
     Return why a topic has no publisher of its type, and the remedy.
 
     ``offered`` are the types of its publishers, all different from that of the subscription;
-    ``published`` are the types of all topics that other nodes publish. Topics are remapped by
-    their ``role``.
+    ``published`` are the types of all topics that other nodes publish and no input uses. Topics
+    are remapped by their ``role``.
     """
     if offered:
         return (f'{topic} is published as {offered[0]}, not as {type_name}'
                 + _transport_hint(topic, offered[0]))
-    same = sorted(name for name, kind in published.items() if kind == type_name)
+    fitting = [name for name in published if _fits(role, name)]
+    same = _nearest_first(topic, [name for name in fitting if published[name] == type_name])
     if not same:
-        return (f'nobody publishes {topic}, nor any other topic of type {type_name}'
-                + _other_transport(type_name, published))
+        return (f'nobody publishes {topic}, nor any other topic of type {type_name} for {role}'
+                + _other_transport(topic, type_name, {name: published[name] for name in fitting}))
     listed = ', '.join(same[:_LISTED]) + (', ...' if len(same) > _LISTED else '')
     return (f'nobody publishes {topic}; of type {type_name} there are {listed}: remap with '
             f'--ros-args -r {role}:={same[0].removesuffix(COMPRESSED)}')
+
+
+def _fits(role: str, name: str) -> bool:
+    """Return whether a topic may serve by its name: depth has depth in its name, nothing else."""
+    return role not in ('image', 'depth') or ('depth' in name.lower()) == (role == 'depth')
+
+
+def _nearest_first(topic: str, names: Collection[str]) -> list[str]:
+    """Return names in the order of their likeness to that of the topic."""
+    return sorted(names, key=lambda name: (
+        -difflib.SequenceMatcher(None, topic, name).ratio(), name))
 
 
 def _transport_hint(topic: str, offered: str) -> str:
@@ -161,13 +175,14 @@ def _transport_hint(topic: str, offered: str) -> str:
     return ': set image_transport to raw' if offered.endswith('/Image') else ''
 
 
-def _other_transport(type_name: str, published: Mapping[str, str]) -> str:
+def _other_transport(topic: str, type_name: str, published: Mapping[str, str]) -> str:
     """Return the parameter that accepts the published images, if they use the other transport."""
     other = {'sensor_msgs/msg/Image': ('CompressedImage', 'compressed'),
              'sensor_msgs/msg/CompressedImage': ('Image', 'raw')}.get(type_name)
     if other is None:
         return ''
-    names = sorted(name for name, kind in published.items() if kind.endswith(f'/{other[0]}'))
+    names = _nearest_first(topic, [name for name, kind in published.items()
+                                   if kind.endswith(f'/{other[0]}')])
     return (f'; {names[0]} is a sensor_msgs/msg/{other[0]}: set image_transport to {other[1]}'
             if names else '')
 
@@ -179,48 +194,30 @@ def _interval_s(heard_s: Sequence[float]) -> float:
     return statistics.median(intervals_s) if intervals_s else _FIRST_INTERVAL_S
 
 
-# derived: a window long enough to count losses of a fifth, short enough to follow a camera that
-# changes its rate.
+# chosen: long enough to count losses of a fifth, short enough to follow a camera.
 _WINDOW_NS = 5_000_000_000
 _MOST_STAMPS = 1000
-# derived: of half of the images lost at random, ten in a row are one in a thousand; a longer gap
-# is a pause of the camera.
-_LONGEST_GAP = 10
-_FEWEST_IMPLIED = 20
-# derived: stamps without any period are on average .25 of a period off its multiples; those of a
-# constant rate with a jitter of .15 of the period .1.
-_MOST_OFF = 0.15
-# derived: of images lost at random, a fifth or more, two thirds of the intervals at most equal one
-# that comes a fixed number of intervals later.
-_LONGEST_RHYTHM, _REPEATED_SHARE = 6, 0.9
-# derived: a camera that sends a CameraInfo with each image gives both the same stamp.
-_PAIRED_SHARE = 0.5
+_FEWEST_INFOS = 20
 _JUMP_NS = 1_000_000_000
 WARNED_SHARE = 0.2
-"""From this share of lost images on, the node warns."""
+"""From this share of images on that are missing beside CameraInfo, the node warns."""
 
 
 class Arrivals(NamedTuple):
-    """Images that arrived in a window, and images that the stamps imply for it."""
+    """Images and CameraInfo that arrived in a window."""
 
-    received: int
-    implied: int
+    images: int
+    camera_infos: int
 
     @property
     def are_few(self) -> bool:
         """Whether so many images are missing that a warning is due."""
-        return (self.implied >= _FEWEST_IMPLIED
-                and self.received <= (1 - WARNED_SHARE) * self.implied)
+        return (self.camera_infos >= _FEWEST_INFOS
+                and self.images <= (1 - WARNED_SHARE) * self.camera_infos)
 
 
-class ImageLoss:
-    """
-    Counts images, and the stamps between which the camera sends at a constant rate.
-
-    A CameraInfo is small and arrives where its image is lost: its stamp counts as sent. Stamps
-    without a period, such as those of a camera that is triggered, imply no other images, nor does
-    a rhythm that repeats, such as that of a throttled topic, or a new rate.
-    """
+class ArrivalCount:
+    """Counts images and CameraInfo, which is small and arrives where its image is lost."""
 
     def __init__(self) -> None:
         self._images: deque[int] = deque(maxlen=_MOST_STAMPS)
@@ -228,39 +225,31 @@ class ImageLoss:
 
     def add_image(self, stamp_ns: int) -> None:
         """Count an image."""
-        if self._images and stamp_ns < self._images[-1] - _JUMP_NS:  # time jumped back
-            self._images.clear()
-            self._infos = deque((other_ns for other_ns in self._infos
-                                 if other_ns <= stamp_ns + _JUMP_NS), _MOST_STAMPS)
-        self._images.append(stamp_ns)
+        _append(self._images, stamp_ns)
 
     def add_camera_info(self, stamp_ns: int) -> None:
-        """Count a stamp."""
-        self._infos.append(stamp_ns)
+        """Count a CameraInfo."""
+        _append(self._infos, stamp_ns)
+
+    @property
+    def period_s(self) -> float:
+        """Usual time between two images; infinite before the second."""
+        stamps = sorted(set(self._images))
+        return statistics.median(
+            [after - before for before, after in zip(stamps, stamps[1:], strict=False)]
+            or [float('inf')]) * 1e-9
 
     def arrivals(self) -> Arrivals:
         """Return the numbers for the last seconds before the last image."""
         if not self._images:
             return Arrivals(0, 0)
-        images = np.unique(self._images)
-        images = images[images >= images[-1] - _WINDOW_NS]
-        infos = np.unique(self._infos)
-        infos = infos[(infos >= images[0]) & (infos <= images[-1])]
-        is_paired = np.isin(images, infos).mean() > _PAIRED_SHARE
-        sent = np.union1d(images, infos) if is_paired else images
-        return Arrivals(len(images), _implied(sent))
+        last_ns = self._images[-1]
+        first_ns = max(min(self._images), last_ns - _WINDOW_NS)
+        return Arrivals(*(len({stamp_ns for stamp_ns in stamps if first_ns <= stamp_ns <= last_ns})
+                          for stamps in (self._images, self._infos)))
 
 
-def _implied(stamps_ns: np.ndarray) -> int:
-    """Return how many stamps a camera has given, from sorted ones of which some are missing."""
-    intervals = np.diff(stamps_ns)
-    if len(stamps_ns) < _FEWEST_IMPLIED:
-        return len(stamps_ns)
-    # The shortest intervals are one period, the others several; stamps may jitter.
-    periods = intervals / np.median(intervals[intervals < 1.5 * np.quantile(intervals, 0.2)])
-    steps = np.rint(periods)
-    steps[steps > _LONGEST_GAP] = 1
-    repeats = max((steps[lag:] == steps[:-lag]).mean() for lag in range(1, _LONGEST_RHYTHM + 1))
-    if abs(periods - np.rint(periods)).mean() > _MOST_OFF or repeats > _REPEATED_SHARE:
-        return len(stamps_ns)
-    return 1 + int(steps.sum())
+def _append(stamps: deque[int], stamp_ns: int) -> None:
+    if stamps and stamp_ns < stamps[-1] - _JUMP_NS:  # time jumped back
+        stamps.clear()
+    stamps.append(stamp_ns)

@@ -143,7 +143,7 @@ def _to_msg(target_frame: str, source_frame: str, time: Any,
 
 
 class Buffer(Protocol):
-    """The part of tf2_ros.Buffer that is used."""
+    """The part of tf2_ros.Buffer that is used; one with a listener also has ``clear()``."""
 
     def lookup_transform(self, target_frame: str, source_frame: str, time: Time,
                          timeout: Duration) -> Any:
@@ -174,6 +174,24 @@ class FrameTransforms:
         """Stop listening."""
         if self._listener is not None:
             self._listener.unregister()
+
+    def forget(self) -> None:
+        """
+        Forget the transforms received so far, but for static ones: time jumped back.
+
+        tf2 ignores transforms that are older by more than ten seconds than the newest one.
+        """
+        if self._listener is not None:
+            self._buffer.clear()
+
+    def rotation(self, frame: str, header: Header) -> tuple[float, ...] | None:
+        """Return the quaternion x y z w from a frame into that of the header; None if unknown."""
+        try:
+            msg = self._buffer.lookup_transform(header.frame_id, frame,
+                                                Time.from_msg(header.stamp), Duration())
+            return tuple(transform_from_msg(msg).quaternion.tolist())
+        except Exception:  # tf2's classes cannot be imported where it is not installed
+            return None
 
     def awaited(self, header: Header, settings: NodeConfig
                 ) -> Callable[[], tuple[CameraPose | None, RigidTransform | None]]:

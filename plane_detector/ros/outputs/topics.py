@@ -69,16 +69,22 @@ OUTPUTS: dict[str, Output] = {
 
 
 class OutputPublishers:
-    """The publishers of a lifecycle node."""
+    """The publishers of a lifecycle node; none stays if one of them cannot be made."""
 
     def __init__(self, node: LifecycleNode):
         self._node = node
         # The executor would look at two events of each publisher before every message: as long as
         # at all its other entities. `misfits` finds what they would report.
         silent = PublisherEventCallbacks(use_default_callbacks=False)
-        self._publishers = {name: node.create_lifecycle_publisher(
-            output.msg_type, f'~/{name}', qos.output_profile(), event_callbacks=silent,
-            qos_overriding_options=qos.overriding_options()) for name, output in OUTPUTS.items()}
+        self._publishers: dict[str, Any] = {}
+        try:
+            for name, output in OUTPUTS.items():
+                self._publishers[name] = node.create_lifecycle_publisher(
+                    output.msg_type, f'~/{name}', qos.output_profile(), event_callbacks=silent,
+                    qos_overriding_options=qos.overriding_options())
+        except Exception:  # a wrong qos_overrides parameter
+            self.destroy()
+            raise
 
     def wanted(self) -> list[str]:
         """Return the names of the outputs that have subscribers."""

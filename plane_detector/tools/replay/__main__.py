@@ -45,7 +45,8 @@ USAGE = """
   replay [options] --output-folder FOLDER INPUT...      the same"""
 EXIT_CODES = """
 exit codes: 0 finished; 1 failed, or one of many bags failed; 2 wrong arguments; 3 finished, but
-frames or damaged messages were skipped; 130 ended by a signal; 128 + its number: at once, because
+frames or damaged messages were skipped, or images between the first and the last frame had no
+calibration or depth; 130 ended by a signal; 128 + its number: at once, because
 this took too long or another signal came.
 """
 _INCOMPLETE = 3
@@ -93,7 +94,8 @@ def _run_many(arguments: argparse.Namespace, inputs: Sequence[str], folder: Path
     print(f'The planes are in {folder}, this table in {folder / many_bags.SUMMARY_NAME}')
     if any(one.state == many_bags.FAILED for one in summaries):
         return FAILED
-    return _INCOMPLETE if any(one.skipped or one.damaged for one in summaries) else 0
+    is_incomplete = any(one.skipped or one.damaged or one.unpaired for one in summaries)
+    return _INCOMPLETE if is_incomplete else 0
 
 
 def _options(arguments: argparse.Namespace, source: Path, target: Path) -> ReplayOptions:

@@ -28,6 +28,7 @@ from plane_detector.tools.replay.writer import Draft, part_folder, replay_fields
 
 SUMMARY_NAME = 'summary.csv'
 FINISHED, DONE_BEFORE, FAILED = 'finished', 'done before', 'failed'
+_COUNTS = ('frames', 'planes', 'skipped', 'damaged', 'unpaired')
 _SHOWN_ERROR = 60
 
 
@@ -41,6 +42,7 @@ class BagSummary:
     planes: int = 0
     skipped: int = 0
     damaged: int = 0
+    unpaired: int = 0
     seconds: float = 0.0
     depth: str = ''
     error: str = ''
@@ -205,7 +207,8 @@ def replay_one(options: ReplayOptions) -> BagSummary:
         kind = '' if isinstance(error, (OSError, ValueError)) else f'{type(error).__name__}: '
         return BagSummary(name, FAILED, error=f'{kind}{error}')
     return BagSummary(name, FINISHED, tally.processed, tally.planes, tally.skipped, tally.damaged,
-                      time.monotonic() - start_s, tally.depth, '; '.join(tally.losses()))
+                      tally.unpaired, time.monotonic() - start_s, tally.depth,
+                      '; '.join(tally.losses()))
 
 
 def _done_before(options: ReplayOptions) -> BagSummary:
@@ -216,7 +219,7 @@ def _done_before(options: ReplayOptions) -> BagSummary:
         raise BagError(f'{options.target} was made from {found.get("replay.source", "elsewhere")} '
                        'with other options: remove it, or choose another folder')
     return BagSummary(options.target.name, DONE_BEFORE, *(
-        int(found.get(f'replay.{key}', 0)) for key in ('frames', 'planes', 'skipped', 'damaged')),
+        int(found.get(f'replay.{key}', 0)) for key in _COUNTS),
         depth=found.get('replay.depth', ''))
 
 

@@ -56,6 +56,7 @@ class Tally:
     planes: int = 0  # in all frames together
     errors: Counter[str] = field(default_factory=Counter)  # why frames were skipped
     without_partner: int = 0  # images without calibration or depth
+    unpaired: int = 0  # those of them between the first and the last frame
     damaged: int = 0  # messages, or sections of the bag, that could not be read
     unread: str = ''  # why the bag could not be read to its end
     interrupted: bool = False  # stopped before the end
@@ -73,8 +74,8 @@ class Tally:
 
     @property
     def is_clean(self) -> bool:
-        """Whether every message was read and every frame processed."""
-        return not (self.skipped or self.damaged or self.unread)
+        """Whether every message was read and every frame between the first and last processed."""
+        return not (self.skipped or self.damaged or self.unpaired or self.unread)
 
     def add(self, detection: Detection, config: Config, outputs: Collection[str]
             ) -> dict[str, str]:
@@ -87,6 +88,18 @@ class Tally:
             self.gaps[gap.partition(':')[0]].append(gap)
         return {'scale': scale, 'gravity': detection.gravity_source,
                 'gravity_note': detection.gravity_note}
+
+    def add_dropped(self, count: int) -> None:
+        """Count images without a partner before a frame."""
+        self.without_partner += count
+        self.unpaired += count if self.processed or self.skipped else 0
+
+    def add_error(self, error: Exception) -> str:
+        """Count a frame that was skipped; return the reason."""
+        reason = (str(error) if isinstance(error, ValueError)
+                  else f'{type(error).__name__}: {error}')  # a bug; the other frames go on
+        self.errors[reason] += 1
+        return reason
 
     def describe(self) -> str:
         """Return counts, rate and times as readable text."""
@@ -114,7 +127,7 @@ class Tally:
         return {'replay.state': 'interrupted' if self.interrupted else 'finished',
                 'replay.frames': str(self.processed), 'replay.planes': str(self.planes),
                 'replay.skipped': str(self.skipped), 'replay.damaged': str(self.damaged),
-                'replay.seconds': f'{self.seconds:.3f}',
+                'replay.unpaired': str(self.unpaired), 'replay.seconds': f'{self.seconds:.3f}',
                 'replay.depth': self.depth}
 
 
@@ -220,15 +233,15 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
     try:
         for index, (time_ns, frame) in enumerate(frames):
             raise_if_stopped()
+            tally.add_dropped(synchronizer.take_dropped())
             if index % options.every:
                 continue
             copies.take(frame)
             processed, error = None, ''
             try:
                 processed = processor.process(frame, wanted)
-            except ValueError as raised:
-                error = str(raised)
-                tally.errors[error] += 1
+            except Exception as raised:  # as in the node, one frame does not end the others
+                error = tally.add_error(raised)
             else:
                 tally.stage_seconds.update(processed.stage_seconds)
                 facts |= tally.add(processed.result.detection, config, options.outputs)
@@ -249,7 +262,8 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
     finally:
         progress.close()
     tally.seconds = time.perf_counter() - begun_s
-    tally.without_partner, tally.damaged = synchronizer.take_dropped(), bag.damaged
+    tally.without_partner += synchronizer.take_dropped()
+    tally.damaged = bag.damaged
     if not tally.processed:
         if tally.interrupted:
             raise Stopped

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from bags import write_bag
+from bags import messages_of, write_bag
+from diagnostic_msgs.msg import DiagnosticArray
 from replay_helpers import (
     DEPTH,
     IMAGE,
@@ -24,6 +25,8 @@ ROOT = Path(__file__).resolve().parents[3]
 # Runs replay with FrameProcessor.process replaced: `at` is called before frame number `frame`.
 SCRIPT = """
 import os, signal, sys, threading, time
+from plane_detector import ending
+ending.MOST_ENDING_S = 60.0  # the whole bag, however busy the machine is
 from plane_detector.ros.frame_processor import FrameProcessor
 process, seen = FrameProcessor.process, []
 def counted(self, frame, wanted):
@@ -97,6 +100,31 @@ def in_database(source, *command):
     (file,) = source.glob('*.db3')
     with sqlite3.connect(file) as database:
         return database.execute(*command).fetchall()
+
+
+def test_an_error_in_one_frame_does_not_end_the_others(bag, run, tmp_path):
+    ended = run('raise IndexError("a bug")')
+    assert ended.returncode == 3, ended.stderr
+    assert '1 frames skipped: IndexError: a bug' in ended.stdout
+    assert stamps_of(planes_of(tmp_path / 'planes')) == [0.0, 0.1, 0.3]
+
+
+def counts_of(target):
+    return [{pair.key: pair.value for pair in msg.status[0].values}['frames_dropped']
+            for msg in messages_of(target, '/diagnostics', DiagnosticArray)]
+
+
+@pytest.mark.parametrize('missing, code, counts', [
+    ((0,), 0, ['1', '1', '1']), ((1, 2), 3, ['0', '2']), ((3,), 0, ['0', '0', '0'])])
+def test_images_without_depth_are_counted_as_they_come(tmp_path, scenes, replay, missing, code,
+                                                       counts):
+    """Those at both ends are not missed: recordings begin and end in the middle of a frame."""
+    depth_at = [camera_messages(scenes)[3 * index + 2][1] for index in missing]
+    messages = [(topic, when, msg) for topic, when, msg in camera_messages(scenes)
+                if when not in depth_at]
+    found, target, text = replay(write_bag(tmp_path / 'walk', messages))
+    assert (found, counts_of(target)) == (code, counts), text
+    assert f'{len(missing)} images had no calibration or depth' in text
 
 
 @pytest.mark.parametrize('topic', [IMAGE, INFO, DEPTH])
