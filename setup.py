@@ -19,6 +19,7 @@ setup(
         (f'share/{NAME}', ['package.xml']),
         (f'share/{NAME}/config', sorted(glob('config/*'))),
         (f'share/{NAME}/launch', sorted(glob('launch/*.launch.py'))),
+        (f'share/{NAME}/examples', sorted(glob('docs/examples/*'))),
     ],
     python_requires='>=3.10',
     # ONNX Runtime: loading can be stopped from 1.22 on. OpenCV: the wheels before 4.8.1.78 hold

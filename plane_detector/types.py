@@ -158,6 +158,11 @@ class PlaneClass(IntEnum):
     RAMP = 6
     STEP = 7
 
+    @property
+    def readable(self) -> str:
+        """The name in lower case, with spaces."""
+        return self.name.lower().replace('_', ' ')
+
 
 @dataclass(frozen=True)
 class Plane:

@@ -42,7 +42,7 @@ ROSDEP_KEYS = {
     'tqdm': 'python3-tqdm', 'yaml': 'python3-yaml'}
 # Not in rosdep; imported only where they are used, with an error that says what to install.
 EXTRAS = {'dask', 'h5py', 'matplotlib', 'onnx', 'pyransac3d', 'ray', 'skimage', 'torch',
-          'transformers'}
+          'transformers', 'vision_msgs'}
 
 
 @cache

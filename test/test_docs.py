@@ -115,6 +115,15 @@ def test_launch_file_and_its_arguments_exist():
             assert argument in arguments_of_file, f'{page}: {argument}'
 
 
+def test_installed_files_that_are_named_exist():
+    """Below the share folder are config, launch and the examples, which are in docs here."""
+    named = {name for page in PAGES
+             for name in re.findall(r'--share plane_detector\)/([\w./]+)', text_of(page))}
+    assert len(named) > 2
+    for name in named:
+        assert (ROOT / name.replace('examples/', 'docs/examples/')).is_file(), name
+
+
 def test_parameters_that_are_named_exist():
     from plane_detector.config import Config
     known = {f'{part.name}.{setting.name}' for part in fields(Config)

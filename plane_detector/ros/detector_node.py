@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -42,11 +44,13 @@ from plane_detector.ros.frame_worker import (
     FrameRequests,
     FrameWorker,
     answer_trigger,
+    describe_frame,
 )
 from plane_detector.ros.inputs.subscriptions import Subscriptions, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
-from plane_detector.ros.outputs.topics import OutputPublishers
+from plane_detector.ros.outputs.frame import DetectedFrame
+from plane_detector.ros.outputs.topics import OutputPublishers, frame_to_json
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Autostart, Transitions
@@ -62,10 +66,11 @@ class PlaneDetectorNode(LifecycleNode):
 
     Subscribes to image or image/compressed, camera_info, depth, imu, clicked_point, and /tf. See
     :mod:`~plane_detector.ros.inputs.subscriptions`. Publishes ~/points, ~/points_without_floor,
-    ~/ground, ~/drops, ~/planes, ~/boundaries, ~/plane_poses, ~/markers, ~/shapes, ~/labels,
-    ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info, ~/clicked_plane and /diagnostics. See
-    :mod:`~plane_detector.ros.outputs.topics`. Services: ~/detect, ~/reset_tracking and those of a
-    lifecycle node. Parameters: docs/parameters.md, made from :mod:`~plane_detector.config`.
+    ~/ground, ~/drops, ~/planes, ~/planes_json, ~/detections, ~/boundaries, ~/plane_poses,
+    ~/markers, ~/shapes, ~/labels, ~/depth, ~/overlay, ~/overlay/compressed, ~/camera_info,
+    ~/clicked_plane and /diagnostics. See :mod:`~plane_detector.ros.outputs.topics`. Services:
+    ~/detect, ~/get_planes, ~/reset_tracking and those of a lifecycle node. Parameters:
+    docs/parameters.md, made from :mod:`~plane_detector.config`.
 
     Parameters
     ----------
@@ -102,8 +107,9 @@ class PlaneDetectorNode(LifecycleNode):
         self._requests = FrameRequests(self.create_guard_condition(lambda: None).trigger)
         self._faults = FaultLog(self.get_logger(), 'frame skipped')
         self._health = Health(self.get_logger())
-        self.create_service(Trigger, '~/detect', self._on_detect,
-                            callback_group=ReentrantCallbackGroup())
+        for service, describe in (('detect', describe_frame), ('get_planes', frame_to_json)):
+            self.create_service(Trigger, f'~/{service}', partial(self._on_detect, describe),
+                                callback_group=ReentrantCallbackGroup())
         self.create_service(Trigger, '~/reset_tracking', self._on_reset_tracking)
         self._diagnostics = DiagnosticsPublisher(self, self._statistics, self._describe)
         self._transitions = Transitions(self, self._load)
@@ -207,11 +213,12 @@ class PlaneDetectorNode(LifecycleNode):
         if self._inputs is not None:
             self._inputs.apply(*self._live.of(self._processor))
 
-    async def _on_detect(self, _request: Trigger.Request, response: Trigger.Response):
+    async def _on_detect(self, describe: Callable[[DetectedFrame], str],
+                         _request: Trigger.Request, response: Trigger.Response):
         if self._inputs is None:
             response.success, response.message = False, 'the node is not active'
             return response
-        return await answer_trigger(response, self._requests.add())
+        return await answer_trigger(response, self._requests.add(), describe)
 
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._processor is not None

@@ -155,7 +155,7 @@ class FrameRequests:
             return any(call.after == self._count for call in self._calls)
 
     def add(self) -> Future:
-        """Request the next frame; the result of the future is (success, message)."""
+        """Request the next frame; the future's result is (True, its result) or (False, why)."""
         call = _Call(self._count, self._clock() + ANSWERED_WITHIN_S, Future())
         with self._lock:
             if len(self._calls) < MOST_CALLS:
@@ -171,11 +171,11 @@ class FrameRequests:
             if self._calls:  # otherwise nobody asks for its number, and frames take memory
                 self._accepted = [*self._accepted, (frame, self._count)][-_REMEMBERED:]
 
-    def finish(self, frame: Any, success: bool, message: str) -> None:
+    def finish(self, frame: Any, success: bool, answer: Any) -> None:
         """Answer the calls for which this frame, or an earlier one, was accepted."""
         with self._lock:
             number = next((n for other, n in self._accepted if other is frame), 0)
-        self._answer(lambda call: call.after < number, success, message)
+        self._answer(lambda call: call.after < number, success, answer)
 
     def expire(self, obstacle: str) -> None:
         """Answer the calls that have waited too long, or all if it is known why no frame comes."""
@@ -189,21 +189,23 @@ class FrameRequests:
         """Answer all calls: no frame will be processed."""
         self._answer(lambda _: True, False, reason)
 
-    def _answer(self, is_due: Callable[[_Call], bool], success: bool, message: str) -> None:
+    def _answer(self, is_due: Callable[[_Call], bool], success: bool, answer: Any) -> None:
         with self._lock:
             due = [call for call in self._calls if is_due(call)]
             self._calls = [call for call in self._calls if not is_due(call)]
             if not self._calls:
                 self._accepted = []
         for call in due:
-            call.future.set_result((success, message))
+            call.future.set_result((success, answer))
         if due:
             self._wake()
 
 
-async def answer_trigger(response: Trigger.Response, future: Future) -> Trigger.Response:
-    """Return the response of the service when its frame is finished."""
-    response.success, response.message = await future
+async def answer_trigger(response: Trigger.Response, future: Future,
+                         describe: Callable[[DetectedFrame], str]) -> Trigger.Response:
+    """Return the response of a service when its frame is finished, or why there is none."""
+    response.success, answer = await future
+    response.message = describe(answer) if response.success else answer
     return response
 
 
@@ -295,7 +297,7 @@ class FrameFlow:
                 health.note(processed.result.detection, wanted)
                 statistics.add_processed({**processed.stage_seconds, 'publish': publish_s},
                                          processed.result)
-                requests.finish(frame, True, describe_frame(processed.result))
+                requests.finish(frame, True, processed.result)
             if max(processed.result.detection.labels.shape) > LARGE_PX and not health.advice:
                 health.advice = self._reduced_time(frame, wanted, processed)
         except Exception as error:

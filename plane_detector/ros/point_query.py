@@ -121,6 +121,6 @@ def describe_plane(result: DetectedFrame, index: int) -> str:
     detection = result.detection
     plane, rectangle = detection.planes[index], result.rectangles[index]
     kind = plane.plane_class
-    return (f'plane {plane.label}, {kind.name.lower().replace("_", " ")}, distance '
+    return (f'plane {plane.label}, {kind.readable}, distance '
             f'{plane.offset_m:.2f}, {rectangle.width_m:.2f} x {rectangle.height_m:.2f}, area '
             f'{plane.area_m2:.2f}, confidence {plane.confidence:.0%}')

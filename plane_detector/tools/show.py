@@ -4,6 +4,7 @@
 Print the planes of a running node as a table, live.
 
     ros2 run plane_detector show
+    ros2 run plane_detector show --json --once
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ with quiet_interrupt(), explained_imports():
     from plane_detector.ros.inputs.topic_watch import GRACE_S
     from plane_detector.ros.node import not_of_ros
     from plane_detector.ros.outputs.messages import read_cloud
+    from plane_detector.ros.outputs.plane_json import planes_to_json
     from plane_detector.scale.estimate import RELATIVE
     from plane_detector.types import PlaneClass
 
@@ -53,7 +55,7 @@ def plane_lines(rows: Iterable[np.void]) -> list[str]:
     """Return the header and a line for each row of ``~/planes``."""
     lines = [_HEAD]
     for row in rows:
-        name = PlaneClass(row['class']).name.lower().replace('_', ' ')
+        name = PlaneClass(row['class']).readable
         normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')
         lines.append(f'{row["label"]:>5}  {name:<16} {row["d"]:>8.2f} {row["rect_width"]:>7.2f} '
                      f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
@@ -72,11 +74,14 @@ class PlanePrinter(Node):
     """
     Prints every message of ``~/planes``, clearing a terminal before each. Logs why none arrives.
 
-    ``detector`` is the name of the node, with its namespace.
+    ``detector`` is the name of the node, with its namespace; ``as_json`` prints a line of JSON
+    for each message instead.
     """
 
-    def __init__(self, detector: str, stream: TextIO, **node_options: object):
+    def __init__(self, detector: str, stream: TextIO, as_json: bool = False,
+                 **node_options: object):
         super().__init__('plane_printer', **node_options)
+        self._as_json = as_json
         self._name, self._stream, self.has_printed = detector.strip('/'), stream, False
         self._is_metric, self._camera, self._told = True, '', ''
         self.create_subscription(PointCloud2, f'/{self._name}/planes', self._print, 1)
@@ -108,8 +113,12 @@ class PlanePrinter(Node):
 
     def _print(self, msg: PointCloud2) -> None:
         self._silence.cancel()
-        clear = _CLEAR if self._stream.isatty() else ''
-        print(clear + table_of(msg, self._is_metric, self._camera), file=self._stream, flush=True)
+        if self._as_json:
+            text = planes_to_json(msg, self._is_metric)
+        else:
+            clear = _CLEAR if self._stream.isatty() else ''
+            text = clear + table_of(msg, self._is_metric, self._camera)
+        print(text, file=self._stream, flush=True)
         self.has_printed = True
 
 
@@ -121,9 +130,10 @@ def main(args: list[str] | None = None) -> int:
     parser.add_argument('--node', default='/plane_detector', metavar='NAME',
                         help='of the detector, with its namespace (default: %(default)s)')
     parser.add_argument('--once', action='store_true', help='end after the first table')
+    parser.add_argument('--json', action='store_true', help='a line of JSON for each image')
     options = parser.parse_args(not_of_ros(arguments))
     rclpy.init(args=arguments)
-    node = PlanePrinter(options.node, sys.stdout)
+    node = PlanePrinter(options.node, sys.stdout, options.json)
     print(f'waiting for /{options.node.strip("/")}/planes', file=sys.stderr)
     try:
         while rclpy.ok() and not (options.once and node.has_printed):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node under control: parameters, services, lifecycle, quality of service."""
 
+import json
 import threading
 
 import numpy as np
@@ -41,6 +42,23 @@ def test_on_demand_one_frame_per_call_that_is_answered_when_it_is_done(robot, ro
     assert answer.result().success
     count = robot.received['planes'][0].width
     assert answer.result().message == f'{count} planes in the image of 2.000000000'
+
+
+def test_planes_are_returned_as_json(robot, room):
+    start(robot, lambda rgb: room.depth_m, mode='on_demand')
+    send(robot, room, 1.0)
+    answer = robot.ask(Trigger, 'plane_detector/get_planes')
+    robot.spin(timeout_s=0.3)
+    send(robot, room, 2.0)
+    assert robot.spin(answer.done)
+    assert answer.result().success
+    found = json.loads(answer.result().message)
+    assert (found['stamp'], found['units']['d']) == ('2.000000000', 'm')
+    rows = cloud_array(robot.wait_for('planes')[0])[0]
+    assert [plane['label'] for plane in found['planes']] == rows['label'].tolist()
+    assert change_state(robot, Transition.TRANSITION_DEACTIVATE)
+    refused = robot.call(Trigger, 'plane_detector/get_planes')
+    assert (refused.success, refused.message) == (False, 'the node is not active')
 
 
 def test_a_call_without_a_frame_is_answered_with_the_reason(robot, room):
@@ -116,6 +134,7 @@ def test_impossible_changes_are_refused_and_change_nothing(robot, name, value, r
 
 
 def test_configuring_fails_with_the_reason_and_can_be_tried_again(robot, tmp_path):
+    pytest.importorskip('onnxruntime', reason='names of networks need ONNX Runtime')
     node = start(robot, wait=False, depth__model=str(tmp_path / (200 * 'm') / 'missing.onnx'),
                  depth__output='metric_depth')
     status, values = robot.diagnosis()

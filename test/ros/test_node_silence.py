@@ -237,6 +237,7 @@ def test_two_nodes_of_one_name_are_told_once(robot):
 
 
 def test_a_name_that_no_network_has_is_final_and_the_names_are_listed(robot):
+    pytest.importorskip('onnxruntime', reason='names of networks need ONNX Runtime')
     node = start(robot, wait=False, depth__model='depth_anything_v3')
     assert robot.is_logged('cannot be configured: depth.model')
     assert robot.is_logged('fastdepth')

@@ -1,25 +1,24 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""The planes of a running node as a table, by the snippet of the docs, and in RViz."""
+"""The planes of a running node as a table, as JSON, and in RViz."""
 
 import io
+import json
 import os
-import re
 import select
 import subprocess
 import sys
 import threading
 from pathlib import Path
-from types import ModuleType
 
 import output_scene as scene
 import pytest
-import rclpy
 import yaml
 from rclpy.node import Node
-from ros_helpers import camera_info_msg, cloud_array, random_domain
+from ros_helpers import camera_info_msg, cloud_array
 
 from plane_detector.planes.classification import PlaneClass
+from plane_detector.ros.outputs.plane_json import planes_to_json
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools import rviz
 from plane_detector.tools.show import PlanePrinter, table_of
@@ -68,37 +67,33 @@ def test_a_reader_that_ends_ends_it_quietly(robot):
             0, 'waiting for /plane_detector/planes\n')
 
 
-@pytest.fixture
-def snippet(monkeypatch):
-    """Run the snippet with a stand-in for sensor_msgs_py, which is not a package of PyPI."""
-    module = ModuleType('sensor_msgs_py.point_cloud2')
-    module.read_points = lambda msg: cloud_array(msg).ravel()  # as it does for all fields
-    monkeypatch.setitem(sys.modules, 'sensor_msgs_py', ModuleType('sensor_msgs_py'))
-    monkeypatch.setitem(sys.modules, 'sensor_msgs_py.point_cloud2', module)
-    source, = re.findall(r'```python\n(.*?)```', TOPICS.read_text(encoding='utf-8'), re.DOTALL)
-    names = {'__name__': 'snippet'}
-    exec(compile(source, 'topics.md', 'exec'), names)
-    rclpy.init(domain_id=random_domain())
-    yield names
-    rclpy.try_shutdown()
+def test_json_is_a_line_with_units():
+    found = json.loads(planes_to_json(two_planes()))
+    assert (found['stamp'], found['frame_id']) == ('1.500000000', 'camera_optical_frame')
+    assert (found['units']['d'], found['units']['area']) == ('m', 'm^2')
+    wall, floor = found['planes']
+    row = cloud_array(two_planes())[0][0]
+    assert wall == {
+        'label': 7, 'class': 'wall', 'normal': [-0.28, 0.0, -0.96],
+        'centroid': [pytest.approx(row[axis], abs=1e-4) for axis in 'xyz'], 'd': 3.0,
+        'width': pytest.approx(row['rect_width'], abs=1e-4),
+        'height': pytest.approx(row['rect_height'], abs=1e-4), 'area': 2.5, 'rms': 0.003,
+        'confidence': 0.75, 'num_inliers': row['num_inliers']}
+    assert (floor['label'], floor['class']) == (3, 'floor')
+    assert json.loads(planes_to_json(two_planes(), is_metric=False))['units']['d'] is None
 
 
-def test_the_snippet_joins_planes_to_points(snippet, capsys):
-    reader, planes = snippet['PlaneReader'](), two_planes()
-    reader.on_planes(planes)
-    reader.on_points(OUTPUTS['points'].make(scene.frame()))
-    reader.on_planes(planes)
-    assert capsys.readouterr().out.splitlines() == [
-        f'{row["label"]} {name} {row["d"]:.2f} m away, {row["rect_width"]:.2f} x '
-        f'{row["rect_height"]:.2f} m, {row["num_inliers"]} points'
-        for row, name in zip(cloud_array(planes)[0], ('wall', 'floor'), strict=True)]
-    reader.destroy_node()
+def test_json_is_printed_live(robot):
+    printed = io.StringIO()
+    robot.add(PlanePrinter('/plane_detector', printed, as_json=True, context=robot.context))
+    robot.publish('/plane_detector/planes', two_planes())
+    assert robot.spin(lambda: printed.getvalue().endswith('\n'))
+    assert [plane['label'] for plane in json.loads(printed.getvalue())['planes']] == [7, 3]
 
 
-def test_the_class_values_of_the_docs_are_those_of_the_code(snippet):
-    assert snippet['CLASSES'] == tuple(kind.name.lower().replace('_', ' ') for kind in PlaneClass)
-    told = ', '.join(f'{kind.value} {kind.name.lower().replace("_", " ")}' for kind in PlaneClass)
-    assert told in TOPICS.read_text(encoding='utf-8')
+def test_the_class_values_of_the_docs_are_those_of_the_code():
+    listed = ', '.join(f'{kind.value} {kind.readable}' for kind in PlaneClass)
+    assert listed in TOPICS.read_text(encoding='utf-8')
 
 
 CAMERA = CameraIntrinsics(100.0, 100.0, 49.5, 39.5, 100, 80)

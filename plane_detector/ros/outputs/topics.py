@@ -17,6 +17,7 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from plane_detector.ros import qos
@@ -31,8 +32,11 @@ from plane_detector.ros.outputs.clouds import (
     points_to_msg,
     shapes_to_msg,
 )
+from plane_detector.ros.outputs.detections import Detection3DArray, detections_to_msg
 from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.markers import markers_to_msg
+from plane_detector.ros.outputs.plane_json import planes_to_json
+from plane_detector.scale.estimate import RELATIVE
 
 
 class Output(NamedTuple):
@@ -46,6 +50,11 @@ class Output(NamedTuple):
     make: Callable[[DetectedFrame], Any]
 
 
+def frame_to_json(frame: DetectedFrame) -> str:
+    """Return the planes of a frame as one line of JSON."""
+    return planes_to_json(planes_to_msg(frame), frame.detection.scale_method != RELATIVE)
+
+
 OUTPUTS: dict[str, Output] = {
     'points': Output(PointCloud2, points_to_msg),
     'points_without_floor': Output(PointCloud2, obstacles_to_msg),
@@ -53,6 +62,7 @@ OUTPUTS: dict[str, Output] = {
     'drops': Output(PointCloud2, drops_to_msg),
     'planes': Output(PointCloud2, planes_to_msg),
     'boundaries': Output(PointCloud2, boundaries_to_msg),
+    'planes_json': Output(String, lambda frame: String(data=frame_to_json(frame))),
     'plane_poses': Output(PoseArray, lambda frame: messages.poses_to_msg(
         frame.target_header, frame.target_detection.planes)),
     'markers': Output(MarkerArray, markers_to_msg),
@@ -66,6 +76,8 @@ OUTPUTS: dict[str, Output] = {
         frame.header, frame.intrinsics, frame.distortion)),
     'shapes': Output(PointCloud2, shapes_to_msg),
 }
+if Detection3DArray is not None:
+    OUTPUTS['detections'] = Output(Detection3DArray, detections_to_msg)
 
 
 class OutputPublishers:

@@ -20,8 +20,10 @@ from plane_detector.ros.parameters import no_such_parameter, updated
 from plane_detector.settings import parameters_of
 
 NODE_NAME = 'plane_detector'
-# The obstacles are a quarter of a bag, and their points are in ~/points too.
-DEFAULT_OUTPUTS = tuple(name for name in OUTPUTS if name != FLOORLESS)
+# The obstacles are a quarter of a bag, and their points are in ~/points too; the others repeat
+# ~/planes, and readers of bags may not know the type of detections.
+DEFAULT_OUTPUTS = tuple(name for name in OUTPUTS
+                        if name not in (FLOORLESS, 'planes_json', 'detections'))
 # Paths do not affect the content of the new bag.
 _PATHS = ('source', 'target', 'figures', 'ply', 'table')
 _OF_ROS = ('use_sim_time', 'qos_overrides.', 'start_type_description_service')
