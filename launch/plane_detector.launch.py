@@ -7,6 +7,7 @@ launch file that includes this one reach it under the same names; docs/recipes.m
 """
 
 import os
+import re
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
@@ -22,6 +23,7 @@ ARGUMENTS = {
     'params_file': ('', 'yaml file of the parameters; empty: the one that is installed'),
     'node_name': ('plane_detector', 'name of the node, and first part of its topics'),
     'namespace': ('', 'namespace of the node'),
+    'camera': ('', 'sets the topics below, where they are not given, and depth_source'),
     'image': ('image', 'topic of the colour image; the compressed one follows it'),
     'camera_info': ('', 'topic of its CameraInfo; empty: camera_info beside image'),
     'depth': ('depth', 'topic of measured depth, registered to the image'),
@@ -29,14 +31,18 @@ ARGUMENTS = {
     'depth_source': ('', 'model or topic'),
     'depth_model': ('', 'depth network: a name of the zoo, an .onnx file or auto'),
     'image_transport': ('', 'raw or compressed'),
+    'max_side': ('', 'larger images are reduced to this many pixels'),
+    'camera_height': ('', 'height of the camera above the floor in metres'),
+    'gravity': ('', 'direction of gravity in the frame of the camera, level: "0 1 0"'),
     'use_imu': ('', 'true: gravity from the IMU'),
     'base_frame': ('', 'frame of the robot on the floor, for gravity and camera height from TF'),
     'target_frame': ('', 'frame of the outputs'),
+    'points_color': ('', 'colours of ~/points: image, labels or overlay'),
     'processing_mode': ('', 'continuous or on_demand'),
     'autostart': ('', 'false: a lifecycle manager configures and activates'),
     'respawn': ('false', 'true: start the node again when it ends; with exit_on_failure'),
     'use_sim_time': ('', 'true: take the time from /clock'),
-    'rviz': ('false', 'true: start RViz with the frame of the camera'),
+    'rviz': ('false', 'true: start RViz with the frame of the camera, and colour its points'),
     'log_level': ('info', 'debug, info, warn, error or fatal'),
 }
 # Launch files in Python pass True and False, those in XML and YAML true and false.
@@ -45,9 +51,34 @@ SWITCHES = ('use_imu', 'autostart', 'use_sim_time', 'respawn', 'rviz')
 TOPICS = ('image', 'camera_info', 'depth', 'imu')
 # Those whose parameter has another name.
 PARAMETERS = {'depth_source': 'depth.source', 'depth_model': 'depth.model',
-              'processing_mode': 'mode'}
-OVERRIDES = ('depth_source', 'depth_model', 'image_transport', 'use_imu', 'base_frame',
-             'target_frame', 'processing_mode', 'autostart', 'use_sim_time')
+              'processing_mode': 'mode', 'camera_height': 'scale.camera_height',
+              'gravity': 'scale.gravity'}
+OVERRIDES = ('depth_source', 'depth_model', 'image_transport', 'max_side', 'camera_height',
+             'gravity', 'use_imu', 'base_frame', 'target_frame', 'points_color',
+             'processing_mode', 'autostart', 'use_sim_time')
+# What their text is turned into, where the parameter is no text.
+READ = {**dict.fromkeys(SWITCHES, IS_ON.get), 'max_side': int, 'camera_height': float,
+        'gravity': lambda text: [float(number) for number in re.findall(r'[-+.\de]+', text)]}
+# The topics of drivers as their documentation names them; depth is registered to the image.
+# QoS needs no entry: the inputs take the reliability that the driver offers.
+CAMERAS = {
+    # github.com/IntelRealSense/realsense-ros, README: align_depth.enable:=true.
+    'realsense': {'image': '/camera/camera/color/image_raw',
+                  'depth': '/camera/camera/aligned_depth_to_color/image_raw',
+                  'depth_source': 'topic'},
+    # docs.luxonis.com/software/ros/depthai-ros/driver: camera.launch.py, aligned by default.
+    'oak': {'image': '/oak/rgb/image_raw', 'depth': '/oak/stereo/image_raw',
+            'depth_source': 'topic'},
+    # www.stereolabs.com/docs/ros2/zed-node: wrapper 5; rectified, depth registered to it.
+    'zed': {'image': '/zed/zed_node/rgb/color/rect/image',
+            'depth': '/zed/zed_node/depth/depth_registered', 'depth_source': 'topic'},
+    # orbbec.github.io/OrbbecSDK_ROS2, Available Topics: depth_registration:=true.
+    'orbbec': {'image': '/camera/color/image_raw', 'depth': '/camera/depth/image_raw',
+               'depth_source': 'topic'},
+    # github.com/ros-drivers/usb_cam, README: ros2 run usb_cam usb_cam_node_exe.
+    'usb_cam': {'image': '/image_raw'},
+}
+CHOICES = {**dict.fromkeys(SWITCHES, [*IS_ON]), 'camera': ['', *CAMERAS]}
 # Fast DDS as it comes loses images between processes.
 PROFILES = 'FASTRTPS_DEFAULT_PROFILES_FILE'
 PROFILE_NAMES = (PROFILES, 'FASTDDS_DEFAULT_PROFILES_FILE')
@@ -57,20 +88,25 @@ def generate_launch_description() -> LaunchDescription:
     """Return the arguments and the nodes."""
     arguments = [DeclareLaunchArgument(
         name, default_value=default, description=description,
-        choices=[*IS_ON] if name in SWITCHES else None)
+        choices=CHOICES.get(name))
         for name, (default, description) in ARGUMENTS.items()]
     return LaunchDescription([*arguments, OpaqueFunction(function=start_nodes)])
 
 
 def start_nodes(context: LaunchContext) -> list[Node]:
     """Return the node, and RViz if requested, with the values of the arguments."""
-    value = context.launch_configurations
+    value = dict(context.launch_configurations)
+    for name, of_camera in CAMERAS.get(value['camera'], {}).items():
+        if value[name] == ARGUMENTS[name][0]:
+            value[name] = of_camera
+    if IS_ON[value['rviz']]:  # as in replayed bags, planes are seen in the cloud
+        value['points_color'] = value['points_color'] or 'overlay'
     share = Path(get_package_share_directory(PACKAGE))
     file = Path(value['params_file'] or share / 'config' / f'{PACKAGE}.yaml').expanduser()
     if not file.is_file():
         raise FileNotFoundError(f'params_file: there is no file {file}')
-    overrides = {PARAMETERS.get(name, name): IS_ON[value[name]] if name in SWITCHES
-                 else value[name] for name in OVERRIDES if value[name]}
+    overrides = {PARAMETERS.get(name, name): READ.get(name, str)(value[name])
+                 for name in OVERRIDES if value[name]}
     respawn = IS_ON[value['respawn']]
     if respawn:
         overrides['exit_on_failure'] = True

@@ -175,24 +175,61 @@ def test_arguments_become_parameters_and_remaps(launched):
     assert node['remappings'] == [('image', '/cam/image'), ('imu', '/imu/data')]
     assert node['parameters'] == [YAML, {
         'depth.source': 'topic', 'depth.model': 'a.onnx', 'use_imu': True, 'mode': 'on_demand',
-        'autostart': False, 'exit_on_failure': True}]
+        'autostart': False, 'exit_on_failure': True, 'points_color': 'overlay'}]
     assert node['respawn']
     assert (rviz['executable'], rviz['remappings']) == ('rviz', node['remappings'])
 
 
 def test_every_parameter_of_an_argument_exists(launched, file):
     names = {name for part in (Config(), NodeConfig()) for name, _, _ in parameters_of(part)}
-    node, _ = launched(**{name: 'true' for name in file['ARGUMENTS'] if name != 'params_file'})
+    texts = dict.fromkeys(file['ARGUMENTS'], 'true') | {
+        'params_file': '', 'camera': '', 'max_side': '640', 'camera_height': '1.2',
+        'gravity': '0 1 0'}
+    node, _ = launched(**texts)
     assert set(node['parameters'][1]) <= names | {'use_sim_time'}
     assert len(node['parameters'][1]) == len(file['OVERRIDES']) + 1
 
 
 def test_switches_as_launch_files_in_python_write_them(launched):
     node, _rviz = launched(use_sim_time='True', rviz='True', respawn='False', use_imu='False')
-    assert node['parameters'] == [YAML, {'use_imu': False, 'use_sim_time': True}]
+    assert node['parameters'] == [YAML, {'use_imu': False, 'use_sim_time': True,
+                                         'points_color': 'overlay'}]
     assert node['respawn'] is False
     with pytest.raises(RuntimeError, match='"rviz" provided value "yes"'):
         launched(rviz='yes')
+
+
+@pytest.mark.parametrize('gravity', ['0 1 0', '[0.0, 1.0, 0.0]', '0,1,0'])
+def test_numbers_are_passed_as_what_the_parameters_are(launched, gravity):
+    (node,) = launched(camera_height='1.2', gravity=gravity, max_side='640', points_color='labels')
+    given = node['parameters'][1]
+    assert given == {'scale.camera_height': 1.2, 'scale.gravity': [0.0, 1.0, 0.0],
+                     'max_side': 640, 'points_color': 'labels'}
+    assert isinstance(given['max_side'], int)
+
+
+@pytest.mark.parametrize('camera', ['realsense', 'oak', 'zed', 'orbbec', 'usb_cam'])
+def test_a_camera_brings_its_topics(launched, file, camera):
+    (node,) = launched(camera=camera)
+    topics = dict(node['remappings'])
+    assert all(topic.startswith('/') for topic in topics.values())
+    assert set(topics) == ({'image'} if camera == 'usb_cam' else {'image', 'depth'})
+    assert node['parameters'][1].get('depth.source') == (
+        None if camera == 'usb_cam' else 'topic')
+    recipes = (ROOT / 'docs' / 'recipes.md').read_text('utf-8')
+    assert f'| `{camera}` |' in recipes
+    assert all(f'`{topic}`' in recipes for topic in topics.values())
+
+
+def test_what_is_given_wins_over_the_camera(launched):
+    (node,) = launched(camera='realsense', image='/left/image', depth_source='model')
+    assert dict(node['remappings'])['image'] == '/left/image'
+    assert node['parameters'][1] == {'depth.source': 'model'}
+
+
+def test_a_camera_without_topics_is_refused(launched):
+    with pytest.raises(RuntimeError, match='"camera" provided value "kinect"'):
+        launched(camera='kinect')
 
 
 def test_model_and_mode_of_a_robot_have_no_effect(launched):
