@@ -4,6 +4,9 @@
 Downloads, verified by SHA-256, from the first of several sources that works.
 
 Nothing is written: a file is returned when it is whole and right. All failures are OSError.
+
+A server may answer anything, at any speed. Each download therefore runs in a thread of its own,
+which is abandoned if the server is too slow, or at a stop.
 """
 
 from __future__ import annotations
@@ -12,31 +15,114 @@ import hashlib
 import http.client
 import io
 import shutil
+import socket
 import subprocess
 import sys
 import tarfile
 import tempfile
+import time
 import urllib.error
 import urllib.parse
 import urllib.request
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from tqdm import tqdm
 
-from plane_detector.stopping import current_stop, raise_if_stopped
+from plane_detector.plain_text import plain
+from plane_detector.stopping import Background, current_stop, raise_if_stopped
 
 ANSWER_TIMEOUT_S = 5.0  # a host that sends nothing for this time counts as unreachable
+# chosen: as long as three hosts that redirect to each other may take.
+FIRST_BYTE_S = 15.0
+# chosen: a fiftieth of a poor mobile connection. With less a network would take a day.
+LEAST_BYTES_PER_S, RATE_WINDOW_S = 1000, 20.0
+_CHECK_S = 0.1
 _PACK_TIMEOUT_S = 300.0  # for a whole package of npm
 _SHOW_PROGRESS_AFTER_S = 2.0
 _CHUNK_BYTES = 1 << 18
-_MOST_BYTES = 1 << 30  # of a file of unknown size: several times the largest network
+MOST_BYTES = 300_000_000  # of a file of unknown size: twice the largest network
 _MOST_SHOWN = 200  # characters of the output of npm in an error message
 
 
 class UnreachableError(ConnectionError):
     """A host does not answer, so that asking it for another file would only take time."""
+
+
+class _TooLongError(OSError):
+    """The server sends more than the file has."""
+
+
+@dataclass
+class _Transfer:
+    """What a server has sent of a file; `run` is called in a thread, which can be stopped."""
+
+    url: str
+    most_bytes: int
+    content: bytearray = field(default_factory=bytearray)
+    _window: tuple[float, int] = field(default_factory=lambda: (time.monotonic(), 0))
+
+    def run(self) -> None:
+        """Receive the file."""
+        sockets: list[socket.socket] = []
+        opener = urllib.request.build_opener(_HttpHandler(sockets), _HttpsHandler(sockets))
+        # A read returns when its socket is shut down.
+        with (current_stop().calling(lambda: [_shut_down(one) for one in sockets]),
+              opener.open(self.url, timeout=ANSWER_TIMEOUT_S) as response):
+            # `read` would wait for all of it.
+            while chunk := response.read1(_CHUNK_BYTES):
+                self.content += chunk
+                raise_if_stopped()
+                if len(self.content) > self.most_bytes:
+                    raise _TooLongError(f'the server sends more than the {self.most_bytes} bytes '
+                                        'of the file')
+
+    def slowness(self) -> str:
+        """Return how slow the server is, if it is too slow."""
+        (begin_s, before), now_s, count = self._window, time.monotonic(), len(self.content)
+        if not count:
+            return (f'no byte of the file within {FIRST_BYTE_S:g} s'
+                    if now_s - begin_s > FIRST_BYTE_S else '')
+        if now_s - begin_s < RATE_WINDOW_S:
+            return ''
+        self._window = now_s, count
+        return (f'{count - before} bytes in {RATE_WINDOW_S:g} s'
+                if count - before < LEAST_BYTES_PER_S * RATE_WINDOW_S else '')
+
+
+def _shut_down(one: socket.socket) -> None:
+    with suppress(OSError):
+        one.shutdown(socket.SHUT_RDWR)
+
+
+class _Handler:
+    """A handler of urllib that also keeps the sockets of its connections in a list."""
+
+    def __init__(self, sockets: list[socket.socket]) -> None:
+        super().__init__()
+        self._sockets = sockets
+
+    def do_open(self, http_class: type, request: urllib.request.Request, **options: Any) -> Any:
+        """Send a request, as the handler of urllib does."""
+        sockets = self._sockets
+
+        class Connection(http_class):
+            def connect(self) -> None:
+                super().connect()
+                sockets.append(self.sock)
+                raise_if_stopped()
+        return super().do_open(Connection, request, **options)
+
+
+class _HttpHandler(_Handler, urllib.request.HTTPHandler):
+    pass
+
+
+class _HttpsHandler(_Handler, urllib.request.HTTPSHandler):
+    pass
 
 
 @dataclass(frozen=True)
@@ -52,28 +138,32 @@ class UrlSource:
 
     def content(self, size_bytes: int) -> bytes:
         """Return the file; its size is 0 if it is not known."""
-        content, most_bytes = bytearray(), size_bytes or _MOST_BYTES
+        transfer = _Transfer(self.url, size_bytes or MOST_BYTES)
+        call = Background(transfer.run, 'download')
         try:
-            with urllib.request.urlopen(self.url, timeout=ANSWER_TIMEOUT_S) as response:
-                total = size_bytes or int(response.headers.get('Content-Length') or 0)
-                with tqdm(desc=self.url.rsplit('/', 1)[-1], total=total or None, unit='B',
-                          unit_scale=True, delay=_SHOW_PROGRESS_AFTER_S,
-                          mininterval=0.2 if sys.stderr.isatty() else 10.0) as bar:
-                    # `read` would wait for all of it.
-                    while len(content) <= most_bytes and (chunk := response.read1(_CHUNK_BYTES)):
-                        raise_if_stopped()
-                        bar.update(len(chunk))
-                        content += chunk
+            with tqdm(desc=self.url.rsplit('/', 1)[-1], total=size_bytes or None, unit='B',
+                      unit_scale=True, delay=_SHOW_PROGRESS_AFTER_S,
+                      mininterval=0.2 if sys.stderr.isatty() else 10.0) as bar:
+                while not call.wait(_CHECK_S):
+                    raise_if_stopped()
+                    if slowness := transfer.slowness():
+                        raise UnreachableError(f'{self.host} is unreachable ({slowness})')
+                    bar.update(len(transfer.content) - bar.n)
+            call.result()
+        except (UnreachableError, _TooLongError):
+            raise
         except urllib.error.HTTPError as error:
-            raise OSError(f'{self.host} answered {error.code} {error.reason}') from error
+            raise OSError(f'{self.host} answered {error.code} {plain(error.reason)}') from error
         except (OSError, http.client.HTTPException) as error:
             cause = getattr(error, 'reason', error)  # what urllib wraps is easier to understand
             if isinstance(cause, TimeoutError):
                 cause = f'no answer within {ANSWER_TIMEOUT_S:g} s'
-            raise UnreachableError(f'{self.host} is unreachable ({cause})') from error
-        if len(content) > most_bytes:
-            raise OSError(f'the server sends more than the {most_bytes} bytes of the file')
-        return bytes(content)
+            raise UnreachableError(f'{self.host} is unreachable ({plain(str(cause))})') from error
+        except Exception as error:  # whatever http.client makes of a malformed answer
+            raise OSError(f'{self.host} sends a malformed answer ({plain(str(error))})') from error
+        finally:
+            call.stop.set()
+        return bytes(transfer.content)
 
     def by_hand(self, path: Path) -> str:
         """Return instructions for putting the file at ``path`` by hand."""
@@ -128,7 +218,7 @@ class NpmSource:
                 process.kill()
         raise_if_stopped()
         if process.returncode:
-            raise UnreachableError(f'{what} failed: {" ".join(said.split())[:_MOST_SHOWN]}')
+            raise UnreachableError(f'{what} failed: {plain(" ".join(said.split()), _MOST_SHOWN)}')
 
 
 Source = UrlSource | NpmSource

@@ -12,7 +12,7 @@ import numpy as np
 from plane_detector.config import DepthConfig
 from plane_detector.depth import plausibility
 from plane_detector.depth.networks import resolve
-from plane_detector.depth.onnx_file import check_external_data
+from plane_detector.depth.onnx_file import check_file
 from plane_detector.depth.onnx_session import (
     MIN_SIDE_PX,
     OnnxSession,
@@ -51,18 +51,19 @@ class DepthEstimator:
     """
 
     def __init__(self, config: DepthConfig) -> None:
-        self._network, self._path, reason = resolve(config)
+        self._network, self._path, reason, content = resolve(config)
         self.name, self.noise_share = self._network.name, self._network.noise_share
         self.output, self.needs_lens = self._network.output, self._network.outputs.needs_lens
         self.focal_per_height = self._network.focal_per_height
         self._views = self._views_used = self._network.views
         self._input_reason, self._target_rate_hz = '', 0.0
-        check_external_data(self._path)
+        if content is None:
+            check_file(self._path)
         rgb, depth_m = plausibility.corridor()
         passed_over: list[str] = []
         for self.provider in config.providers:
             try:
-                self._session = OnnxSession(self._path, self.provider, config.threads,
+                self._session = OnnxSession(self._path, content, self.provider, config.threads,
                                             self._network)
                 arrays = self._run(rgb)
                 break

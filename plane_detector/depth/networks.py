@@ -16,10 +16,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 from plane_detector.config import DepthConfig
-from plane_detector.depth.download import NpmSource, Source, UrlSource, download
+from plane_detector.depth.download import MOST_BYTES, NpmSource, Source, UrlSource, download
 from plane_detector.depth.preprocessing import InputRecipe
 from plane_detector.depth.readers import Outputs
 
@@ -95,11 +95,11 @@ _SMALL_FP16 = replace(
     sources=(UrlSource(_ONNX_COMMUNITY + 'model_fp16.onnx'),), size_bytes=49642442,
     sha256='2df6223f206b5164e21f664ace61dabeb9bb6a49b8b5a3e00510b4807d0f5b04',
     summary='relative disparity in 16 bits, for a GPU')
-# Two sources state 26641268 and 27258801 bytes with the same SHA-256.
+# One source states 26641268 bytes, another the larger number, with the same SHA-256.
 _SMALL_INT8 = replace(
     _SMALL, name='depth_anything_v2_small_int8',
     file_name='depth_anything_v2_small_quantized.onnx',
-    sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),),
+    sources=(UrlSource(_ONNX_COMMUNITY + 'model_quantized.onnx'),), size_bytes=27258801,
     sha256='fcf51f1b230362b28690bb9d1809bf0431f29cad20534e3f589bd7285547f20d',
     summary='relative disparity in 8 bits, for a CPU')
 # Trained on images cropped by 11/250 of the height on each side, so that NYU's focal length of
@@ -187,9 +187,10 @@ def cached_path(network: Network, cache_dir: str | Path = '') -> Path:
     return Path(cache_dir or default_cache_dir()).expanduser() / network.file_name
 
 
-def fetch(network: Network, cache_dir: str | Path, unreachable: set[str]) -> tuple[Path, str]:
+def fetch(network: Network, cache_dir: str | Path,
+          unreachable: set[str]) -> tuple[Path, str, bytes]:
     """
-    Return the verified file of a network, downloaded if it is not cached, and which of both it is.
+    Return the file of a network, whether it was cached or downloaded, and its verified content.
 
     Hosts in ``unreachable`` are not contacted; those that do not answer are added.
 
@@ -202,14 +203,26 @@ def fetch(network: Network, cache_dir: str | Path, unreachable: set[str]) -> tup
     path = cached_path(network, cache_dir)
     is_there = path.is_file()
     try:
-        if is_there and hashlib.sha256(path.read_bytes()).hexdigest() == network.sha256:
-            return path, 'cached'
+        if is_there and (content := _verified(path, network)) is not None:
+            return path, 'cached', content
         with _new_file(path) as file:
-            file.write(download(network.sources, network.sha256, network.size_bytes, unreachable))
+            content = download(network.sources, network.sha256, network.size_bytes, unreachable)
+            file.write(content)
     except OSError as error:
         why = f'the cached file is damaged, and {error}' if is_there else str(error)
         raise NetworkUnavailableError(network, path, why) from error
-    return path, 'fetched again, the cached one was damaged' if is_there else 'fetched'
+    how = 'fetched again, the cached one was damaged' if is_there else 'fetched'
+    return path, how, content
+
+
+def _verified(path: Path, network: Network) -> bytes | None:
+    """Return the content of a cached file, or None if it is not that of the network."""
+    with open(path, 'rb') as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > (network.size_bytes or MOST_BYTES):  # which would take minutes and all memory
+            return None
+        content = file.read(size)
+    return content if hashlib.sha256(content).hexdigest() == network.sha256 else None
 
 
 @contextmanager
@@ -233,8 +246,19 @@ def _new_file(path: Path) -> Iterator[BinaryIO]:
         temporary.unlink(missing_ok=True)
 
 
-def _choose(config: DepthConfig) -> tuple[Network, Path, str]:
-    """Return the first network of `AUTO_ORDER` that can be had now, its file, and the reason."""
+class NetworkFile(NamedTuple):
+    """The network to use, and its file."""
+
+    network: Network
+    path: Path
+    reason: str  # why this one
+    # As verified; None: a file of the user's, which nothing states a hash of. It may keep weights
+    # in other files.
+    content: bytes | None
+
+
+def _choose(config: DepthConfig) -> NetworkFile:
+    """Return the first network of `AUTO_ORDER` that is available now."""
     names = [name for name in AUTO_ORDER if config.output in ('auto', NETWORKS[name].output)]
     if not names:
         raise ValueError(f'no network of the zoo gives {config.output}: name one by depth.model')
@@ -242,22 +266,22 @@ def _choose(config: DepthConfig) -> tuple[Network, Path, str]:
     errors: dict[str, NetworkUnavailableError] = {}
     for name in names:
         try:
-            path, how = fetch(NETWORKS[name], config.cache_dir, unreachable)
+            path, how, content = fetch(NETWORKS[name], config.cache_dir, unreachable)
         except NetworkUnavailableError as error:
             errors[name] = error
             continue
         better = ', '.join(f'{other} ({error.why})' for other, error in errors.items())
         better = f'; better but not available: {better}' if better else ''
-        return NETWORKS[name], path, f'auto took {name} ({how}){better}'
+        return NetworkFile(NETWORKS[name], path, f'auto took {name} ({how}){better}', content)
     if any(isinstance(error.__cause__, CacheFolderError) for error in errors.values()):
         raise FileNotFoundError(f'no depth network is available: {errors[names[0]].why}')
     raise FileNotFoundError('no depth network is available. '
                             + '. '.join(map(str, errors.values())))
 
 
-def resolve(config: DepthConfig) -> tuple[Network, Path, str]:
+def resolve(config: DepthConfig) -> NetworkFile:
     """
-    Return the network that the settings name, its file, and the reason.
+    Return the network that the settings name.
 
     Raises
     ------
@@ -268,13 +292,13 @@ def resolve(config: DepthConfig) -> tuple[Network, Path, str]:
 
     """
     if config.model == 'auto':
-        network, path, reason = _choose(config)
+        network, path, reason, content = _choose(config)
     elif config.model in NETWORKS:
         network, reason = NETWORKS[config.model], f'{config.model} as requested'
-        path, _ = fetch(network, config.cache_dir, set())
+        path, _, content = fetch(network, config.cache_dir, set())
     else:
         path = Path(config.model).expanduser()
-        network, reason = _of_file(path, config), f'{path} as requested'
+        network, reason, content = _of_file(path, config), f'{path} as requested', None
     if config.output not in ('auto', network.output):
         raise ValueError(f'depth.output is {config.output}, but {network.name} gives '
                          f'{network.output}: leave it at auto')
@@ -282,9 +306,10 @@ def resolve(config: DepthConfig) -> tuple[Network, Path, str]:
         raise ValueError(f'depth.views {config.views} needs a metric network whose lens in '
                          f'training the zoo states; use 1 with {network.name}')
     size = config.input_width, config.input_height
-    return replace(network, input_size=size if any(size) else network.input_size,
-                   short_side=config.short_side or network.short_side,
-                   views=config.views or network.views), path, reason
+    network = replace(network, input_size=size if any(size) else network.input_size,
+                      short_side=config.short_side or network.short_side,
+                      views=config.views or network.views)
+    return NetworkFile(network, path, reason, content)
 
 
 def _of_file(path: Path, config: DepthConfig) -> Network:

@@ -1,21 +1,25 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Check of the external files that an ONNX file refers to.
+Check of an ONNX file from an untrusted source, before ONNX Runtime (1.23.2) opens it.
 
-An ONNX file may store weights in other files, given by paths. ONNX Runtime (1.23.2) follows any
-path, so that a file from an untrusted source could read arbitrary files. The paths are therefore
-checked before ONNX Runtime opens the file.
+- It may store weights in other files, given by paths. ONNX Runtime follows any path, so that the
+  file could read arbitrary files.
+- Its functions may call each other. One that calls itself crashes ONNX Runtime, functions that
+  each call the next one twice, or graphs nested in each other, are loaded for ever.
 
 The file is a protocol buffers message (onnx/onnx.proto3). Only the fields that lead to the
-``external_data`` of a tensor are parsed; all others are skipped by their length.
+``external_data`` of a tensor, and the names of operators and functions, are parsed; all others are
+skipped by their length.
 """
 
 from __future__ import annotations
 
 import mmap
 import os
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 # Fields of each message that lead to a tensor, by their numbers in onnx.proto3.
@@ -31,16 +35,24 @@ MESSAGES: dict[str, dict[int, str]] = {
     'TensorProto': {13: 'StringStringEntryProto'},
     'StringStringEntryProto': {}}
 _KEY, _VALUE = 1, 2  # of a StringStringEntryProto
+_OP_TYPE, _OP_DOMAIN = 4, 7  # of a NodeProto
+_FUNCTION_NAME, _FUNCTION_DOMAIN = 1, 10  # of a FunctionProto
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 _MOST_VARINT_BYTES = 10
 MOST_FIELDS = 5_000_000
 """More than any network has; a malicious file with more could take minutes."""
+MOST_NODES = 1_000_000
+"""After all functions are expanded; the largest network has some ten thousand."""
+MOST_NESTED = 8
+"""Graphs inside each other, such as the branches of If; exported networks have 2 or 3."""
+MOST_CALLS = 64
+"""Functions that call each other in a row; exporters make one of each module, 10 or so deep."""
 _MEMORY_ADDRESS = '_ORT_MEM_ADDR_'  # of ONNX Runtime: the offset is an address in memory
 
 
-def check_external_data(path: Path) -> None:
+def check_file(path: Path) -> None:
     """
-    Refuse an ONNX file that refers to a file outside its own folder.
+    Refuse an ONNX file that refers to a file outside its own folder, or cannot be loaded in time.
 
     If the file is a link, as in the cache of Hugging Face, the folder of its target is allowed
     too.
@@ -48,7 +60,8 @@ def check_external_data(path: Path) -> None:
     Raises
     ------
     ValueError
-        It is not a complete ONNX file, or refers to a file that is missing or elsewhere.
+        It is not a complete ONNX file, refers to a file that is missing or elsewhere, or its
+        functions or graphs are too many.
     OSError
         It cannot be read.
 
@@ -56,7 +69,12 @@ def check_external_data(path: Path) -> None:
     if path.suffix.lower() == '.ort':
         raise ValueError(f'{path} is in the format of ONNX Runtime, not ONNX: give the .onnx file')
     folders = (path.parent.resolve(), path.resolve().parent)
-    for location in sorted(external_locations(path)):
+    contents = read_contents(path)
+    try:
+        contents.check_size()
+    except ValueError as error:
+        raise ValueError(f'{path} is not loaded: {error}') from None
+    for location in sorted(contents.locations):
         try:
             target = (path.parent / location).resolve()
             is_safe = (target.is_file() and _MEMORY_ADDRESS not in location
@@ -68,32 +86,99 @@ def check_external_data(path: Path) -> None:
                              'in its folder: it is not loaded')
 
 
-def external_locations(path: Path) -> set[str]:
-    """Return the paths of external data of all tensors in an ONNX file."""
+@dataclass
+class Body:
+    """The nodes of a graph or of a function, with those of the graphs inside of them."""
+
+    nodes: int = 0
+    nested: int = 0  # graphs inside each other
+    # Number of nodes by their operator, domain and name, which may be a function, and by how many
+    # graphs are around them.
+    calls: Counter[tuple[tuple[bytes, bytes], int]] = field(default_factory=Counter)
+
+
+@dataclass
+class Contents:
+    """What is checked of an ONNX file."""
+
+    locations: set[str] = field(default_factory=set)  # paths of external data of all tensors
+    main: Body = field(default_factory=Body)
+    functions: dict[tuple[bytes, bytes], Body] = field(default_factory=dict)
+
+    def check_size(self) -> None:
+        """Raise ValueError if a function calls itself, or nodes or nested graphs are too many."""
+        known: dict[int, tuple[int, int]] = {}
+
+        def expanded(body: Body, callers: tuple[Body, ...]) -> tuple[int, int]:
+            """Return the number of nodes and of nested graphs after expansion."""
+            if any(body is caller for caller in callers):
+                raise ValueError('one of its functions calls itself')
+            if len(callers) > MOST_CALLS:
+                raise ValueError(f'more than {MOST_CALLS} of its functions call each other')
+            if id(body) not in known:
+                nodes, nested = body.nodes, body.nested
+                for (name, around), count in body.calls.items():
+                    if name in self.functions:
+                        more, deeper = expanded(self.functions[name], (*callers, body))
+                        nodes, nested = nodes + count * more, max(nested, around + deeper)
+                if nodes > MOST_NODES:
+                    raise ValueError(f'its functions expand to more than {MOST_NODES} nodes')
+                if nested > MOST_NESTED:
+                    raise ValueError(f'more than {MOST_NESTED} of its graphs are nested')
+                known[id(body)] = nodes, nested
+            return known[id(body)]
+
+        for body in (self.main, *self.functions.values()):
+            expanded(body, ())
+
+
+def read_contents(path: Path) -> Contents:
+    """Return what is checked of an ONNX file."""
     with open(path, 'rb') as file:
         if not os.fstat(file.fileno()).st_size:
             raise ValueError(f'{path} is empty')
         with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             try:
-                return set(_locations(data))
+                return _contents(data)
             except (ValueError, IndexError) as error:
                 raise ValueError(f'{path} is not a complete ONNX file: {error}') from None
 
 
-def _locations(data: mmap.mmap) -> Iterator[str]:
-    """Yield what a reader may take for the location of a tensor's data."""
-    budget = iter(range(MOST_FIELDS))
-    waiting = [('ModelProto', 0, len(data))]
+def _contents(data: mmap.mmap) -> Contents:
+    """Walk through the messages of a file."""
+    found, budget = Contents(), iter(range(MOST_FIELDS))
+    # Kind and place of a message, the function or graph that it is in, and graphs around it.
+    waiting = [('ModelProto', 0, len(data), found.main, 0)]
     while waiting:
-        kind, start, end = waiting.pop()
+        kind, start, end, body, around = waiting.pop()
         parts = [(number, begin, stop) for number, wire, begin, stop
                  in _fields(data, start, end, budget) if wire == _BYTES]
-        waiting += [(MESSAGES[kind][number], begin, stop) for number, begin, stop in parts
-                    if number in MESSAGES[kind]]
-        if kind == 'StringStringEntryProto':
+
+        def text(wanted: int, parts: list = parts) -> bytes:
+            return next((data[begin:stop] for number, begin, stop in reversed(parts)
+                         if number == wanted), b'')
+        if kind == 'FunctionProto':
+            name = _operator(text(_FUNCTION_DOMAIN), text(_FUNCTION_NAME))
+            body, around = found.functions.setdefault(name, Body()), 0
+        elif kind == 'NodeProto':
+            body.nodes += 1
+            body.calls[_operator(text(_OP_DOMAIN), text(_OP_TYPE)), around] += 1
+        elif kind == 'AttributeProto':
+            around += 1
+        elif kind == 'GraphProto':
+            body.nested = max(body.nested, around)
+        elif kind == 'StringStringEntryProto':
             texts = [(number, data[begin:stop]) for number, begin, stop in parts]
             if (_KEY, b'location') in texts:  # fields may repeat: readers differ in which counts
-                yield from (os.fsdecode(text) for number, text in texts if number == _VALUE)
+                found.locations.update(
+                    os.fsdecode(value) for number, value in texts if number == _VALUE)
+        waiting += [(MESSAGES[kind][number], begin, stop, body, around)
+                    for number, begin, stop in parts if number in MESSAGES[kind]]
+    return found
+
+
+def _operator(domain: bytes, name: bytes) -> tuple[bytes, bytes]:
+    return b'' if domain == b'ai.onnx' else domain, name
 
 
 def _fields(data: mmap.mmap, start: int, end: int,

@@ -37,8 +37,9 @@ class OnnxSession:
     """
     One ONNX Runtime session that takes (3, H, W) float32 and returns arrays.
 
-    The network says what the file does not: its other inputs, the required outputs, the input
-    size. With 0 threads, ONNX Runtime chooses their number.
+    It loads the content if given, else the file. The network says what the file does not: its
+    other inputs, the required outputs, the input size. With 0 threads, ONNX Runtime chooses their
+    number.
 
     Raises
     ------
@@ -49,8 +50,9 @@ class OnnxSession:
 
     """
 
-    def __init__(self, path: Path, provider: str, threads: int, network: Network) -> None:
-        self._session = _load(path, provider, threads)
+    def __init__(self, path: Path, content: bytes | None, provider: str, threads: int,
+                 network: Network) -> None:
+        self._session = _load(str(path) if content is None else content, provider, threads)
         self._path = path
         self._network = network
         self._input = self._image_input()
@@ -182,7 +184,7 @@ class OnnxSession:
                 f'outputs: {text(self._session.get_outputs())}')
 
 
-def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
+def _load(file: str | bytes, provider: str, threads: int) -> ort.InferenceSession:
     """Load a network for one provider; operators that it lacks run on the CPU."""
     if provider not in ort.get_available_providers():
         raise ProviderError('not in this build of ONNX Runtime')
@@ -196,7 +198,7 @@ def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
     providers = list(dict.fromkeys([provider, 'CPUExecutionProvider']))
     try:
         with current_stop().calling(lambda: options.set_load_cancellation_flag(True)):
-            session = ort.InferenceSession(str(path), options, providers=providers)
+            session = ort.InferenceSession(file, options, providers=providers)
     except Exception as error:  # onnxruntime's exceptions have no common base class
         raise_if_stopped()
         raise ProviderError(_short(error)) from error
@@ -204,6 +206,7 @@ def _load(path: Path, provider: str, threads: int) -> ort.InferenceSession:
     if session.get_providers()[0] != provider:
         raise ProviderError('its libraries or its device are missing')
     session.disable_fallback()
+    session._model_bytes = None  # else it keeps the file in memory; there is no public name for it
     return session
 
 

@@ -26,6 +26,7 @@ from plane_detector.compilation import free_intermediate_code
 from plane_detector.dependencies import explanation
 from plane_detector.depth.observation import ModelOrFunction
 from plane_detector.pipeline import PlaneDetector
+from plane_detector.plain_text import plain
 from plane_detector.process import freeze_loaded_objects
 from plane_detector.ros import parameters
 from plane_detector.ros.diagnostics import (
@@ -36,7 +37,7 @@ from plane_detector.ros.diagnostics import (
     introduction,
     slow_network,
 )
-from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog, plain
+from plane_detector.ros.fault_log import MOST_OF_FAILURE, FaultLog
 from plane_detector.ros.frame_processor import FrameProcessor, fit_to_rate
 from plane_detector.ros.frame_worker import (
     FrameFlow,

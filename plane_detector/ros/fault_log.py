@@ -13,29 +13,12 @@ import time
 import traceback
 from typing import Any
 
-MOST_CHARACTERS = 400
+from plane_detector.plain_text import plain
+
 MOST_OF_FAILURE = 1000
 """For a fault that ends a transition, which may explain how to copy a network by hand."""
 WARN_PERIOD_S = 5.0
 """Each kind of fault is logged at most once in this time."""
-
-
-def plain(text: str, most: int = MOST_CHARACTERS) -> str:
-    r"""
-    Return a text as one line of printable characters, cut if it is long.
-
-    Examples
-    --------
-    >>> plain('a\nb')
-    'a\\nb'
-    >>> plain(100 * 'a', 3)
-    'aaa... (100 characters)'
-
-    """
-    seen = ''.join(character if character.isprintable()
-                   else character.encode('unicode_escape').decode()
-                   for character in text[:most])
-    return seen if len(text) <= most else f'{seen}... ({len(text)} characters)'
 
 
 class FaultLog:

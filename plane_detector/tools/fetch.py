@@ -45,7 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     for name in options.names:
         try:
-            network, path, reason = resolve(DepthConfig(model=name, cache_dir=options.cache_dir))
+            network, path, reason, _ = resolve(
+                DepthConfig(model=name, cache_dir=options.cache_dir))
         except FileNotFoundError as error:
             sys.exit(str(error))
         if name == 'auto':

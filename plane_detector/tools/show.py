@@ -26,6 +26,7 @@ with quiet_interrupt(), explained_imports():
     from rclpy.node import Node
     from sensor_msgs.msg import PointCloud2
 
+    from plane_detector.plain_text import plain
     from plane_detector.ros.inputs.synchronizer import stamp_text
     from plane_detector.ros.inputs.topic_watch import GRACE_S
     from plane_detector.ros.node import not_of_ros
@@ -34,6 +35,7 @@ with quiet_interrupt(), explained_imports():
     from plane_detector.scale.estimate import RELATIVE
     from plane_detector.types import PlaneClass
 
+_CLASS_NAMES = {int(one): one.readable for one in PlaneClass}
 _CLEAR = '\x1b[2J\x1b[H'
 _HEAD = (f'{"label":>5}  {"class":<16} {"distance":>8} {"width":>7} {"height":>7} {"area":>8} '
          f'{"rms":>7} {"sure":>5}  normal')
@@ -47,7 +49,8 @@ def table_of(msg: PointCloud2, is_metric: bool = True, camera: str = '') -> str:
     """
     unit = 'metres' if is_metric else 'lengths in an unknown unit'
     rows = read_cloud(msg).ravel() if msg.height else ()
-    return '\n'.join([f'{len(rows)} planes at {stamp_text(msg)} in {msg.header.frame_id}, {unit}',
+    frame_id = plain(msg.header.frame_id)
+    return '\n'.join([f'{len(rows)} planes at {stamp_text(msg)} in {frame_id}, {unit}',
                       *filter(None, [camera]), *plane_lines(rows)])
 
 
@@ -55,7 +58,7 @@ def plane_lines(rows: Iterable[np.void]) -> list[str]:
     """Return the header and a line for each row of ``~/planes``."""
     lines = [_HEAD]
     for row in rows:
-        name = PlaneClass(row['class']).readable
+        name = _CLASS_NAMES.get(int(row['class']), f'class {row["class"]}')
         normal = ' '.join(f'{row[f"normal_{axis}"]:+.2f}' for axis in 'xyz')
         lines.append(f'{row["label"]:>5}  {name:<16} {row["d"]:>8.2f} {row["rect_width"]:>7.2f} '
                      f'{row["rect_height"]:>7.2f} {row["area"]:>8.2f} {row["rms"]:>7.3f} '
@@ -67,7 +70,8 @@ def camera_line(facts: Mapping[str, str]) -> str:
     """Return height and tilt of the camera, and the drops, from the facts of the diagnostics."""
     texts = {'camera_height_m': 'camera {} m above the floor',
              'camera_tilt_deg': 'tilted {} degrees down', 'drops': 'drops: {}'}
-    return ', '.join(text.format(facts[name]) for name, text in texts.items() if name in facts)
+    return ', '.join(text.format(plain(facts[name])) for name, text in texts.items()
+                     if name in facts)
 
 
 class PlanePrinter(Node):

@@ -5,17 +5,22 @@
 import dataclasses
 import hashlib
 import io
+import shutil
 import socket
 import sys
 import tarfile
+import threading
 import time
 
+import numpy as np
 import pytest
-from zoo_helpers import CONTENT, SHA256, files_in, put
+from onnx_models import write_depth_network
+from zoo_helpers import CONTENT, ESCAPE, RAW, SHA256, files_in, put
 
 from plane_detector.config import DepthConfig
-from plane_detector.depth import download
+from plane_detector.depth import download, networks, plausibility
 from plane_detector.depth.download import NpmSource, UrlSource
+from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.depth.networks import (
     AUTO_ORDER,
     NETWORKS,
@@ -60,6 +65,40 @@ def test_a_fetched_file_is_whole_cached_and_replaced_if_damaged(server, tmp_path
         fetch(path.parent)
 
 
+def test_a_cached_file_that_is_too_large_is_not_read(server, tmp_path, monkeypatch):
+    """A sparse file of 1 TB; reading it would end the test for lack of memory."""
+    network = put(monkeypatch, 'fastdepth', UrlSource(server.url + '/good.onnx'))
+    for size_bytes in (network.size_bytes, 0):
+        monkeypatch.setitem(NETWORKS, 'fastdepth',
+                            dataclasses.replace(network, size_bytes=size_bytes))
+        with open(tmp_path / network.file_name, 'wb') as file:
+            file.truncate(1 << 40)
+        assert fetch(tmp_path).read_bytes() == CONTENT
+
+
+def test_what_is_loaded_is_what_was_verified(tmp_path, monkeypatch):
+    """Another file of that name, put there after it was verified, is not loaded."""
+    good = write_depth_network(tmp_path / 'good.onnx', height=64, width=64).read_bytes()
+    other = write_depth_network(tmp_path / 'other.onnx', height=64, width=64,
+                                weights=(0.0, 0.0, 0.0, 9.0))
+    network = put(monkeypatch, 'fastdepth', sha256=hashlib.sha256(good).hexdigest())
+    path = tmp_path / network.file_name
+    path.write_bytes(good)
+    verify = networks._verified
+
+    def verify_and_replace(*arguments):
+        content = verify(*arguments)
+        shutil.copy(other, path)
+        return content
+    monkeypatch.setattr(networks, '_verified', verify_and_replace)
+    monkeypatch.setattr(plausibility, 'check_kind', lambda *_: None)
+    estimate = DepthEstimator(DepthConfig(model='fastdepth', cache_dir=str(tmp_path)))
+    assert path.read_bytes() == other.read_bytes()
+    white = np.full((64, 64, 3), 255, np.uint8)
+    assert np.isfinite(estimate(white)).all()
+    assert not np.allclose(estimate(white), 9.0)
+
+
 @pytest.mark.parametrize(('file', 'said'), [
     ('/other.onnx', f'has SHA-256 [0-9a-f]{{64}} .1280000 bytes., not {SHA256}'),
     ('/broken.onnx', r'\(1000 bytes\).*incomplete'),
@@ -75,8 +114,42 @@ def test_a_wrong_download_leaves_no_file(server, tmp_path, monkeypatch, file, sa
     assert files_in(tmp_path) == []
 
 
-def test_a_download_can_be_stopped(server, tmp_path, monkeypatch):
-    put(monkeypatch, 'fastdepth', UrlSource(server.url + '/dripping.onnx'))
+@pytest.mark.parametrize('file', RAW)
+def test_after_any_malformed_or_endless_answer_the_next_source_is_asked(
+        server, tmp_path, monkeypatch, file):
+    monkeypatch.setattr(download, 'FIRST_BYTE_S', 0.5)
+    source = UrlSource(server.url + file)
+    with pytest.raises(OSError) as caught:
+        source.content(0)
+        download.download([source], SHA256, len(CONTENT), set())
+    assert ESCAPE.decode() not in str(caught.value)
+    assert len(str(caught.value)) < 600
+    put(monkeypatch, 'fastdepth', source, UrlSource(server.url.replace('127.0.0.1', 'localhost')
+                                                    + '/good.onnx'))
+    assert fetch(tmp_path).read_bytes() == CONTENT
+
+
+def test_a_body_below_the_least_rate_is_abandoned(server, monkeypatch):
+    monkeypatch.setattr(download, 'RATE_WINDOW_S', 0.5)
+    with pytest.raises(download.UnreachableError, match=r'unreachable \(\d+ bytes in 0.5 s\)'):
+        UrlSource(server.url + '/dripping.onnx').content(0)
+    monkeypatch.setattr(download, 'LEAST_BYTES_PER_S', 1)
+    call = Background(lambda: UrlSource(server.url + '/dripping.onnx').content(0), 'download')
+    assert not call.wait(1.2), 'slow is not too slow'
+    call.stop.set()
+    call.wait()
+
+
+def test_a_file_of_unknown_size_has_a_limit(server, monkeypatch):
+    monkeypatch.setattr(download, 'MOST_BYTES', len(CONTENT) + 1)
+    assert UrlSource(server.url + '/good.onnx').content(0) == CONTENT
+    with pytest.raises(OSError, match=f'more than the {len(CONTENT) + 1} bytes'):
+        UrlSource(server.url + '/endless.onnx').content(0)
+
+
+@pytest.mark.parametrize('file', ['/dripping.onnx', '/headers.onnx', '/continue.onnx'])
+def test_a_download_can_be_stopped(server, tmp_path, monkeypatch, file):
+    put(monkeypatch, 'fastdepth', UrlSource(server.url + file))
     call = Background(lambda: fetch(tmp_path), 'download')
     while not server.asked:
         time.sleep(0.01)
@@ -84,6 +157,8 @@ def test_a_download_can_be_stopped(server, tmp_path, monkeypatch):
     with pytest.raises(Stopped):
         call.result()
     assert files_in(tmp_path) == []
+    while any(thread.name == 'download' for thread in threading.enumerate()):
+        time.sleep(0.01)  # its socket is shut down
 
 
 def test_the_next_source_is_tried_if_one_lacks_the_file(server, tmp_path, monkeypatch):
@@ -112,15 +187,15 @@ def test_auto_uses_the_best_available_network_and_says_why(tmp_path, monkeypatch
     put(monkeypatch, first, UrlSource(server.url + '/longer.onnx'))
     put(monkeypatch, second, UrlSource(server.url + '/good.onnx'))
     put(monkeypatch, third, UrlSource(server.url + '/good.onnx'))
-    network, path, reason = choose(tmp_path)
+    network, path, reason, _ = choose(tmp_path)
     assert network.name == second
     assert path.read_bytes() == CONTENT
     assert f'auto took {second} (fetched)' in reason
     assert f'{first} (the server sends more than' in reason, 'but it can be reached'
-    assert choose(tmp_path)[2].startswith(f'auto took {second} (cached)')
+    assert choose(tmp_path).reason.startswith(f'auto took {second} (cached)')
     put(monkeypatch, first, UrlSource(server.url + '/good.onnx'))
-    assert choose(tmp_path)[2] == f'auto took {first} (fetched)'
-    assert choose(tmp_path, 'relative_disparity')[0].output == 'relative_disparity'
+    assert choose(tmp_path).reason == f'auto took {first} (fetched)'
+    assert choose(tmp_path, 'relative_disparity').network.output == 'relative_disparity'
     with pytest.raises(ValueError, match='no network of the zoo gives disparity'):
         choose(tmp_path, 'disparity')
 
@@ -254,6 +329,7 @@ def test_without_a_name_all_networks_are_listed(tmp_path, capsys):
         assert network.summary in line
         assert (' yes ' in line) == (network.name == 'fastdepth')
     assert any(line.split()[1:4] == ['6', 'MB', 'MIT'] for line in lines)
+    assert any(line.split()[:3] == ['depth_anything_v2_small_int8', '27', 'MB'] for line in lines)
     assert f'auto uses the first available one of: {", ".join(AUTO_ORDER)}' in lines[-1]
 
 

@@ -10,7 +10,7 @@ from onnx_models import PLAIN, write_depth_network
 from plane_detector.config import DepthConfig
 from plane_detector.depth import onnx_file
 from plane_detector.depth.estimator import DepthEstimator
-from plane_detector.depth.onnx_file import check_external_data, external_locations
+from plane_detector.depth.onnx_file import check_file, read_contents
 
 onnx = pytest.importorskip('onnx', reason='onnx, of the extra "test", is not installed')
 helper, numpy_helper, FLOAT = onnx.helper, onnx.numpy_helper, onnx.TensorProto.FLOAT
@@ -112,7 +112,7 @@ def test_every_field_that_may_hold_a_tensor_is_checked(tmp_path):
 
     collect(model)
     assert len(set(names)) == len(names) > 40
-    assert external_locations(tmp_path / 'n.onnx') == set(names)
+    assert read_contents(tmp_path / 'n.onnx').locations == set(names)
 
 
 @pytest.mark.parametrize('content', [
@@ -122,7 +122,7 @@ def test_every_field_that_may_hold_a_tensor_is_checked(tmp_path):
 def test_files_that_are_not_onnx_are_refused(tmp_path, content):
     (tmp_path / 'n.onnx').write_bytes(content)
     with pytest.raises(ValueError, match=r'n\.onnx is (not a complete ONNX file|empty)'):
-        check_external_data(tmp_path / 'n.onnx')
+        check_file(tmp_path / 'n.onnx')
 
 
 def test_a_file_cut_anywhere_is_refused_or_names_nothing_new(tmp_path):
@@ -130,7 +130,7 @@ def test_a_file_cut_anywhere_is_refused_or_names_nothing_new(tmp_path):
     for length in range(1, len(content)):
         (tmp_path / 'n.onnx').write_bytes(content[:length])
         try:
-            assert external_locations(tmp_path / 'n.onnx') == set()
+            assert read_contents(tmp_path / 'n.onnx').locations == set()
         except ValueError as error:
             assert 'not a complete ONNX file' in str(error)
 
@@ -138,4 +138,76 @@ def test_a_file_cut_anywhere_is_refused_or_names_nothing_new(tmp_path):
 def test_another_format_than_onnx_is_refused(tmp_path):
     write_depth_network(tmp_path / 'n.onnx').rename(tmp_path / 'n.ort')
     with pytest.raises(ValueError, match='in the format of ONNX Runtime'):
-        check_external_data(tmp_path / 'n.ort')
+        check_file(tmp_path / 'n.ort')
+
+
+def call(name, *inputs, output='y'):
+    return helper.make_node(name, list(inputs), [output], domain='own')
+
+
+def function(name, nodes):
+    return helper.make_function('own', name, ['x'], ['y'], nodes,
+                                [helper.make_opsetid('', 13), helper.make_opsetid('own', 1)])
+
+
+def doubling(count):
+    """Return functions of which each calls the next one twice."""
+    last = function(f'f{count}', [helper.make_node('Abs', ['x'], ['y'])])
+    return [function(f'f{k}', [call(f'f{k + 1}', 'x', output='t'), call(f'f{k + 1}', 't')])
+            for k in range(count)] + [last]
+
+
+def branches(nested):
+    """Return a node with graphs inside each other."""
+    if not nested:
+        return helper.make_node('Abs', ['image'], ['y'])
+    graph = helper.make_graph([branches(nested - 1)], 'branch', [],
+                              [helper.make_tensor_value_info('y', FLOAT, None)])
+    return helper.make_node('If', ['c'], ['y'], then_branch=graph, else_branch=graph)
+
+
+def write_calling(path, functions, node):
+    """Write a network of one node, and functions; it need not be a valid one."""
+    graph = helper.make_graph(
+        [node], 'test', [helper.make_tensor_value_info('image', FLOAT, [1, 3, 4, 4])],
+        [helper.make_tensor_value_info('y', FLOAT, [1, 3, 4, 4])])
+    model = helper.make_model(
+        graph, functions=functions, ir_version=8,
+        opset_imports=[helper.make_opsetid('', 13), helper.make_opsetid('own', 1)])
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.mark.parametrize(('functions', 'node', 'said'), [
+    ([function('f0', [call('f0', 'x')])], 'f0', 'one of its functions calls itself'),
+    ([function('f0', [call('f1', 'x')]), function('f1', [call('f0', 'x')])], 'f0',
+     'one of its functions calls itself'),
+    (doubling(20), 'f0', 'its functions expand to more than 1000000 nodes'),
+    ([function(f'f{k}', [call(f'f{k + 1}', 'x')]) for k in range(70)], 'f0',
+     'more than 64 of its functions call each other'),
+    ([], branches(9), 'more than 8 of its graphs are nested'),
+    ([function('f0', [branches(5)]), function('f1', [branches(4)])], branches(0), ''),
+    (doubling(10), 'f0', ''), ([], branches(8), '')])
+def test_functions_and_graphs_without_end_are_refused_before_they_are_loaded(
+        tmp_path, functions, node, said):
+    node = call(node, 'image') if isinstance(node, str) else node
+    path = write_calling(tmp_path / 'n.onnx', functions, node)
+    if not said:
+        check_file(path)
+        return
+    with pytest.raises(ValueError, match=f'n.onnx is not loaded: {said}'):
+        DepthEstimator(DepthConfig(model=str(path), output='metric_depth', **PLAIN))
+
+
+def test_graphs_nested_through_a_function_count_together(tmp_path):
+    inner = function('f', [branches(5)])
+    outer = helper.make_graph([call('f', 'image')], 'branch', [],
+                              [helper.make_tensor_value_info('y', FLOAT, None)])
+    node = helper.make_node('If', ['c'], ['y'], then_branch=outer, else_branch=outer)
+    check_file(write_calling(tmp_path / 'n.onnx', [inner], node))
+    for _ in range(3):
+        outer = helper.make_graph([node], 'branch', [],
+                                  [helper.make_tensor_value_info('y', FLOAT, None)])
+        node = helper.make_node('If', ['c'], ['y'], then_branch=outer, else_branch=outer)
+    with pytest.raises(ValueError, match='more than 8 of its graphs are nested'):
+        check_file(write_calling(tmp_path / 'n.onnx', [inner], node))

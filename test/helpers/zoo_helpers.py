@@ -25,11 +25,28 @@ def files_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+ESCAPE = b'\x1b[2J'
+# Answers that are malformed, or never end: what is sent first, and what is sent from then on.
+RAW = {'/length.onnx': (b'HTTP/1.1 200 OK\r\nContent-Length: abc\r\n\r\n12', b''),
+       '/negative.onnx': (b'HTTP/1.1 200 OK\r\nContent-Length: -5\r\n\r\n12', b''),
+       '/chunks.onnx': (b'HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\nzz\r\n', b''),
+       '/nowhere.onnx': (b'HTTP/1.1 302 Found\r\nLocation: http://[::1/n.onnx\r\n\r\n', b''),
+       '/port.onnx': (b'HTTP/1.1 302 Found\r\nLocation: http://127.0.0.1:port/n\r\n\r\n', b''),
+       '/name.onnx': (b'HTTP/1.1 302 Found\r\nLocation: http://' + 70 * b'a' + b'/n\r\n\r\n', b''),
+       '/noise.onnx': (b'\0\xff\r\n\r\n', b''),
+       '/escape.onnx': (b'HTTP/1.1 404 ' + ESCAPE + 50_000 * b'no ' + b'\r\n\r\n', b''),
+       '/headers.onnx': (b'HTTP/1.1 200 OK\r\nX', b'x'),
+       '/continue.onnx': (b'', b'HTTP/1.1 100 Continue\r\n\r\n')}
+
+
 class Handler(http.server.BaseHTTPRequestHandler):
     """Serves CONTENT complete, damaged, truncated, stalled, too long, without end or slowly."""
 
     def do_GET(self):
         self.server.asked.append(self.path)
+        if self.path in RAW:
+            self.send_raw(*RAW[self.path])
+            return
         if self.path == '/missing.onnx':
             self.send_error(404)
             return
@@ -49,6 +66,14 @@ class Handler(http.server.BaseHTTPRequestHandler):
         self.wfile.write(content)
         if self.path == '/stalled.onnx':
             self.server.ended.wait(60)
+
+    def send_raw(self, begin, again):
+        """Send bytes instead of an answer, then others again until the other side goes."""
+        with contextlib.suppress(ConnectionError):
+            self.wfile.write(begin)
+            while again and not self.server.ended.wait(0.02):
+                self.wfile.write(again)
+        self.close_connection = True
 
     def drip(self, content):
         """Send a byte every 20 ms until the other side goes."""

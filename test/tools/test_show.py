@@ -21,7 +21,7 @@ from plane_detector.planes.classification import PlaneClass
 from plane_detector.ros.outputs.plane_json import planes_to_json
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.tools import rviz
-from plane_detector.tools.show import PlanePrinter, table_of
+from plane_detector.tools.show import PlanePrinter, camera_line, table_of
 from plane_detector.types import CameraIntrinsics
 
 TOPICS = Path(__file__).resolve().parents[2] / 'docs' / 'topics.md'
@@ -40,6 +40,19 @@ def test_the_printed_table():
         '0.003', '75%', '-0.28', '+0.00', '-0.96']
     assert 'unknown unit' in table_of(two_planes(), is_metric=False)
     assert len(lines) == 4
+
+
+def test_what_another_node_sends_cannot_drive_the_terminal_or_end_the_program():
+    msg = two_planes()
+    msg.header.frame_id = '\x1b[2J' + 1000 * 'f'
+    rows = cloud_array(msg).copy()
+    rows['class'][0, 0] = 99
+    msg.data = rows.tobytes()
+    camera = camera_line({'drops': '\x1b]0;title\x07 3 points'})
+    table = table_of(msg, camera=camera)
+    assert '\x1b' not in table
+    assert len(table) < 1500
+    assert table.splitlines()[3].split()[:3] == ['7', 'class', '99']
 
 
 def test_the_table_is_printed_live(robot):

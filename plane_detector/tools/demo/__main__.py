@@ -88,7 +88,7 @@ def _network(options: argparse.Namespace) -> dict[str, str]:
         if not options.model_output:
             raise ValueError('--model-output must state the output of a network file')
         return {'depth.model': str(path.absolute()), 'depth.output': options.model_output}
-    network, path, reason = resolve(DepthConfig(model=model))
+    network, path, reason, _ = resolve(DepthConfig(model=model))
     print(f'Depth network: {reason}.\n  {path}\n  {network.output}, {network.summary}')
     return {'depth.model': network.name}
 
