@@ -6,6 +6,7 @@ Plane detection with an ordinary colour camera.
 :class:`~plane_detector.pipeline.PlaneDetector` runs the stages; each has its own folder::
 
     seen = source.observe(rgb, intrinsics)            depth/         image to depth or disparity
+    around = finder.find(image)                       directions/    vertical and horizontal axes
     regions = segment(seen.disparity, noise_floor)    segmentation/  disparity to planar regions
     scale = estimate_scale(disparity, ray_planes)     scale/         scale and shift to metres
     planes = measure_planes(regions.rescaled(scale))  planes/        normal, offset, extent, class

@@ -1,44 +1,86 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
-"""From image and intrinsics to planes: the stages of the pipeline in order."""
+"""
+From image and intrinsics to planes: the stages of the pipeline in order, for a stream of images.
+
+:class:`PlaneDetector` keeps what carries over from image to image. Each of its three calls has a
+state of its own and the epoch in which that is valid; an image of a later epoch, after a reset or
+a jump back in time, starts the state of the stage that it meets anew.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from plane_detector.compilation import load_once
 from plane_detector.config import Config
 from plane_detector.depth.observation import DepthSource, ModelOrFunction, Observation, make_source
-from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
+from plane_detector.directions.finder import (
+    CameraImage,
+    DirectionFinder,
+    ImageDirections,
+    Surroundings,
+)
 from plane_detector.directions.gravity_choice import NO_GRAVITY
 from plane_detector.geometry.disparity import to_disparity
 from plane_detector.geometry.projection import check_depth
 from plane_detector.ground.ground import find_ground
+from plane_detector.planes.normal_map import turned_by_normals
 from plane_detector.planes.patches import fill_patches
-from plane_detector.scale.temporal_filter import ScaleState
-from plane_detector.segmentation.segment import metric_noise_floor
+from plane_detector.planes.ray_planes import ray_planes
+from plane_detector.planes.reorientation import measure_turned
+from plane_detector.scale.estimate import ScaleEstimate, apply_scale
+from plane_detector.scale.methods import ScaleEvidence, estimate_scale
+from plane_detector.scale.temporal_filter import ScaleState, update_scale
+from plane_detector.segmentation.baselines import segment_by_paper
+from plane_detector.segmentation.cells.grid import lens_of
+from plane_detector.segmentation.cells.noise import Noise
+from plane_detector.segmentation.cells.normal_slopes import NormalMap
+from plane_detector.segmentation.cells.pixel_regions import PixelRegions
+from plane_detector.segmentation.pixels.edge_snapping import GuideImage
+from plane_detector.segmentation.segment import metric_noise_floor, segment, unitless_noise_floor
 from plane_detector.shapes.detector import ShapeDetector
 from plane_detector.stage_timer import StageTimer
-from plane_detector.stages import (
-    find_regions,
-    hints,
-    is_turned,
-    measured_planes,
-    next_scale,
-    noise_floor,
-    rescaled,
-    scaled_depth,
-)
 from plane_detector.tracking.tracker import PlaneTracker
 from plane_detector.types import CameraIntrinsics, Detection, PlaneSegmentation
 
 DEFAULTS = Config()
+# Folders of the loops that every image needs.
+LOOPS = ('geometry', 'segmentation', 'planes', 'ground')
+# chosen: stamps of one stream that are further back are of another one, such as a bag that starts
+# again; images that overtook each other are a few periods apart.
+JUMP_S = 1.0
+State = TypeVar('State')
+
+
+class _OfEpoch(Generic[State]):
+    """What a stage keeps from image to image, made anew for the first image of an epoch."""
+
+    def __init__(self, make: type[State]) -> None:
+        self._make, self._epoch, self._state = make, 0, make()
+
+    def at(self, epoch: int) -> State:
+        """Return the state for an image."""
+        if epoch != self._epoch:
+            self._epoch, self._state = epoch, self._make()
+        return self._state
+
+
+@dataclass
+class _PlaneState:
+    """What the third stage keeps."""
+
+    scale: ScaleState | None = None
+    tracker: PlaneTracker = field(default_factory=PlaneTracker)
+    shapes: ShapeDetector = field(default_factory=ShapeDetector)
 
 
 class PlaneDetector:
     """
-    The whole pipeline.
+    The whole pipeline, for one stream of images.
 
     Parameters
     ----------
@@ -67,16 +109,17 @@ class PlaneDetector:
                  depth_model: ModelOrFunction | None = None) -> None:
         self.config = config or DEFAULTS
         self.source: DepthSource = make_source(self.config, depth_model)
-        self._scale: ScaleState | None = None
-        self._tracker = PlaneTracker()
-        self._shapes = ShapeDetector()
-        self._directions = DirectionFinder()
+        self._epoch = self._depth_epoch = 0
+        self._stamp_s = float('nan')
+        self._directions = _OfEpoch(DirectionFinder)
+        self._planes = _OfEpoch(_PlaneState)
 
     def detect(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
                depth_m: np.ndarray | None = None, gravity_camera: np.ndarray | None = None,
-               covered: np.ndarray | None = None) -> Detection:
+               covered: np.ndarray | None = None, *, stamp_s: float = float('nan'),
+               camera_height_m: float | None = None) -> Detection:
         """
-        Find the planes of an image.
+        Find the planes of the next image.
 
         Parameters
         ----------
@@ -91,6 +134,11 @@ class PlaneDetector:
             Measured; default: ``config.scale.gravity``.
         covered : (H, W) bool, optional
             False in the black corners that rectification leaves; depth is invalid there.
+        stamp_s : float
+            Time of the image. If it jumps back, all history is discarded. Without it, lines are
+            sought in every image in which they are needed, also while nothing moves.
+        camera_height_m : float, optional
+            Measured height above the floor; default: ``config.scale.camera_height``.
 
         Returns
         -------
@@ -102,106 +150,110 @@ class PlaneDetector:
             Depth and intrinsics differ in size, or a required depth image is missing.
 
         """
-        seen = self.observe(rgb, intrinsics, depth_m, covered)
-        return self.find_planes(seen, self.look(seen, gravity_camera))
+        seen = self.estimate_depth(rgb, intrinsics, depth_m, covered, stamp_s)
+        return self.find_planes(seen, self.find_directions(seen, gravity_camera), camera_height_m)
 
-    def observe(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
-                depth_m: np.ndarray | None = None,
-                covered: np.ndarray | None = None) -> Observation:
+    def estimate_depth(self, rgb: np.ndarray, intrinsics: CameraIntrinsics,
+                       depth_m: np.ndarray | None = None, covered: np.ndarray | None = None,
+                       stamp_s: float = float('nan'), timer: StageTimer | None = None
+                       ) -> Observation:
         """
         Run the first stage of :meth:`detect`: the depth of an image.
 
-        Other threads may run the next stages on the images before; each takes them in order.
+        Another thread may run the next two stages for the images before, in order. They add their
+        times to the ``timer`` of the observation.
         """
-        stages = StageTimer()
-        with stages('depth'):
+        timer = timer or StageTimer()
+        if stamp_s < self._stamp_s - JUMP_S:
+            self._epoch += 1
+        epoch, self._stamp_s = self._epoch, stamp_s
+        if epoch != self._depth_epoch:
+            self._depth_epoch = epoch
+            self.source.reset()
+        with timer('depth'):
             seen = self.source.observe(rgb, intrinsics, depth_m, self.config)
             if covered is not None:
                 seen = seen.restricted_to(covered)
             check_depth(seen.prediction.values, intrinsics)
-        return replace(seen, depth_seconds=stages.seconds['depth'])
+        return replace(seen, stamp_s=stamp_s, epoch=epoch, timer=timer)
 
-    def look(self, seen: Observation, gravity_camera: np.ndarray | None = None,
-             may_hold: bool = False) -> Surroundings:
-        """Run the second stage: gravity and lines, those found last if allowed."""
+    def find_directions(self, seen: Observation, gravity_camera: np.ndarray | None = None,
+                        gravity_source: str = 'measured') -> Surroundings:
+        """
+        Run the second stage: gravity and lines.
+
+        Those found last are kept while nothing moves. ``gravity_source`` names what measured the
+        direction of gravity.
+        """
         given = None if seen.output == 'relative_disparity' else seen.disparity
-        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given)
-        need = Need.PLANES if is_turned(seen) else Need.GRAVITY
-        stages = StageTimer()
-        with stages('directions'):
-            around = self._directions.look(image, gravity_camera, seen.config, need, may_hold)
-        return replace(around, seconds=stages.seconds['directions'])
+        image = CameraImage(seen.rgb, seen.intrinsics, seen.covered, given, seen.stamp_s,
+                            is_still=seen.is_measured or seen.is_still)
+        with seen.timer('directions'):
+            return self._directions.at(seen.epoch).find(
+                image, gravity_camera, seen.config, gravity_source,
+                for_planes=_may_reorient(seen))
 
     def find_planes(self, seen: Observation, around: Surroundings,
                     camera_height_m: float | None = None) -> Detection:
         """Run the third stage of :meth:`detect`: the planes of an image with depth."""
-        config, stages = seen.config.with_camera_height(camera_height_m), StageTimer()
-        stages.seconds |= {'depth': seen.depth_seconds, 'directions': around.seconds}
-        with stages('segmentation'):
+        config, timer = seen.config.with_camera_height(camera_height_m), seen.timer
+        state = self._planes.at(seen.epoch)
+        with timer('segmentation'):
             # 1. The pixels of each plane, in the unit of the prediction.
-            regions = find_regions(seen.disparity, seen.intrinsics, config,
-                                   noise_floor(seen, config), **hints(seen, config))
-        with stages('scale'):
+            load_once(*LOOPS, *(() if seen.is_measured else ('network',)))
+            regions = _find_regions(seen.disparity, seen.intrinsics, config,
+                                    _noise_floor(seen, config), **_network_cues(seen, config))
+        with timer('scale'):
             # 2. The scale and shift to metres, smoothed over time.
-            self._scale = next_scale(self._scale, seen, regions, config, around)
-            scale = self._scale.estimate
-        with stages('measurement'):
+            state.scale = _next_scale(state.scale, seen, regions, config, around)
+            scale = state.scale.estimate
+        with timer('measurement'):
             # 3. Depth and planes in metres, or in an arbitrary unit if the scale is not known.
-            depth_m = scaled_depth(seen, scale, config.depth.max_depth)
-            regions = rescaled(regions, scale, seen)
-            # Unscaled depth is valid wherever the disparity was.
-            valid = (regions if depth_m is seen.prediction.values
-                     else regions.restricted_to(np.isfinite(depth_m)))
-            planes = measured_planes(
+            depth_m, is_rescaled = _scaled_depth(seen, scale, config.depth.max_depth)
+            regions = _rescaled(regions, scale, seen)
+            valid = regions.restricted_to(np.isfinite(depth_m)) if is_rescaled else regions
+            planes = _measured_planes(
                 valid, seen.intrinsics, config,
-                around.lines if is_turned(seen) and scale.has_true_angles else None)
-        with stages('shapes'):
+                around.lines if _may_reorient(seen) and scale.has_true_angles else None)
+        with timer('shapes'):
             # 4. Spheres, cylinders and cones where there is no plane, if requested.
-            planes, shapes, shape_labels = self._shapes.detect(
+            planes, shapes, shape_labels = state.shapes.detect(
                 depth_m, planes, regions, seen.intrinsics, config, scale.is_metric)
-        with stages('ground'):
+        with timer('ground'):
             # 5. Own floor, ramps, obstacles and drops, if angles are true and gravity is known.
             gravity = around.gravity if scale.has_true_angles else NO_GRAVITY
             ground = find_ground(planes, depth_m, seen.intrinsics, gravity, config,
                                  is_metric=scale.is_metric, doubt=seen.doubt)
-        with stages('tracking'):
+            planes = replace(planes, planes=replace(
+                planes.planes, classes=np.array(ground.classes, np.uint8)))
+        with timer('tracking'):
             # 6. Labels that are stable from image to image.
-            planes = self._tracker.update(replace(planes, planes=replace(
-                planes.planes, classes=np.array(ground.classes, np.uint8))), config.tracking)
-        with stages('patches'):
+            planes = state.tracker.update(planes, config.tracking)
+            self._directions.at(seen.epoch).note_planes(planes, is_trusted=(
+                seen.is_measured and around.gravity.gravity_camera is not None))
+        with timer('patches'):
             # 7. Pixels off all planes, if the colours show better where a surface ends.
             labels = fill_patches(planes.labels, regions.patches, planes.planes, depth_m,
                                   seen.intrinsics, shape_labels)
         return Detection(planes.planes, labels, planes.disparity_noise,
                          systematic_noise=planes.systematic_noise, depth_m=depth_m,
                          scale_method=scale.unit_method, scale_note=str(scale),
-                         scale_event=self._scale.event, shapes=shapes, shape_labels=shape_labels,
+                         scale_event=state.scale.event, shapes=shapes,
+                         shape_labels=shape_labels,
                          gravity_camera=around.gravity.gravity_camera,
                          gravity_source=around.gravity.source, gravity_note=around.gravity.note,
                          gravity_probability=around.gravity.probability,
                          horizontal_axes=around.level_axes, ground_pixels=ground.pixels,
                          drop_note=ground.note, camera_height_m=ground.camera_height_m,
-                         tilt_deg=ground.tilt_deg, stage_seconds=stages.seconds)
+                         tilt_deg=ground.tilt_deg, stage_seconds=timer.seconds)
 
     def reset(self) -> None:
-        """Discard what is kept from earlier images: averages, scale and labels."""
-        self.reset_depth()
-        self.reset_directions()
-        self.reset_planes()
+        """
+        Discard what is kept from earlier images, before the next one; from any thread.
 
-    def reset_depth(self) -> None:
-        """Discard the state of :meth:`observe`: the average of the depth."""
-        self.source.reset()
-
-    def reset_directions(self) -> None:
-        """Discard the state of :meth:`look`: the average of the directions."""
-        self._directions.reset()
-
-    def reset_planes(self) -> None:
-        """Discard the state of :meth:`find_planes`: scale and labels."""
-        self._scale = None
-        self._tracker.reset()
-        self._shapes.reset()
+        That is averages of depth, lines, scale and labels.
+        """
+        self._epoch += 1
 
 
 def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Config | None = None,
@@ -247,6 +299,77 @@ def segment_planes(depth_m: np.ndarray, intrinsics: CameraIntrinsics, config: Co
     """
     config = config or DEFAULTS
     check_depth(depth_m, intrinsics)
-    regions = find_regions(to_disparity(depth_m), intrinsics, config,
-                           metric_noise_floor(config, disparity_noise), rng)
-    return measured_planes(regions, intrinsics, config)
+    load_once(*LOOPS)
+    regions = _find_regions(to_disparity(depth_m), intrinsics, config,
+                            metric_noise_floor(config, disparity_noise), rng)
+    return _measured_planes(regions, intrinsics, config)
+
+
+def _may_reorient(seen: Observation) -> bool:
+    """Return whether the lines of the image may rotate planes."""
+    return seen.config.directions.orient_planes and not seen.is_measured
+
+
+def _noise_floor(seen: Observation, config: Config) -> Noise:
+    """Return the lower bound of the noise, in the unit of the disparity."""
+    if seen.output != 'relative_disparity' and (
+            config.segmentation.disparity_noise or not seen.noise_share):
+        return metric_noise_floor(config)
+    if config.segmentation.method == 'paper' and seen.output == 'relative_disparity':
+        raise ValueError('segmentation.method paper needs depth in metres, but the network gives '
+                         'relative_disparity')
+    return unitless_noise_floor(seen.disparity, seen.disparity_noise)
+
+
+def _network_cues(seen: Observation, config: Config) -> dict[str, GuideImage | NormalMap | None]:
+    """Return the image that borders snap to, if the network blurs edges, and its normals."""
+    snaps = config.segmentation.snap_to_picture and seen.edge_blur_px > 0
+    guide = GuideImage(seen.rgb, seen.edge_blur_px) if snaps else None
+    return {'guide': guide, 'normals': NormalMap.of(seen.prediction, seen.intrinsics)}
+
+
+def _find_regions(disparity: np.ndarray, intrinsics: CameraIntrinsics, config: Config,
+                  floor: Noise, rng: np.random.Generator | None = None,
+                  **cues: GuideImage | NormalMap | None) -> PixelRegions:
+    """Segment by ``segmentation.method``."""
+    if config.segmentation.method == 'paper':
+        return segment_by_paper(disparity, intrinsics, floor, config, rng)
+    return segment(disparity, floor, config, rng, lens=lens_of(intrinsics), **cues)
+
+
+def _next_scale(before: ScaleState | None, seen: Observation, regions: PixelRegions,
+                config: Config, around: Surroundings) -> ScaleState:
+    """Return the scale of this image, smoothed with those before."""
+    evidence = ScaleEvidence(
+        seen.disparity, lambda: ray_planes(regions, seen.intrinsics), seen.output,
+        seen.is_measured, around.gravity.gravity_camera, around.gravity.tolerance_deg,
+        around.level_axes, seen.sensor_depth_m)
+    return update_scale(before, estimate_scale(evidence, config.scale), config.scale)
+
+
+def _scaled_depth(seen: Observation, scale: ScaleEstimate, max_depth_m: float
+                  ) -> tuple[np.ndarray, bool]:
+    """
+    Return the depth (H, W) in the unit of the scale, and whether it is another than before.
+
+    Unscaled metres are the same array, valid wherever the disparity was.
+    """
+    if seen.output == 'metric_depth' and (scale.scale, scale.shift) == (1.0, 0.0):
+        return seen.prediction.values, False
+    return apply_scale(seen.disparity, scale, max_depth_m), True
+
+
+def _rescaled(regions: PixelRegions, scale: ScaleEstimate, seen: Observation) -> PixelRegions:
+    """Return the regions in the unit of the scale, rotated by the network's normals if any."""
+    regions = regions.rescaled(scale.scale, scale.shift)
+    return (turned_by_normals(regions, seen.prediction, seen.intrinsics)
+            if scale.has_true_angles else regions)
+
+
+def _measured_planes(regions: PixelRegions, intrinsics: CameraIntrinsics, config: Config,
+                     lines: ImageDirections | None = None) -> PlaneSegmentation:
+    """Measure the planes that are large enough, rotated by the lines of the image if given."""
+    min_pixels = config.segmentation.min_plane_share * regions.labels.size
+    turned = measure_turned(regions, intrinsics, min_pixels, lines)
+    return PlaneSegmentation(*turned, regions.noise.mean_sigma,
+                             systematic_noise=regions.noise.systematic_sigma)

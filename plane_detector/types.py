@@ -191,6 +191,7 @@ class Plane:
     class_certainty: float = float('nan')
     plane_class: PlaneClass = PlaneClass.UNKNOWN
     label: int = 0  # above 0, the same from image to image if tracked; 0: not labelled
+    merged: int = 0  # label of a plane that was found to be a part of this one; 0: none
 
 
 class Motion(Protocol):
@@ -230,6 +231,7 @@ class Planes(Sequence[Plane]):
     class_certainties: np.ndarray  # (K,) float64
     classes: np.ndarray  # (K,) uint8, values of `PlaneClass`
     labels: np.ndarray  # (K,) int64
+    merged: np.ndarray  # (K,) int64
 
     @classmethod
     def of(cls, planes: Sequence[Plane]) -> Planes:
@@ -239,7 +241,8 @@ class Planes(Sequence[Plane]):
         return cls(column('normal', 3), column('offset_m'), column('centroid_m', 3),
                    column('inlier_count', dtype=np.int64), column('rms_m'), column('area_m2'),
                    column('covariance', 4, 4), column('confidence'), column('class_certainty'),
-                   column('plane_class', dtype=np.uint8), column('label', dtype=np.int64))
+                   column('plane_class', dtype=np.uint8), column('label', dtype=np.int64),
+                   column('merged', dtype=np.int64))
 
     def __len__(self) -> int:
         return len(self.offsets_m)
@@ -249,7 +252,8 @@ class Planes(Sequence[Plane]):
                      int(self.counts[index]), float(self.rms_m[index]),
                      float(self.areas_m2[index]), self.covariances[index],
                      float(self.confidences[index]), float(self.class_certainties[index]),
-                     PlaneClass(self.classes[index]), int(self.labels[index]))
+                     PlaneClass(self.classes[index]), int(self.labels[index]),
+                     int(self.merged[index]))
 
     def picked(self, index: np.ndarray | Sequence[int]) -> Planes:
         """Return some of the planes, by a mask (K,) bool or by their indices."""
@@ -366,7 +370,7 @@ class Detection(PlaneSegmentation):
     # (H, W) int32, index into ``shapes``, -1 none; (0, 0) without shapes
     shape_labels: np.ndarray = field(default_factory=lambda: NO_SHAPE_LABELS)
     gravity_camera: np.ndarray | None = None  # (3,) float64, direction as used for the classes
-    # ``imu``, ``tf``, ``measured`` (by either), ``parameter``, ``image`` or ``none``.
+    # Its name as given if measured (``imu``, ``tf``), ``parameter``, ``image`` or ``none``.
     gravity_source: str = 'none'
     gravity_note: str = ''  # why the image does not give it, if it was tried
     # That the direction is right within 5 degrees, if the image gives it; else NaN.

@@ -22,7 +22,7 @@ LAYERS = (('stopping', 'plain_text', 'process', 'dependencies'), ('ending', 'com
           ('config', 'types'), ('geometry',),
           ('depth', 'directions', 'segmentation', 'scale', 'tracking'), ('planes',),
           ('ground', 'shapes'),
-          ('stages',), ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
+          ('pipeline', 'drawing'), ('ros',), ('tools',), ('evaluation',))
 # The same inside the segmentation, and what planes may know of it.
 SEGMENTATION_LAYERS = (('cells',), ('search',), ('regions',), ('pixels',), ('fine_pass',),
                        ('segment',), ('baselines',))

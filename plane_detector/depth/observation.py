@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -23,6 +23,7 @@ from plane_detector.geometry.disparity import (
     to_disparity,
 )
 from plane_detector.geometry.rectification import Reduction
+from plane_detector.stage_timer import StageTimer
 from plane_detector.types import CameraIntrinsics, DepthModel, Prediction
 
 # Flicker is averaged in an image with sides up to this: a network sees no finer detail.
@@ -45,10 +46,12 @@ class Observation:
     # an image; 0: not known.
     noise_share: float = 0.0
     edge_blur_px: float = 0.0  # largest error of depth edges, in pixels of this image
-    depth_seconds: float = 0.0  # time of the prediction
     covered: np.ndarray | None = None  # (H, W) bool, after rectification; None: all
     is_still: bool = False  # nothing moved since the image before: averaged with earlier ones
     sees_sky: bool = False  # only found for a network's depth
+    stamp_s: float = float('nan')  # time of the image; NaN: not known
+    epoch: int = 0  # images of different epochs share no history
+    timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this image
 
     @property
     def doubt(self) -> str:

@@ -24,7 +24,7 @@ class Gravity:
     # (3,) float64 or None: unit direction in the optical frame; None if unknown
     gravity_camera: np.ndarray | None
     tolerance_deg: float  # its largest error
-    source: str  # ``measured``, ``parameter``, ``image`` or ``none``
+    source: str  # name of the sensor, ``parameter``, ``image`` or ``none``
     note: str = ''  # why the image does not give it, if it was tried
     # that the one of the image is right within 5 degrees; NaN for other sources
     probability: float = float('nan')
@@ -39,7 +39,7 @@ NO_GRAVITY = Gravity(None, 0.0, 'none')
 
 
 def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolerance_deg: float,
-                   directions: SceneDirections | None) -> Gravity:
+                   directions: SceneDirections | None, measured_by: str = 'measured') -> Gravity:
     """
     Return the first available of measured, given and image direction.
 
@@ -53,10 +53,12 @@ def choose_gravity(measured: np.ndarray | None, given: tuple[float, ...], tolera
         Of both. A coarse direction is replaced by one of the image that agrees with it.
     directions : SceneDirections, optional
         Of the image, if they were estimated.
+    measured_by : str
+        Name of the source of the measured direction.
 
     """
     down = unit_direction(given if measured is None else measured)
-    source = 'parameter' if measured is None else 'measured'
+    source = 'parameter' if measured is None else measured_by
     seen = None if directions is None else directions.gravity_camera
     if down is not None and (tolerance_deg <= COARSE_DEG or seen is None
                              or seen @ down < np.cos(np.radians(tolerance_deg))):

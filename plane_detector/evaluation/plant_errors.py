@@ -127,7 +127,7 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('after.normals.T +', 'after.normals.T -', 'sign of an offset'),
         ('and track.missed <', 'and track.missed >', 'missing shapes are forgotten')),
     'tracking/tracker.py': (
-        ('bincount(pixels + 1,', 'bincount(pixels + 2,', 'labels off by one'),
+        ('share > _MERGED', 'share < _MERGED', 'merged where little is shared'),
         ('labels=np.array(labels, np.int64)', 'labels=np.arange(1, len(labels) + 1)',
          'labels are not those of the tracks')),
     'ground/ground.py': (

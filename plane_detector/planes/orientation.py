@@ -204,7 +204,7 @@ def normal_variances(planes: Planes, samples: RegionSamples,
 
 def _tilts_rad(planes: Planes, samples: RegionSamples) -> np.ndarray:
     """Return the largest error (K,) of normals that the bend of their regions allows."""
-    bend = samples.roughness * planes.offsets_m / np.sqrt(planes.areas_m2)
+    bend = samples.roughness * (planes.offsets_m / np.sqrt(planes.areas_m2))
     return np.maximum(TILT_PER_BEND * bend, 1e-6)
 
 

@@ -224,7 +224,7 @@ class PlaneDetectorNode(LifecycleNode):
     def _on_reset_tracking(self, _request: Trigger.Request, response: Trigger.Response):
         response.success = self._processor is not None
         if response.success:
-            self._processor.reset()
+            self._processor.detector.reset()
         response.message = ('labels and scale are reset with the next frame' if response.success
                             else 'the node is not configured')
         return response

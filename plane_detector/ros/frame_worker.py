@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from plane_detector.ros.diagnostics import LARGE_PX, REDUCED_PX, Health, Statistics
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
+from plane_detector.ros.frame_processor import FrameProcessor, make_messages
 from plane_detector.ros.inputs.synchronizer import Frame, stamp_text
 from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.frame import DetectedFrame
@@ -250,17 +250,17 @@ class FrameFlow:
         """Drop the frames being processed, their history, and the clicks that wait for one."""
         self.worker.drop()
         self._query.refuse_all()
-        self._processor.reset()
+        self._processor.detector.reset()
 
     def stop(self) -> None:
         """Drop all frames, release the network, and return at once."""
         self.worker.stop()
         self._processor = None
 
-    def _reduced_time(self, frame: Frame, wanted: Collection[str], whole: FrameOutputs) -> str:
+    def _reduced_time(self, frame: Frame, wanted: Collection[str], whole: DetectedFrame) -> str:
         """Return how long a large frame took, and how long it takes when it is reduced first."""
-        (height, width), whole_s = (whole.result.detection.labels.shape,
-                                    sum(whole.stage_seconds.values()))
+        (height, width), whole_s = (whole.detection.labels.shape,
+                                    sum(whole.timer.seconds.values()))
         reduced_s = self._processor.seconds_with(REDUCED_PX, frame, wanted)
         return (f'an image of {width} x {height} takes {1e3 * whole_s:.0f} ms, with max_side '
                 f'{REDUCED_PX} {1e3 * reduced_s:.0f} ms')
@@ -275,31 +275,26 @@ class FrameFlow:
         """Do the first half of the work on a frame; return a function that does the second."""
         try:
             self._live.apply_to(self._processor)
-            seen = self._processor.see(frame)
-            if self._processor.has_network:  # which takes as long as all the rest
-                return partial(self._finish, frame, partial(self._processor.find, seen))
-            found = self._processor.find(seen)
+            return partial(self._finish, frame, self._processor.begin(frame))
         except Exception as error:
             return partial(self._skip, frame, error)
-        return partial(self._finish, frame, lambda: found)
 
     def _finish(self, frame: Frame, find: Callable[[], DetectedFrame]) -> None:
         """Publish the planes of a frame, or log why not."""
         statistics, requests, _, health = self._records
         try:
             found, wanted = find(), self._outputs.wanted()
-            processed = self._processor.make(found, wanted)
+            messages = make_messages(found, wanted)
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
-                self._outputs.publish(processed.messages)
-                self._query.answer(processed.result)
+                self._outputs.publish(messages)
+                self._query.answer(found)
                 publish_s = time.perf_counter() - start_s
-                health.note(processed.result.detection, wanted)
-                statistics.add_processed({**processed.stage_seconds, 'publish': publish_s},
-                                         processed.result)
-                requests.finish(frame, True, processed.result)
-            if max(processed.result.detection.labels.shape) > LARGE_PX and not health.advice:
-                health.advice = self._reduced_time(frame, wanted, processed)
+                health.note(found.detection, wanted)
+                statistics.add_processed({**found.timer.seconds, 'publish': publish_s}, found)
+                requests.finish(frame, True, found)
+            if max(found.detection.labels.shape) > LARGE_PX and not health.advice:
+                health.advice = self._reduced_time(frame, wanted, found)
         except Exception as error:
             self._skip(frame, error)
 

@@ -14,7 +14,7 @@ A label is reused only after its plane has been dropped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +29,7 @@ from plane_detector.tracking.matching import (
     measure_overlap,
     squared_deviation,
 )
-from plane_detector.types import NO_PLANES, Detection, Planes, PlaneSegmentation
+from plane_detector.types import NO_PLANES, Planes, PlaneSegmentation
 
 # The overlap is measured on about this many rows.
 _ROWS = 120
@@ -109,7 +109,7 @@ class PlaneTracker:
 
 def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: TrackingConfig
                   ) -> KnownPlanes:
-    """Return what is known after an image."""
+    """Return what is known after an image; the planes of the image come first."""
     pixels, after = _pixels_of_planes(found), found.planes
     overlap = measure_overlap([track.pixels for track in known.tracks], pixels)
     moved = _moved_along(known, after, pixels, overlap)
@@ -119,7 +119,8 @@ def update_tracks(known: KnownPlanes, found: PlaneSegmentation, config: Tracking
               for k, (label, where) in enumerate(zip(labels, pixels, strict=True))]
     tracks += [Track(one.label, one.pixels, one.streak, one.missed + 1)
                for one in map(known.tracks.__getitem__, gone)]
-    after = replace(after, labels=np.array(labels, np.int64))
+    after = replace(after, labels=np.array(labels, np.int64),
+                    merged=_merged_labels(known.tracks, moved, after, match, overlap))
     return KnownPlanes(tuple(tracks), after.followed_by(moved.picked(gone)))
 
 
@@ -174,33 +175,23 @@ def _match(tracks: Sequence[Track], before: Planes, after: Planes,
         rows.tolist(), columns.tolist(), score[rows, columns].tolist(), strict=True) if value > 0}
 
 
-def merged_labels(before: Detection | None, after: Detection) -> tuple[int, ...]:
+def _merged_labels(tracks: Sequence[Track], moved: Planes, after: Planes, match: Mapping[int, int],
+                   overlap: Overlap) -> np.ndarray:
     """
     Return, for each plane of an image, the label that was merged into it since the last image.
 
-    A label that has disappeared was merged into a plane that existed before, now covers most of
-    its pixels, and is coplanar with it. 0: none; the largest plane if there are several.
+    A label that has disappeared was merged into a plane that was found in the last image too, now
+    covers most of its pixels, and is coplanar with it. 0: none; the largest plane if there are
+    several.
     """
-    taken = np.zeros(len(after.planes), int)
-    if (before is None or before.labels.shape != after.labels.shape):
-        return tuple(taken.tolist())
-    most = np.zeros(len(after.planes), int)
-    for old, label in enumerate(before.planes.labels):
-        if label in after.planes.labels:
-            continue
-        pixels = after.labels[before.labels == old]
-        # Entry 0 counts the pixels without a plane.
-        counts = np.bincount(pixels + 1, minlength=len(after.planes) + 1)[1:]
-        new = int(np.argmax(counts)) if len(counts) else 0
-        if (counts[new] > max(_MERGED_SHARE * pixels.size, most[new])
-                and _is_taken(before, old, after, new)):
-            taken[new], most[new] = label, counts[new]
-    return tuple(taken.tolist())
-
-
-def _is_taken(before: Detection, old: int, after: Detection, new: int) -> bool:
-    """Return whether the other label existed before, and both are one plane."""
-    if after.planes.labels[new] not in before.planes.labels:
-        return False
-    deviation = squared_deviation(before.planes.picked([old]), after.planes.picked([new]))
-    return bool(deviation.item() <= _MOST_DEVIATIONS**2)
+    merged, most = np.zeros(len(after), np.int64), np.zeros(len(after))
+    lost = {t for t, track in enumerate(tracks) if not track.missed} - set(match.values())
+    for old in lost if len(after) else ():
+        new = int(overlap.of_known[old].argmax())
+        share, size = overlap.of_known[old, new], len(tracks[old].pixels)
+        if (share > _MERGED_SHARE and share * size > most[new]
+                and new in match and not tracks[match[new]].missed
+                and squared_deviation(moved.picked([old]), after.picked([new])).item()
+                <= _MOST_DEVIATIONS**2):
+            merged[new], most[new] = tracks[old].label, share * size
+    return merged

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plane_detector.config import Config
-from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, find_in_image
+from plane_detector.directions.finder import CameraImage, DirectionFinder, find_in_image
 from plane_detector.evaluation.scenes.rooms import attic, hexagon_room, random_room
 from plane_detector.evaluation.scenes.textures import rolled_room, textured
 
@@ -23,7 +23,8 @@ def test_the_upright_of_a_still_camera_does_not_flicker(make, seed):
     for _ in range(IMAGES):
         noise = rng.normal(0, GREY_LEVELS, scene.rgb.shape)
         rgb = np.clip(scene.rgb + noise, 0, 255).astype(np.uint8)
-        around = finder.look(CameraImage(rgb, scene.intrinsics), None, Config(), Need.PLANES)
+        around = finder.find(CameraImage(rgb, scene.intrinsics), None, Config(),
+                             for_planes=True)
         found.append(around.gravity.gravity_camera)
     cosine = np.array(found) @ np.array(found).T
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < FLICKER_DEG

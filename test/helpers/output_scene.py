@@ -28,7 +28,7 @@ from plane_detector.types import (
 
 CAMERA = CameraIntrinsics(80.0, 95.0, 30.5, 45.25, 110, 72)
 WALL, FLOOR, BALL, NOTHING = 0, 1, 2, -1
-TRACKS, CLASSES = (7, 3), (PlaneClass.WALL, PlaneClass.FLOOR)
+TRACKS, CLASSES, MERGED = (7, 3), (PlaneClass.WALL, PlaneClass.FLOOR), (0, 4)
 BALL_LABEL = 32768 + 5
 MESSAGE_LABELS = {WALL: 7, FLOOR: 3, BALL: BALL_LABEL, NOTHING: 0}
 EQUATIONS = {WALL: (np.array([-0.28, 0.0, -0.96]), 3.0), FLOOR: (np.array([0.0, -1.0, 0.0]), 0.6)}
@@ -72,7 +72,7 @@ def plane(index: int) -> Plane:
     normal, offset_m = EQUATIONS[index]
     own_m = points()[depth_and_labels()[1] == index]
     return Plane(normal, offset_m, own_m.mean(axis=0), len(own_m), 0.003, 2.5, np.eye(4), 0.75,
-                 plane_class=CLASSES[index], label=TRACKS[index])
+                 plane_class=CLASSES[index], label=TRACKS[index], merged=MERGED[index])
 
 
 def detection(**changes) -> Detection:
@@ -97,5 +97,4 @@ def frame(found: Detection | None = None, to_target: RigidTransform | None = Non
     if to_target is not None:
         settings['target_frame'] = 'map'
     found = found or detection()
-    return DetectedFrame(header(1.5), rgb, CAMERA, found, NodeConfig(**settings), to_target,
-                          merged=(0, 4)[:len(found.planes)])
+    return DetectedFrame(header(1.5), rgb, CAMERA, found, NodeConfig(**settings), to_target)

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from plane_detector.config import Config, ScaleConfig
-from plane_detector.directions.finder import CameraImage, DirectionFinder, Need, Surroundings
+from plane_detector.directions.finder import CameraImage, DirectionFinder, Surroundings
 from plane_detector.evaluation.benchmark.report import add_shared, emit, table
 from plane_detector.evaluation.datasets import Frame, frames
 from plane_detector.evaluation.labelled_regions import labelled_regions
@@ -69,8 +69,8 @@ class View:
     @cached_property
     def around(self) -> Surroundings:
         """Gravity and horizontal axes from the lines of the image, if any."""
-        return DirectionFinder().look(CameraImage(self.rgb, self.intrinsics), None, Config(),
-                                      Need.PLANES)
+        return DirectionFinder().find(CameraImage(self.rgb, self.intrinsics), None, Config(),
+                                      for_planes=True)
 
     def estimate(self, config: ScaleConfig, **known: object) -> ScaleEstimate:
         """Return the scale from the planes and other knowledge, see :class:`ScaleEvidence`."""

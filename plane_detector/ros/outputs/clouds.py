@@ -178,7 +178,7 @@ def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     for name, values in (('d', planes.offsets_m), ('label', planes.labels),
                          ('num_inliers', planes.counts), ('rms', planes.rms_m),
                          ('area', planes.areas_m2), ('class', planes.classes),
-                         ('confidence', planes.confidences), ('merged', frame.merged or 0)):
+                         ('confidence', planes.confidences), ('merged', planes.merged)):
         table[name] = values
     if len(planes):
         _set(table, ('rect_x', 'rect_y', 'rect_z'), [one.centre_m for one in rectangles])

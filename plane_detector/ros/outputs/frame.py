@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,6 +23,7 @@ from plane_detector.planes.outline import (
 )
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
+from plane_detector.stage_timer import StageTimer
 from plane_detector.types import CameraIntrinsics, Detection
 
 
@@ -38,8 +38,7 @@ class DetectedFrame:
     settings: NodeConfig  # for this frame
     to_target: RigidTransform | None = None  # from the image's frame to the target; None: the same
     distortion: Distortion = NO_DISTORTION  # that the image still has
-    merged: tuple[int, ...] = ()  # label merged into each plane, 0: none; empty: none for all
-    stage_seconds: Mapping[str, float] = field(default_factory=dict)  # so far
+    timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this frame
 
     @cached_property
     def target_header(self) -> Header:

@@ -22,9 +22,10 @@ from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.diagnostics import Report, gap_of, planes_status, status_to_msg
-from plane_detector.ros.frame_processor import FrameOutputs, FrameProcessor
+from plane_detector.ros.frame_processor import FrameProcessor
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.live_settings import load_kernels
+from plane_detector.ros.outputs.frame import DetectedFrame
 from plane_detector.ros.outputs.topics import OUTPUTS
 from plane_detector.stopping import Stopped, raise_if_stopped
 from plane_detector.tools.replay.bag_reader import BagError, BagReader
@@ -149,9 +150,9 @@ def _scale_of(depth_source: str, detection: Detection) -> str:
 
 
 def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str, str],
-                    processed: FrameOutputs | None, error: str = '') -> DiagnosticArray:
+                    found: DetectedFrame | None, error: str = '') -> DiagnosticArray:
     """Return the diagnostics of a frame, with the tally up to it; an error says it was skipped."""
-    stage_seconds = processed.stage_seconds if processed else {}
+    stage_seconds = found.timer.seconds if found else {}
     total_s = sum(stage_seconds.values())
     report = Report(tally.processed, tally.without_partner, tally.skipped,
                     1 / total_s if total_s else 0.0, stage_seconds,
@@ -160,8 +161,8 @@ def diagnostics_msg(header: Header, index: int, tally: Tally, facts: Mapping[str
                       else (DiagnosticStatus.OK, 'replayed'))
     statuses = [status_to_msg(_REPLAY_NAME, level, message, report,
                               {'frame': str(index), **facts})]
-    if processed is not None:
-        statuses.append(planes_status(_REPLAY_NAME, processed.result, tally.planes))
+    if found is not None:
+        statuses.append(planes_status(_REPLAY_NAME, found, tally.planes))
     return DiagnosticArray(header=header, status=statuses)
 
 
@@ -237,22 +238,22 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
             if index % options.every:
                 continue
             copies.take(frame)
-            processed, error = None, ''
+            found, error = None, ''
             try:
-                processed = processor.process(frame, wanted)
+                found, messages = processor.process(frame, wanted)
             except Exception as raised:  # as in the node, one frame does not end the others
                 error = tally.add_error(raised)
             else:
-                tally.stage_seconds.update(processed.stage_seconds)
-                facts |= tally.add(processed.result.detection, config, options.outputs)
+                tally.stage_seconds.update(found.timer.seconds)
+                facts |= tally.add(found.detection, config, options.outputs)
             done_s = time.perf_counter()
-            if processed is not None:
-                files.write(index, processed)
+            if found is not None:
+                files.write(index, found, messages)
                 for name in options.outputs:
-                    if name in processed.messages:  # some are not available for every frame
-                        writer.write(_topic(name), time_ns, processed.messages[name])
+                    if name in messages:  # some are not available for every frame
+                        writer.write(_topic(name), time_ns, messages[name])
             writer.write(_DIAGNOSTICS_TOPIC, time_ns, diagnostics_msg(
-                frame.image.header, index, tally, facts, processed, error))
+                frame.image.header, index, tally, facts, found, error))
             tally.stage_seconds['write'] += time.perf_counter() - done_s
             progress.update()
     except Stopped:

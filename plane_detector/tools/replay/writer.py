@@ -28,7 +28,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from plane_detector import drawing
 from plane_detector.geometry.projection import depth_to_points
-from plane_detector.ros.frame_processor import FrameOutputs
 from plane_detector.ros.inputs.synchronizer import stamp_text
 from plane_detector.ros.outputs.clouds import PLANE_DTYPE, SHAPE_DTYPE
 from plane_detector.ros.outputs.frame import DetectedFrame
@@ -220,9 +219,8 @@ class ReplayFiles:
         """Names of the outputs that these files are made from."""
         return tuple(self._paths)
 
-    def write(self, index: int, processed: FrameOutputs) -> None:
+    def write(self, index: int, result: DetectedFrame, messages: Mapping[str, Any]) -> None:
         """Write the files of a frame, whose number is in their names."""
-        result = processed.result
         if self._figures is not None:
             bgr = cv2.cvtColor(_figure(result), cv2.COLOR_RGB2BGR)
             with _whole(self._figures / f'{index:06d}.jpg') as path:
@@ -236,7 +234,7 @@ class ReplayFiles:
         for name, (_, file) in self._tables.items():
             csv.writer(file).writerows(
                 [index, stamp_text(result), *csv_row(fields)]
-                for fields in np.frombuffer(processed.messages[name].data, _ROWS[name]))
+                for fields in np.frombuffer(messages[name].data, _ROWS[name]))
 
 
 @contextmanager
