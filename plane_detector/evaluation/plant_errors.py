@@ -69,8 +69,11 @@ ERRORS: dict[str, tuple[tuple[str, str, str], ...]] = {
         ('facing_down >= level', 'facing_down <= -level', 'floor and ceiling swapped'),
         ('(facing_down) <= upright', '(facing_down) <= level', 'sine and cosine swapped')),
     'scale/floor.py': (
-        ('0 / alpha, -beta', '0 / alpha, beta', 'sign of the shift from the floor'),
-        ('gravity_camera / height_m', 'gravity_camera * height_m', 'height multiplied')),
+        ('floor_height / height_m', 'floor_height * height_m', 'height multiplied'),
+        ('FloorFit(scale, scale * found', 'FloorFit(scale, found', 'shift without the scale')),
+    'scale/shift_posterior.py': (
+        ('raw[..., 2] += tau', 'raw[..., 2] -= tau', 'sign of the shift'),
+        ('- 3 * np.log(length)', '+ 3 * np.log(length)', 'flat worlds are likely')),
     'scale/sensor_depth.py': (
         (', -beta / alpha,', ', -beta,', 'shift from measured depth without its scale'),),
     'scale/right_angles.py': (

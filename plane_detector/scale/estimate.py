@@ -31,6 +31,8 @@ class ScaleEstimate:
     uncertainty: float
     note: str  # result of the method, or why the others refused; for the log and the diagnostics
     span: tuple[float, float, float]  # 10 %, 50 %, 90 % of disparity; NaN for metric
+    # Standard deviation of normals due to the shift; NaN if unknown.
+    angle_sigma_deg: float = np.nan
 
     @property
     def unit_method(self) -> str:
@@ -48,7 +50,9 @@ class ScaleEstimate:
     def __str__(self) -> str:
         sigma = f', +-{self.uncertainty:.1%}' if np.isfinite(self.uncertainty) else ''
         unit = '' if self.is_metric else ', unit unknown'
-        return f'{self.method}{unit}{sigma}: {self.note}'
+        angles = (f', angles +-{self.angle_sigma_deg:.1f} deg'
+                  if np.isfinite(self.angle_sigma_deg) else '')
+        return f'{self.method}{unit}{sigma}{angles}: {self.note}'
 
 
 def apply_scale(disparity: np.ndarray, estimate: ScaleEstimate,

@@ -5,14 +5,15 @@ Scale methods: from a disparity of unknown scale and shift to metres, 1/z = scal
 
 A method estimates both, or refuses with a reason. ``auto`` uses the first method that gives
 metres, in this order: metres of the network, measured depth, height of the camera above the floor,
-right angles with that height, given numbers. Right angles alone determine only the shift: angles
-are then true, but the unit is unknown. If no method succeeds, both are unknown: ``relative``.
+the same with a vertical that is only the planes' own, given numbers. Without a height, planes and
+vertical determine only the shift: angles are then true, but the unit is unknown. If no method
+succeeds, both are unknown: ``relative``. Metres that are too uncertain are not given.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,15 +23,18 @@ from plane_detector.geometry.gravity import unit_direction
 from plane_detector.geometry.robust import quantiles
 from plane_detector.scale.disparity_planes import DisparityPlanes
 from plane_detector.scale.estimate import RELATIVE, ScaleEstimate
-from plane_detector.scale.floor import FloorFit, fit_floor, fit_floor_of_frame, with_right_angles
-from plane_detector.scale.right_angles import (
-    ShiftVote,
-    estimate_manhattan_shift,
-    estimate_shift,
-)
+from plane_detector.scale.floor import fit_floor
+from plane_detector.scale.right_angles import PerpendicularAxes, find_perpendicular_axes
 from plane_detector.scale.sensor_depth import fit_measured_depth
+from plane_detector.scale.shift_posterior import ShiftEstimate, estimate_shift, frames_about
 
-COARSE_GRAVITY_DEG = 5.0
+# The tolerance of gravity is so many standard deviations.
+COARSE_GRAVITY_DEG, TOLERANCE_SIGMAS = 5.0, 2.0
+# Of axes that planes have in common. derived: twice the error of buildings.
+OWN_TOLERANCE_DEG = 2.0
+# Metres more uncertain than this, as a share of depth, are not given. chosen: obstacles a third
+# nearer or farther than stated help nobody.
+MAX_UNCERTAINTY = 0.3
 # The farthest pixels are those at this quantile, so that noise at the horizon does not count.
 FAR_QUANTILE = 0.01
 SPAN_QUANTILES = (0.1, 0.5, 0.9)
@@ -65,6 +69,24 @@ class ScaleEvidence:
     def knows_gravity_well(self) -> bool:
         """Whether gravity is accurate enough for angles."""
         return self.down is not None and self.down_tolerance_deg <= COARSE_GRAVITY_DEG
+
+    @cached_property
+    def own_axes(self) -> PerpendicularAxes:
+        """Perpendicular axes of the planes, the one closest to gravity or to downwards first."""
+        return find_perpendicular_axes(self.planes, self.lowest, self.down,
+                                       self.down_tolerance_deg)
+
+    @cached_property
+    def shift(self) -> ShiftEstimate:
+        """Shift from the planes and gravity, or from the planes alone."""
+        if self.knows_gravity_well:
+            down, tolerance_deg, axes = self.down, self.down_tolerance_deg, self.level_axes
+        elif self.own_axes.refusal:
+            return ShiftEstimate.refused(self.own_axes.refusal)
+        else:
+            (down, *axes), tolerance_deg = self.own_axes.axes, OWN_TOLERANCE_DEG
+        return estimate_shift(self.planes, self.lowest, self.span, frames_about(
+            down, np.radians(tolerance_deg / TOLERANCE_SIGMAS), np.reshape(axes, (-1, 3))))
 
     @property
     def lowest(self) -> float:
@@ -129,17 +151,22 @@ def _methods(config: ScaleConfig) -> tuple[str, ...]:
 
 def _relative(evidence: ScaleEvidence, note: str) -> ScaleEstimate:
     """Return the scale 1, with the smallest shift that makes the disparity positive."""
-    return _unitless(evidence, max(0.0, -1.01 * evidence.lowest), RELATIVE, False, np.nan, note)
+    tau = max(0.0, -1.01 * evidence.lowest)
+    scale = _unit_scale(evidence, tau)
+    return ScaleEstimate(scale, scale * tau, RELATIVE, False, False, np.nan, note, evidence.span)
 
 
-def _unitless(evidence: ScaleEvidence, tau: float, method: str, has_true_angles: bool,
-              tau_sigma: float, note: str) -> ScaleEstimate:
-    """Return an estimate in the unit that makes the median depth of the image 1."""
+def _unitless(evidence: ScaleEvidence, found: ShiftEstimate, note: str) -> ScaleEstimate:
+    scale = _unit_scale(evidence, found.tau)
+    estimate = ScaleEstimate(scale, scale * found.tau, 'manhattan', False, True, np.nan, note,
+                             evidence.span, found.angle_sigma_deg)
+    return estimate.with_covariance(np.diag([0.0, (scale * found.sigma) ** 2]))
+
+
+def _unit_scale(evidence: ScaleEvidence, tau: float) -> float:
+    """Return the scale for which the median depth of the image is 1."""
     middle = evidence.span[1] + tau
-    scale = 1.0 / middle if middle > 0 else 1.0
-    estimate = ScaleEstimate(scale, scale * tau, method, False, has_true_angles, np.nan, note,
-                             evidence.span)
-    return estimate.with_covariance(np.diag([0.0, (scale * tau_sigma) ** 2]))
+    return 1.0 / middle if middle > 0 else 1.0
 
 
 def _metric(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate | str:
@@ -157,7 +184,7 @@ def _depth_topic(evidence: ScaleEvidence, _config: ScaleConfig) -> ScaleEstimate
         return fit.refusal
     estimate = ScaleEstimate(fit.scale, fit.shift, 'depth_topic', True, True, np.nan,
                              f'{fit.point_count} points of measured depth', evidence.span)
-    return estimate.with_covariance(fit.covariance)
+    return _if_certain(estimate.with_covariance(fit.covariance))
 
 
 def _camera_height(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | str:
@@ -165,51 +192,45 @@ def _camera_height(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimat
         return 'scale.camera_height and the direction of gravity are not both known'
     if not evidence.knows_gravity_well:
         return 'the direction of gravity is too inaccurate'
-    fit = fit_floor(evidence.planes, evidence.lowest, evidence.down, config.camera_height,
-                    evidence.down_tolerance_deg)
+    if evidence.shift.refusal:
+        return evidence.shift.refusal
+    return _by_floor(evidence, 'camera_height', evidence.down, evidence.down_tolerance_deg,
+                     config.camera_height)
+
+
+def _by_floor(evidence: ScaleEvidence, method: str, down: np.ndarray, tolerance_deg: float,
+              height_m: float) -> ScaleEstimate | str:
+    found = evidence.shift
+    fit = fit_floor(evidence.planes, found, down, tolerance_deg, height_m)
     if fit is None:
         return 'no plane can be the floor'
-    note = f'floor {config.camera_height:.4g} m below'
-    vote = _vote(evidence)
-    if not vote.refusal:
-        fit, note = with_right_angles(fit, vote.tau, vote.sigma), f'{note}, right angles'
-    return _from_floor(evidence, fit, 'camera_height', note)
+    estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan,
+                             f'floor {height_m:.4g} m below, {found.note}', evidence.span,
+                             found.angle_sigma_deg).with_covariance(fit.covariance)
+    return _if_certain(estimate)
 
 
-def _from_floor(evidence: ScaleEvidence, fit: FloorFit, method: str, note: str) -> ScaleEstimate:
-    estimate = ScaleEstimate(fit.scale, fit.shift, method, True, True, np.nan, note, evidence.span)
-    return estimate.with_covariance(fit.covariance)
+def _if_certain(estimate: ScaleEstimate) -> ScaleEstimate | str:
+    """Return an estimate in metres, or why it is not accurate enough."""
+    if estimate.uncertainty <= MAX_UNCERTAINTY:
+        return estimate
+    return f'metres are uncertain by {estimate.uncertainty:.0%}'
 
 
 def _manhattan(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | str:
-    vote = _vote(evidence)
-    if vote.refusal:
-        return vote.refusal
-    return _manhattan_metric(evidence, vote, config.camera_height) or _unitless(
-        evidence, vote.tau, 'manhattan', True, vote.sigma, 'right angles between the planes')
-
-
-def _vote(evidence: ScaleEvidence) -> ShiftVote:
-    """Return the shift from gravity, from gravity and axes, or from right angles alone."""
-    if evidence.knows_gravity_well:
-        axes = np.vstack([evidence.down, evidence.level_axes])
-        for count in sorted({1, len(axes)}):
-            found = estimate_shift(evidence.planes, evidence.lowest, axes[:count])
-            if not found.refusal:
-                return found
-    return estimate_manhattan_shift(evidence.planes, evidence.lowest, evidence.down,
-                                    evidence.down_tolerance_deg)
-
-
-def _manhattan_metric(evidence: ScaleEvidence, vote: ShiftVote,
-                      height_m: float) -> ScaleEstimate | None:
-    if height_m == 0 or evidence.down is None:
-        return None
-    fit = fit_floor_of_frame(evidence.planes, vote, evidence.down, height_m)
-    if fit is None:
-        return None
-    return _from_floor(evidence, fit, 'manhattan',
-                       f'right angles between the planes, floor {height_m:.4g} m below')
+    found, reason = evidence.shift, ''
+    if found.refusal:
+        return found.refusal
+    if config.camera_height and evidence.down is not None:
+        metric = (_camera_height(evidence, config) if evidence.knows_gravity_well else
+                  _by_floor(evidence, 'manhattan', evidence.own_axes.axes[0], OWN_TOLERANCE_DEG,
+                            config.camera_height))
+        if not isinstance(metric, str):
+            return replace(metric, method='manhattan')
+        reason = f'; {metric}'
+    source = ('planes and the vertical' if evidence.knows_gravity_well
+              else 'right angles between the planes')
+    return _unitless(evidence, found, f'{source}: {found.note}{reason}')
 
 
 def _fixed(evidence: ScaleEvidence, config: ScaleConfig) -> ScaleEstimate | str:

@@ -1,20 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The plane_detector authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Shift of a disparity from right angles: to known directions, or between the planes alone.
+Perpendicular axes of the planes of a disparity of unknown shift, without any other knowledge.
 
 The normal of a plane (p, q, r) of D = p x + q y + r is proportional to (p, q, r + tau).
 
-1. Proposals. If axes are known, each plane proposes the shifts for which it is perpendicular to
-   one of them, tau = (p ax + q ay) / (ax^2 + ay^2) az - r, and for which it is vertical,
-   tau = -(p gx + q gy) / gz - r. If not, every two planes propose those for which they are
-   perpendicular, the roots of tau^2 + (r1 + r2) tau + p1 p2 + q1 q2 + r1 r2 = 0, and with them
-   three axes: the Manhattan world of Coughlan and Yuille (1999).
-2. Each proposal is scored by the pixels of all planes perpendicular to its axes; with known axes
-   vertical planes count, too.
-3. The best one is fitted to its planes: the shift, and a rotation of the axes if not known.
+1. Every two planes propose the shifts for which they are perpendicular, the roots of
+   tau^2 + (r1 + r2) tau + p1 p2 + q1 q2 + r1 r2 = 0, and with them three axes: the Manhattan world
+   of Coughlan and Yuille (1999).
+2. Each proposal is scored by the pixels of all planes perpendicular to its axes.
+3. The best one is fitted to its planes: the shift, and a rotation of the axes.
 4. A room without right angles leaves many planes off the axes, or has several shifts with similar
-   scores; the vote then refuses.
+   scores; there is no answer then.
 """
 
 from __future__ import annotations
@@ -42,32 +39,16 @@ RIVAL_SHARE = 0.85
 # Also if another one has as many planes horizontal or vertical, within this share of the pixels: a
 # low camera in a hexagonal room sees a floor that is horizontal for any shift.
 UPRIGHT_MARGIN = 0.03
-# A vertical plane of any azimuth fixes one of two degrees of freedom, so it has less weight.
-UPRIGHT_WEIGHT = 0.5
-# tuned: python -m plane_detector.evaluation.benchmark scale --first-seed 300: at 0.5 50 of 50 and
-# 29 of 30 answers on Kinect and NYU frames, median error of the wall-floor angle 1.5 and 1.2
-# degrees; at 0.6 49 and 27, 1.5 and 1.2, at 0.4 50 and 30, 1.5 and 2.2; no room is bent at any.
-MIN_EXPLAINED_SHARE = 0.5
-# derived: some shift makes any single plane perpendicular to an axis.
-MIN_AGREEING = 2
 ROUNDS = 6
-# Sine of the angle to the optical axis; an axis closer to it does not determine the shift.
-MIN_ASLANT = 0.1
 
 
 @dataclass(frozen=True)
-class ShiftVote:
-    """Shift estimated from right angles."""
+class PerpendicularAxes:
+    """Axes that planes have in common."""
 
-    tau: float  # 1/z is proportional to D + tau; NaN if the vote refuses
-    sigma: float  # standard deviation of tau
-    axes: np.ndarray  # (A, 3) float64, rows: unit axes in the camera frame
+    # (3, 3) float64: rows: unit axes in the camera frame, that of the vertical first, downwards
+    axes: np.ndarray
     refusal: str  # why there is no answer; empty if there is one
-
-    @classmethod
-    def refused(cls, reason: str) -> ShiftVote:
-        """Return a vote without an answer."""
-        return cls(np.nan, np.nan, np.full((3, 3), np.nan), reason)
 
 
 @dataclass(frozen=True)
@@ -85,93 +66,50 @@ class _Judged:
                        self.weight[index])
 
 
-def estimate_shift(planes: DisparityPlanes, lowest_disparity: float,
-                   axes: np.ndarray) -> ShiftVote:
+def find_perpendicular_axes(planes: DisparityPlanes, lowest_disparity: float,
+                            down: np.ndarray | None = None,
+                            tolerance_deg: float = 0.0) -> PerpendicularAxes:
     """
-    Find the shift that agrees with known directions, or refuse with a reason.
+    Find three perpendicular axes with which the planes are aligned at some shift, or refuse.
 
     Parameters
     ----------
     planes : DisparityPlanes
     lowest_disparity : float
         Disparity of the farthest pixels; depth must be positive there.
-    axes : (A, 3) float64
-        Gravity first, then horizontal axes, if any.
-
-    """
-    planes = _largest(planes)
-    tau = _shifts_to_axes(planes.coefficients, axes)
-    tau = tau[tau > -lowest_disparity]
-    if not len(tau):
-        return ShiftVote.refused('no plane can lie along the known directions')
-    tried = _judge(planes, tau, np.broadcast_to(axes, (len(tau), *axes.shape)))
-    score = _support(tried).sum((1, 2))
-    winner, sigma = _refined(planes, tried.take([score.argmax()]), -lowest_disparity, False)
-    support = _support(winner)[0]
-    rival = score[_is_apart(planes, winner, tried)].max(initial=0.0)
-    # A vertical plane agrees as well as any other; it only tells less of the shift.
-    explained = (support / [1, UPRIGHT_WEIGHT]).sum() / winner.weight.sum()
-    if explained < MIN_EXPLAINED_SHARE:
-        return ShiftVote.refused(f'only {explained:.0%} of the planes agree with the known '
-                                 'directions')
-    if support[:, 0].max() < MIN_AXIS_SHARE:
-        return ShiftVote.refused('no large plane lies across a known direction')
-    if np.count_nonzero(support.sum(1)) < MIN_AGREEING:
-        return ShiftVote.refused('one plane lies along the known directions for some shift in '
-                                 'any room')
-    if rival > RIVAL_SHARE * support.sum():
-        return ShiftVote.refused('another shift agrees as well with the known directions')
-    return ShiftVote(float(winner.tau[0]), sigma, axes, '')
-
-
-def estimate_manhattan_shift(planes: DisparityPlanes, lowest_disparity: float,
-                             gravity_camera: np.ndarray | None = None,
-                             down_tolerance_deg: float = 0.0) -> ShiftVote:
-    """
-    Find the shift that aligns the planes with three perpendicular axes, or refuse.
-
-    Parameters
-    ----------
-    planes : DisparityPlanes
-    lowest_disparity : float
-        Disparity of the farthest pixels; depth must be positive there.
-    gravity_camera : (3,) floating, optional
-        Unit direction of gravity; one of the axes must agree with it.
-    down_tolerance_deg : float
+    down : (3,) floating, optional
+        Unit direction of gravity; one of the axes must agree with it. Without it, the first axis
+        is the one closest to that of a camera held upright.
+    tolerance_deg : float
         Largest angle between them.
 
     """
     planes = _largest(planes)
     tau, axes = _shifts_of_pairs(planes.coefficients, -lowest_disparity)
-    if gravity_camera is not None:
-        off_deg = np.degrees(np.arccos(np.abs(axes @ gravity_camera).max(1).clip(0, 1)))
-        upright = off_deg <= down_tolerance_deg + MAX_TOLERANCE_DEG
+    if down is not None:
+        off_deg = np.degrees(np.arccos(np.abs(axes @ down).max(1).clip(0, 1)))
+        upright = off_deg <= tolerance_deg + MAX_TOLERANCE_DEG
         tau, axes = tau[upright], axes[upright]
     if len(planes) < MIN_DISTINCT_PLANES or not len(tau):
-        return ShiftVote.refused('fewer than three planes, or none of them can be perpendicular')
+        return _refused('fewer than three planes, or none of them can be perpendicular')
     tried = _judge(planes, tau, axes)
-    best = _votes(tried).argmax()
-    winner, sigma = _refined(planes, tried.take([best]), -lowest_disparity, True)
+    winner, sigma = _refined(planes, tried.take([_votes(tried).argmax()]), -lowest_disparity)
     objection = _objection(planes, winner, tried, sigma)
-    return ShiftVote.refused(objection) if objection else ShiftVote(
-        float(winner.tau[0]), sigma, winner.axes[0], '')
+    if objection:
+        return _refused(objection)
+    upright = winner.axes[0] @ ([0.0, 1.0, 0.0] if down is None else down)
+    order = np.argsort(-np.abs(upright))
+    return PerpendicularAxes(winner.axes[0][order] * np.sign(upright[order[0]]), '')
+
+
+def _refused(reason: str) -> PerpendicularAxes:
+    return PerpendicularAxes(np.full((3, 3), np.nan), reason)
 
 
 def _largest(planes: DisparityPlanes) -> DisparityPlanes:
     """Return the planes that may vote, the largest first."""
     order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
     return planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
-
-
-def _shifts_to_axes(coefficients: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Return the shifts (C,) for which some plane is vertical or perpendicular to an axis."""
-    p, q, r = coefficients.T[:, :, None]
-    x, y, z = axes[axes[:, 0] ** 2 + axes[:, 1] ** 2 > MIN_ASLANT**2].T
-    shifts = [(p * x + q * y) / (x * x + y * y) * z - r]
-    down = axes[0]
-    if abs(down[2]) > MIN_ASLANT:
-        shifts.append(-(p * down[0] + q * down[1]) / down[2] - r)
-    return np.concatenate([shift.ravel() for shift in shifts])
 
 
 def _shifts_of_pairs(coefficients: np.ndarray,
@@ -224,16 +162,9 @@ def _votes(judged: _Judged) -> np.ndarray:
     return (judged.along.max(2) * judged.weight).sum(1)
 
 
-def _support(judged: _Judged) -> np.ndarray:
-    """Return the weights (C, N, 2) of planes along an axis, and of vertical ones."""
-    along, upright = judged.along.max(2), UPRIGHT_WEIGHT * judged.across[..., 0]
-    return judged.weight[..., None] * np.stack(
-        [np.where(upright > along, 0.0, along), np.where(upright > along, upright, 0.0)], 2)
-
-
-def _refined(planes: DisparityPlanes, best: _Judged, lowest_tau: float,
-             is_free: bool) -> tuple[_Judged, float]:
-    """Fit a shift to the planes along its axes, which turn with them if free; with its sigma."""
+def _refined(planes: DisparityPlanes, best: _Judged,
+             lowest_tau: float) -> tuple[_Judged, float]:
+    """Fit a shift to the planes along its axes, which turn with them; with its sigma."""
     start = best
     for _ in range(ROUNDS):
         raw, sigma_deg = _normals(planes, best.tau)
@@ -246,14 +177,13 @@ def _refined(planes: DisparityPlanes, best: _Judged, lowest_tau: float,
         reach = length.max()
         by_shift = reach / length * ([0.0, 0.0, 1.0] - normals[:, 2:] * normals)
         by_turn = np.stack([np.cross(near, one) for one in np.eye(3)], axis=2)
-        design = np.concatenate([by_shift[..., None], by_turn][:1 + is_free], axis=2)
+        design = np.concatenate([by_shift[..., None], by_turn], axis=2)
         root = np.degrees(np.sqrt(weight))
         design, misfit = (root[..., None] * design).reshape(-1, design.shape[2]), root * (
             normals - near)
         step = np.linalg.lstsq(design, -misfit.ravel(), rcond=1e-9)[0]
         tau = best.tau + reach * step[:1]
-        if is_free:
-            axes = axes @ cv2.Rodrigues(step[1:])[0].T
+        axes = axes @ cv2.Rodrigues(step[1:])[0].T
         best = _judge(planes, tau, axes[None])
     variance = np.linalg.pinv(design.T @ design, rcond=1e-12)[0, 0]
     return (best if tau > lowest_tau else start), float(reach * np.sqrt(variance))

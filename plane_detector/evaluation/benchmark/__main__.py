@@ -31,6 +31,7 @@ COMMANDS = {
     'ground': ('ground', 'ground, obstacles and drops on rendered terrain'),
     'shapes': ('shapes', 'spheres, cylinders and cones among planes'),
     'scale': ('scale', 'angles and distances after each way to find the scale'),
+    'relative': ('relative', 'angles in relative disparity with the errors of a network'),
     'orientation': ('orientation', 'directions from lines, and planes with them'),
     'depth': ('depth_network', 'time of the depth network'),
     'node': ('node', 'the node as a process, over DDS'),

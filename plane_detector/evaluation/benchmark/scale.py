@@ -179,7 +179,7 @@ def _sparse_depth(view: View) -> ScaleEstimate:
     return view.estimate(ScaleConfig(method='depth_topic'), sensor_depth_m=points_m)
 
 
-def _of_the_image(view: View, config: ScaleConfig) -> ScaleEstimate:
+def by_image_directions(view: View, config: ScaleConfig) -> ScaleEstimate:
     """Use gravity and horizontal axes from the lines of the image."""
     gravity = view.around.gravity
     return view.estimate(config, gravity_camera=gravity.gravity_camera,
@@ -202,11 +202,11 @@ WAYS: dict[str, Callable[[View], ScaleEstimate]] = {
     'camera_height, exact': lambda view: _height(view, 'camera_height', 0.0, 0.5, 0.0),
     f'camera_height, {GRAVITY_ERROR_DEG:.0f} deg and {HEIGHT_ERROR_SHARE:.0%} off':
         lambda view: _height(view, 'camera_height', GRAVITY_ERROR_DEG, 2.0, HEIGHT_ERROR_SHARE),
-    'camera_height, gravity of the image': lambda view: _of_the_image(
+    'camera_height, gravity of the image': lambda view: by_image_directions(
         view, ScaleConfig(method='camera_height', camera_height=view.height_m)),
     'manhattan': lambda view: view.estimate(ScaleConfig(method='manhattan')),
     'manhattan, directions of the image':
-        lambda view: _of_the_image(view, ScaleConfig(method='manhattan')),
+        lambda view: by_image_directions(view, ScaleConfig(method='manhattan')),
     f'manhattan + height, gravity {COARSE_ERROR_DEG:.0f} deg off':
         lambda view: _height(view, 'manhattan', COARSE_ERROR_DEG, COARSE_TOLERANCE_DEG, 0.0),
 }

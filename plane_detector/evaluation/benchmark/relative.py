@@ -1,0 +1,189 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Angles in relative disparity: true depth with the errors of a network, and raw outputs of networks.
+
+Depth of sensors and of rendered rooms becomes disparity with blurred borders, a smooth error that
+is a share of the disparity, and a random scale and shift. The shift is estimated from the image
+alone. The normals of regions that are one plane are compared with the true ones, and with those
+at the true shift, which shows what the shift adds to the error of the network.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from plane_detector.config import Config, ScaleConfig
+from plane_detector.depth.networks import NETWORKS
+from plane_detector.depth.observation import DepthFunction
+from plane_detector.evaluation.benchmark.report import add_shared, emit, table
+from plane_detector.evaluation.benchmark.scale import (
+    SCALE_RANGE,
+    SHIFT_RANGE_PER_M,
+    View,
+    by_image_directions,
+)
+from plane_detector.evaluation.datasets import Frame, frames
+from plane_detector.evaluation.metrics import angle_deg
+from plane_detector.evaluation.reference_planes import judge_planes
+from plane_detector.evaluation.scenes import rooms
+from plane_detector.evaluation.scenes.rendering import Scene
+from plane_detector.evaluation.scenes.textures import textured
+from plane_detector.pipeline import PlaneDetector
+from plane_detector.planes.classification import PlaneClass
+from plane_detector.planes.ray_planes import ray_planes
+from plane_detector.scale.estimate import ScaleEstimate
+from plane_detector.segmentation.segment import segment, unitless_noise_floor
+from plane_detector.types import CameraIntrinsics
+
+ERROR_SHARES = (0.015, 0.03, 0.05)
+# Of the smooth error, of the grain and of the blur of borders; lengths as shares of the width.
+CORRELATION_SHARE, GRAIN_SHARE, BLUR_SHARE = 1 / 7, 0.002, 1 / 320
+MIN_PLANE_SHARE, PURE = 0.02, 0.85
+WRONG_DEG = 10.0
+REAL = ('kinect', 'nyu')
+DRAWS_PER_IMAGE = 4
+RAW, NOISE_SHARE = 'network_outputs', NETWORKS['depth_anything_v2_small'].noise_share
+
+
+@dataclass(frozen=True)
+class Angles:
+    """Errors of one image, degrees."""
+
+    normal_deg: float  # mean of the normals of regions that are one plane
+    at_true_shift_deg: float  # the same at the true scale and shift
+    by_shift_deg: float  # root mean square, over pixels, of the rotation by the error of the shift
+    stated_deg: float  # that was stated for the latter
+
+
+def network_view(scene: Scene | Frame, error_share: float, rng: np.random.Generator) -> View:
+    """Return what a relative network with smooth errors gives for an image, and its planes."""
+    disparity = with_network_errors(1.0 / scene.depth_m, error_share, rng)
+    scale, shift = np.exp(rng.uniform(*np.log(SCALE_RANGE))), rng.uniform(*SHIFT_RANGE_PER_M)
+    relative = (scale * (disparity + shift)).astype(np.float32)
+    truth = ScaleConfig(method='fixed', disparity_scale=1.0 / scale, disparity_shift=-shift)
+    regions = segment(relative, unitless_noise_floor(relative), Config())
+    return View(relative, regions, scene.depth_m, scene.intrinsics, np.array([0.0, 1.0, 0.0]),
+                1.0, truth, rng, scene.rgb)
+
+
+def with_network_errors(disparity: np.ndarray, share: float,
+                        rng: np.random.Generator) -> np.ndarray:
+    """Return disparity (H, W) with blurred borders and errors that are a share of it."""
+    width = disparity.shape[1]
+    known = np.isfinite(disparity)
+    total, weight = (cv2.GaussianBlur(image.astype(np.float64), (0, 0), BLUR_SHARE * width)
+                     for image in (np.where(known, disparity, 0.0), known))
+    smooth, grain = rng.standard_normal((2, *disparity.shape))
+    smooth = cv2.GaussianBlur(smooth, (0, 0), CORRELATION_SHARE * width)
+    factor = 1.0 + share * smooth / smooth.std() + GRAIN_SHARE * grain
+    return np.where(known, factor * total / np.maximum(weight, 1e-6), np.nan)
+
+
+def angles(view: View, estimate: ScaleEstimate) -> Angles | None:
+    """Return the errors of an image; None if no region is one plane."""
+    planes = ray_planes(view.regions, view.intrinsics)
+    planes = planes.take(np.flatnonzero(
+        planes.pixel_share * np.mean(view.regions.labels >= 0) >= MIN_PLANE_SHARE))
+    index = np.full(len(view.regions.coefficients) + 1, -1)
+    index[planes.labels] = np.arange(len(planes))
+    at = {name: planes.scaled(*numbers) for name, numbers in (
+        ('estimate', (estimate.scale, estimate.shift)),
+        ('truth', (view.true_scale.disparity_scale, view.true_scale.disparity_shift)))}
+    errors_deg = []
+    for coefficients in at.values():
+        length = np.linalg.norm(coefficients, axis=1)[:, None]
+        judged = judge_planes(index[view.regions.labels], np.hstack(
+            [-coefficients, np.ones_like(length)]) / length, view.true_depth_m, view.intrinsics,
+            np.random.default_rng(0))
+        errors_deg.append([one.normal_error_deg for one in judged if one.purity > PURE])
+    if not errors_deg[0]:
+        return None
+    turned_deg = angle_deg(*at.values())
+    return Angles(*map(float, (
+        np.mean(errors_deg[0]), np.mean(errors_deg[1]),
+        np.sqrt(np.average(turned_deg**2, weights=planes.pixel_share)),
+        estimate.angle_sigma_deg)))
+
+
+def views(name: str, data: Path, seeds: Sequence[int], share: float) -> Iterator[View]:
+    """Yield the views of a set of real images, or of rendered rooms."""
+    if name not in REAL:
+        for seed in seeds:
+            yield network_view(textured(rooms.random_room, seed), share,
+                               np.random.default_rng([seed, 4]))
+        return
+    for k, frame in enumerate(frames(data, (name,))):
+        for draw in range(DRAWS_PER_IMAGE):
+            yield network_view(frame, share, np.random.default_rng([seeds[0], k, draw]))
+
+
+def report_simulated(data: Path, seeds: Sequence[int]) -> None:
+    """Print the table of true depth made relative."""
+    rows = []
+    for name in (*REAL, 'rooms') if data.is_dir() else ('rooms',):
+        for share in ERROR_SHARES:
+            asked, found = 0, []
+            for view in views(name, data, seeds, share):
+                asked += 1
+                estimate = by_image_directions(view, ScaleConfig())
+                if estimate.has_true_angles:
+                    found.append(angles(view, estimate))
+            rows.append([name, f'{share:.1%}', f'{len(found)} of {asked}',
+                         *_cells([one for one in found if one])])
+    emit('### True depth made relative, with smooth errors and blurred borders', table(
+        ('images', 'smooth error', 'answered', 'normals (deg)', 'at the true shift',
+         f'images above {WRONG_DEG:.0f} deg', 'by the shift, rms (deg)',
+         'of these over stated, rms', 'above two stated'), rows))
+
+
+def _cells(found: Sequence[Angles]) -> list[str]:
+    if not found:
+        return ['-'] * 6
+    normal, known, turned, stated = np.array([list(vars(one).values()) for one in found]).T
+    ratio = turned / np.maximum(stated, 0.1)
+    return [f'{normal.mean():.1f}', f'{known.mean():.1f}', f'{np.mean(normal > WRONG_DEG):.0%}',
+            f'{np.sqrt(np.mean(turned**2)):.1f}', f'{np.sqrt(np.mean(ratio**2)):.2f}',
+            f'{np.mean(ratio > 2):.0%}']
+
+
+def report_raw(data: Path) -> None:
+    """Print what is said of the raw outputs of networks."""
+    rows = []
+    for path in sorted((data / RAW).glob('*.json')):
+        about = json.loads(path.read_text())
+        image = cv2.imread(str(path.with_name(f'{path.stem}_rgb.jpg')))
+        rgb = np.ascontiguousarray(image[..., ::-1])
+        prediction = np.load(path.with_name(f'{path.stem}_pred.npz'))['prediction']
+        values = cv2.resize((prediction * about['factor']).astype(np.float32),
+                            rgb.shape[1::-1])
+        camera = CameraIntrinsics(*(about[key] for key in (
+            'fx', 'fy', 'cx', 'cy', 'width', 'height')))
+        detector = PlaneDetector(Config(), DepthFunction(
+            lambda rgb, values=values: values, about['output'], NOISE_SHARE))
+        found = detector.detect(rgb, camera)
+        kinds = [PlaneClass(kind).name.lower() for kind in found.classes]
+        counts = ', '.join(f'{kinds.count(kind)} {kind}' for kind in dict.fromkeys(kinds))
+        rows.append([path.stem, about['network'].split(' (')[0],
+                     f'{found.gravity_probability:.2f}', found.scale_note, counts])
+    emit('### Raw outputs of networks', table(
+        ('picture', 'network', 'probability of the vertical', 'scale', 'classes'), rows))
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_shared(parser, '--rooms', '--first-seed', '--data', rooms=16)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print all tables."""
+    report_simulated(options.data, range(options.first_seed, options.first_seed + options.rooms))
+    if (options.data / RAW).is_dir():
+        report_raw(options.data)

@@ -1,0 +1,209 @@
+# SPDX-FileCopyrightText: 2026 The plane_detector authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Posterior of the shift of a disparity, from all its planes and the directions of the scene.
+
+With 1/z proportional to D + tau, the plane D = p x + q y + r of ray slopes has the normal
+(p, q, r + tau) / m. Known are the vertical and, perhaps, horizontal axes.
+
+1. Each plane is level, across a horizontal axis, upright or anything. The density of its normal is
+   a mixture of these: a bell on the sphere about each direction, one about the great circle of
+   upright planes, and a uniform density.
+2. The error of a normal has three parts: that of the fit; that of buildings; and that of the
+   network, which is unknown and therefore summed over some values. It is an error of the slopes of
+   the disparity, so that it is smaller in the angle where m is larger.
+3. Slopes are seen, not normals: the density is that of the normal times w / m^3, with w = D + tau
+   at the centre of the plane. This is what makes flat worlds unlikely: for a large shift all
+   planes turn to the camera, and that all slopes are so small would be chance.
+4. The prior is that of the ratio of the farthest to the nearest depth.
+5. The vertical is uncertain, too: the likelihood is the mean over some verticals about it, each
+   with all planes, so that its error is common to them.
+6. The answer is the median. Its uncertainty is the angle by which planes turn from there to the
+   shifts of the posterior, so that a second mode counts as much as the width of the first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from plane_detector.scale.disparity_planes import DisparityPlanes
+
+MAX_PLANES, MIN_PIXEL_SHARE = 16, 0.004
+# Shares of planes that are level, across one of the horizontal axes, upright only, or anything.
+# tuned: python -m plane_detector.evaluation.benchmark relative --first-seed 2000, also on kitchens
+# and frames of sensors: flat from half to twice each.
+LEVEL_SHARE, AXIS_SHARE, UPRIGHT_SHARE, FREE_SHARE = 0.2, 0.25, 0.15, 0.4
+# Error of the slopes of the disparity as a share of its spread. tuned: as above; flat without the
+# last and without the first.
+SLOPE_ERRORS = (0.007, 0.025, 0.09, 0.3)
+# Right angles of buildings are accurate to this. tuned: as above, flat from 0.3 to 2.
+BUILDING_RAD = np.radians(0.5)
+# A plane of this share of the pixels has half a vote. tuned: as above, flat from 0.03 to 0.06; at
+# 0.01 the stated uncertainty is too small, at 0.1 a tenth fewer are answered.
+HALF_VOTE_SHARE = 0.04
+# Power of w / m^3, because the slopes of planes in one image are not independent. tuned: as above;
+# at 0 one answer in 40 is a flat world, at 1 shifts are too small by 5 % of the spread.
+SLOPE_DENSITY = 0.5
+# Prior of the logit of the ratio of inverse depths, of the far to the near tenth of the pixels.
+# measured: -0.1 +- 0.6 in 66 rooms; streets have -2.5. tuned: as above, the spread flat from 0.8
+# to 1.2.
+PRIOR_LOGIT, PRIOR_SPREAD = -0.3, 1.0
+# Distances of the shift from its least value, in spreads of the disparity, and points of the grid;
+# the second grid covers what is left of the first.
+REACH, COARSE_POINTS, FINE_POINTS, NEGLIGIBLE = (0.004, 8.0), 48, 64, 1e-3
+# The answer is refused above this uncertainty of angles. chosen: where walls and floors can still
+# be told apart, as required of angles.
+MAX_ANGLE_SIGMA_DEG = 8.0
+
+
+@dataclass(frozen=True)
+class ShiftEstimate:
+    """A shift tau, with 1/z proportional to D + tau."""
+
+    tau: float  # NaN if refused
+    sigma: float  # standard deviation of tau
+    angle_sigma_deg: float  # root mean square, over pixels, of the error of normals by the shift
+    note: str  # planes that determine it
+    refusal: str = ''  # why there is no answer; empty if there is one
+
+    @classmethod
+    def refused(cls, reason: str) -> ShiftEstimate:
+        """Return an estimate without an answer."""
+        return cls(np.nan, np.nan, np.nan, '', reason)
+
+
+def frames_about(down: np.ndarray, sigma_rad: float,
+                 level_axes: np.ndarray) -> list[np.ndarray]:
+    """
+    Return equally likely directions (A, 3), the vertical first, with its mean and variance.
+
+    Parameters
+    ----------
+    down : (3,) floating
+        Unit direction of gravity.
+    sigma_rad : float
+        Its standard deviation, in each of two directions.
+    level_axes : (0, 3) or (2, 3) floating
+        Horizontal axes, if known.
+
+    """
+    aside = np.linalg.svd(down[None])[2][1:]
+    frames = []
+    for turn in np.sqrt(2) * sigma_rad * np.vstack([aside, -aside]):
+        axes = _unit(down + turn)[None]
+        if len(level_axes):
+            first = _unit(level_axes[0] - (level_axes[0] @ axes[0]) * axes[0])
+            axes = np.vstack([axes, first, np.cross(axes[0], first)])
+        frames.append(axes)
+    return frames
+
+
+def estimate_shift(planes: DisparityPlanes, lowest: float, span: tuple[float, float, float],
+                   frames: list[np.ndarray]) -> ShiftEstimate:
+    """
+    Return the shift that the planes determine with known directions, or refuse with a reason.
+
+    Parameters
+    ----------
+    planes : DisparityPlanes
+    lowest : float
+        Disparity of the farthest pixels; depth must be positive there.
+    span : tuple of float
+        Disparity quantiles of 10, 50 and 90 %.
+    frames : list of (A, 3) float64
+        Equally likely directions: the vertical, then horizontal axes, if any.
+
+    """
+    order = np.argsort(-planes.pixel_share)[:MAX_PLANES]
+    planes = planes.take(order[planes.pixel_share[order] >= MIN_PIXEL_SHARE])
+    spread = span[2] - span[0]
+    if not len(planes) or not spread > 0:
+        return ShiftEstimate.refused('no plane is large enough')
+    offset = spread * np.geomspace(*REACH, COARSE_POINTS)
+    mass = _posterior(planes, offset - lowest, span, frames)
+    kept = np.flatnonzero(mass > NEGLIGIBLE * mass.max())
+    first, last = max(kept[0] - 1, 0), min(kept[-1] + 1, COARSE_POINTS - 1)
+    tau = np.geomspace(offset[first], offset[last], FINE_POINTS) - lowest
+    mass = _posterior(planes, tau, span, frames)
+    estimate = float(np.interp(0.5, np.cumsum(mass) - mass / 2, tau))
+    normals = _unit(_raw_normals(planes, np.append(tau, estimate)))
+    turned_rad = np.arccos((normals[:-1] * normals[-1]).sum(2).clip(-1, 1))
+    weights = planes.pixel_share / planes.pixel_share.sum()
+    angle_sigma_deg = float(np.degrees(np.sqrt(mass @ turned_rad**2 @ weights)))
+    if angle_sigma_deg > MAX_ANGLE_SIGMA_DEG:
+        return ShiftEstimate.refused('the planes and the vertical leave angles uncertain by '
+                                     f'{angle_sigma_deg:.0f} degrees')
+    return ShiftEstimate(estimate, float(np.sqrt(mass @ (tau - estimate) ** 2)), angle_sigma_deg,
+                         _what_determines(normals[-1], planes, frames))
+
+
+def _raw_normals(planes: DisparityPlanes, tau: np.ndarray) -> np.ndarray:
+    """Return the normals (T, N, 3) of planes for shifts (T,), of length m."""
+    raw = np.repeat(planes.coefficients[None], len(tau), axis=0)
+    raw[..., 2] += tau[:, None]
+    return raw
+
+
+def _posterior(planes: DisparityPlanes, tau: np.ndarray, span: tuple[float, float, float],
+               frames: list[np.ndarray]) -> np.ndarray:
+    """Return the probability (T,) of shifts (T,); their sum is 1."""
+    raw = _raw_normals(planes, tau)
+    length = np.linalg.norm(raw, axis=2)
+    normals = raw / length[..., None]
+    inverse = np.maximum(raw[..., 2] + (raw[..., :2] * planes.centers).sum(2), 1e-9 * length)
+    # Variance of a normal across itself, the mean of two directions.
+    covariance = planes.covariance
+    along = np.einsum('tni,nij,tnj->tn', normals, covariance, normals, optimize=True)
+    fit = (np.trace(covariance, axis1=1, axis2=2) - along) / 2
+    known = np.maximum(fit, 0.0) / length**2 + BUILDING_RAD**2
+    votes = planes.pixel_share / (planes.pixel_share + HALF_VOTE_SHARE)
+    of_slopes = SLOPE_DENSITY * (np.log(inverse) - 3 * np.log(length))
+    off = [_angles_to(normals, axes) for axes in frames]
+    log_mass = np.stack([
+        ((np.log(_density(*one, known + (share * (span[2] - span[0]) / length) ** 2))
+          + of_slopes) * votes).sum(1)
+        for share in SLOPE_ERRORS for one in off])
+    log_mass = np.logaddexp.reduce(log_mass, axis=0) + _log_prior(tau, span)
+    mass = np.exp(log_mass - log_mass.max())
+    return mass / mass.sum()
+
+
+def _angles_to(normals: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the squared angles (T, N, A) of normals to axes, and (T, N) to horizontal."""
+    off = np.arccos(np.abs(normals @ axes.T).clip(0, 1))
+    return off**2, (np.pi / 2 - off[..., 0]) ** 2
+
+
+def _density(off: np.ndarray, off_level: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return the density (T, N) of normals relative to a uniform one on the half sphere."""
+    bells = np.exp(-0.5 * off / variance[..., None]) / variance[..., None]
+    circle = 2 / np.sqrt(2 * np.pi * variance) * np.exp(-0.5 * off_level / variance)
+    if off.shape[2] == 1:
+        return FREE_SHARE + LEVEL_SHARE * bells[..., 0] + (UPRIGHT_SHARE + AXIS_SHARE) * circle
+    return (FREE_SHARE + LEVEL_SHARE * bells[..., 0] + AXIS_SHARE * bells[..., 1:].mean(2)
+            + UPRIGHT_SHARE * circle)
+
+
+def _log_prior(tau: np.ndarray, span: tuple[float, float, float]) -> np.ndarray:
+    """Return the log of the prior (T,) of the points of a grid of shifts."""
+    far, near = np.maximum(span[0] + tau, 1e-9 * (span[2] - span[0])), span[2] + tau
+    logit = np.log(far) - np.log(near - far)
+    return (-0.5 * ((logit - PRIOR_LOGIT) / PRIOR_SPREAD) ** 2
+            + np.log(np.maximum(np.gradient(logit), 1e-12)))
+
+
+def _what_determines(normals: np.ndarray, planes: DisparityPlanes,
+                     frames: list[np.ndarray]) -> str:
+    """Return in words which planes are level or upright for the normals (N, 3) of the answer."""
+    down = _unit(np.mean([axes[0] for axes in frames], axis=0))
+    rise_deg = np.degrees(np.arcsin(np.abs(normals @ down).clip(0, 1)))
+    words = [f'{planes.pixel_share[is_so].sum():.0%} {name}' for is_so, name in (
+        (rise_deg > 90 - 2 * MAX_ANGLE_SIGMA_DEG, 'level'),
+        (rise_deg < 2 * MAX_ANGLE_SIGMA_DEG, 'upright')) if is_so.any()]
+    return ', '.join(words)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
