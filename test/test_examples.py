@@ -28,6 +28,7 @@ PUBLIC = {
     'plane_detector.pipeline': ('PlaneDetector', 'segment_planes'),
     'plane_detector.planes.classification': ('classify_planes',),
     'plane_detector.planes.outline': ('all_polygons',),
+    'plane_detector.planes.placed': ('PlacedDetection',),
     'plane_detector.scale.methods': ('estimate_scale',),
     'plane_detector.settings': ('setting',),
     'plane_detector.stage_timer': ('StageTimer',),

@@ -51,7 +51,7 @@ from plane_detector.ros.inputs.subscriptions import Subscriptions, input_topics
 from plane_detector.ros.inputs.transforms import FrameTransforms, listen_to_tf
 from plane_detector.ros.live_settings import LiveSettings, load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
-from plane_detector.ros.outputs.topics import OutputPublishers, frame_to_json
+from plane_detector.ros.outputs.topics import OUTPUTS, OutputPublishers, frame_to_json
 from plane_detector.ros.point_query import PointQuery
 from plane_detector.ros.spinning import CannotRunError
 from plane_detector.ros.transitions import Autostart, Transitions
@@ -139,7 +139,7 @@ class PlaneDetectorNode(LifecycleNode):
         """Load the network and create the outputs; report the reason if that fails."""
         try:
             detector = self._transitions.prepared()
-            self._outputs = OutputPublishers(self)
+            self._outputs = OutputPublishers(self, OUTPUTS)
             self._query = PointQuery(self)
             self._listening = self._needed_tf()
         except ImportError as error:

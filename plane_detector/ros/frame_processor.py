@@ -73,7 +73,8 @@ class FrameProcessor:
         Raises
         ------
         ValueError
-            The messages are invalid or do not fit together, or a transform is missing.
+            The messages are invalid or do not fit together, or the transform to the base frame is
+            missing.
 
         """
         found = self.begin(frame)()
@@ -100,12 +101,14 @@ class FrameProcessor:
 
         def find_planes() -> DetectedFrame:
             with timer('wait'):
-                pose, to_target = transforms()
+                pose, to_target, problem = transforms()
             # 3. Gravity and lines, then planes.
             around = self.detector.find_directions(seen, *measured_gravity(frame, pose))
             found = self.detector.find_planes(seen, around, height_m(pose))
-            return DetectedFrame(frame.image.header, seen.rgb, seen.intrinsics, found, settings,
-                                 to_target, converted.distortion, timer)
+            return DetectedFrame(
+                found, seen.intrinsics, to_target, seen.stamp_s, header=frame.image.header,
+                rgb=seen.rgb, settings=settings, pose_problem=problem,
+                distortion=converted.distortion, timer=timer)
         return find_planes
 
     def seconds_with(self, max_side: int, frame: Frame, wanted: Collection[str]) -> float:
@@ -121,7 +124,13 @@ def make_messages(found: DetectedFrame, wanted: Collection[str]) -> dict[str, An
     """Return the messages of some outputs, as far as they are available."""
     with found.timer('messages'):
         return {name: msg for name in wanted
-                if (msg := OUTPUTS[name].make(found)) is not None}
+                if not (found.pose_problem and OUTPUTS[name].is_placed)
+                and (msg := OUTPUTS[name].make(found)) is not None}
+
+
+def placement_problem(found: DetectedFrame, wanted: Collection[str]) -> str:
+    """Return why some of the outputs lack their messages; empty if the pose is known."""
+    return found.pose_problem if any(OUTPUTS[name].is_placed for name in wanted) else ''
 
 
 def measured_gravity(frame: Frame, pose: CameraPose | None) -> tuple[np.ndarray | None, str]:

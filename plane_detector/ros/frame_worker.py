@@ -21,7 +21,7 @@ from std_srvs.srv import Trigger
 
 from plane_detector.ros.diagnostics import LARGE_PX, REDUCED_PX, Health, Statistics
 from plane_detector.ros.fault_log import FaultLog
-from plane_detector.ros.frame_processor import FrameProcessor, make_messages
+from plane_detector.ros.frame_processor import FrameProcessor, make_messages, placement_problem
 from plane_detector.ros.inputs.synchronizer import Frame, stamp_text
 from plane_detector.ros.live_settings import LiveSettings
 from plane_detector.ros.outputs.frame import DetectedFrame
@@ -288,6 +288,8 @@ class FrameFlow:
             with current_stop().uncut():  # all of this or, after a stop, nothing of it
                 start_s = time.perf_counter()
                 self._outputs.publish(messages)
+                if problem := placement_problem(found, wanted):
+                    raise ValueError(problem)
                 self._query.answer(found)
                 publish_s = time.perf_counter() - start_s
                 health.note(found.detection, wanted)

@@ -54,7 +54,7 @@ class PointQuery:
             except ValueError as error:
                 self._faults.tell(error)
                 continue
-            header, planes = result.target_header, result.target_detection.planes
+            header, planes = result.target_header, result.planes
             (pose,) = messages.poses_to_msg(header, planes.picked([index])).poses
             self._publisher.publish(PoseStamped(header=header, pose=pose))
             self._node.get_logger().info(f'clicked point: {describe_plane(result, index)}')
@@ -86,7 +86,7 @@ def point_in_camera(result: DetectedFrame, click: PointStamped) -> np.ndarray:
     if frame == result.header.frame_id:
         return point_m
     if frame == result.target_header.frame_id:
-        return result.to_target.inverse().points(point_m)
+        return result.pose.inverse().points(point_m)
     raise ValueError(f'it is in the frame {frame}, the planes are in '
                      f'{result.target_header.frame_id}: use that as fixed frame, or set '
                      f'target_frame to {frame}')

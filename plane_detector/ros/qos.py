@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 
@@ -24,6 +24,8 @@ def overriding_options(settle: Callable[[QoSProfile], SetParametersResult] | Non
                                 callback=settle)
 
 
-def output_profile() -> QoSProfile:
-    """Return the profile of the outputs: reliable, short queue."""
-    return QoSProfile(depth=2, reliability=ReliabilityPolicy.RELIABLE)
+def output_profile(latched: bool = False) -> QoSProfile:
+    """Return the profile of the outputs: reliable, short queue; latched: the last one is kept."""
+    durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=1 if latched else 2, reliability=ReliabilityPolicy.RELIABLE,
+                      durability=durability)

@@ -97,4 +97,5 @@ def frame(found: Detection | None = None, to_target: RigidTransform | None = Non
     if to_target is not None:
         settings['target_frame'] = 'map'
     found = found or detection()
-    return DetectedFrame(header(1.5), rgb, CAMERA, found, NodeConfig(**settings), to_target)
+    return DetectedFrame(found, CAMERA, to_target, 1.5, header=header(1.5), rgb=rgb,
+                         settings=NodeConfig(**settings))

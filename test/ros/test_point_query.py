@@ -22,8 +22,9 @@ TO_MAP = RigidTransform(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]), np.arra
 def result_of(labels, to_target=None):
     found = Detection(Planes.of([WALL]), labels, 0.0, np.full(labels.shape, 2.0, np.float32),
                       'metric')
-    return DetectedFrame(header(1.0), np.zeros((*labels.shape, 3), np.uint8), CAMERA, found,
-                  NodeConfig(target_frame='map' if to_target else ''), to_target)
+    return DetectedFrame(found, CAMERA, to_target, header=header(1.0),
+                         rgb=np.zeros((*labels.shape, 3), np.uint8),
+                         settings=NodeConfig(target_frame='map' if to_target else ''))
 
 
 def click_at(frame_id, point_m):

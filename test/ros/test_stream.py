@@ -83,8 +83,8 @@ def test_the_node_publishes_what_the_detector_finds(robot):
     expected, found = by_core(), by_node(robot)
     assert found.keys() == expected.keys()
     for stamp_s, (labels, planes) in found.items():
-        frame = DetectedFrame(planes.header, ROOM.rgb, ROOM.intrinsics, expected[stamp_s],
-                              NodeConfig())
+        frame = DetectedFrame(expected[stamp_s], ROOM.intrinsics, header=planes.header,
+                              rgb=ROOM.rgb, settings=NodeConfig())
         np.testing.assert_array_equal(image_array(labels, '<u2')[..., 0], frame.labels)
         np.testing.assert_array_equal(cloud_array(planes), cloud_array(planes_to_msg(frame)))
     for stamp_s, detection in expected.items():

@@ -194,27 +194,31 @@ class FrameTransforms:
             return None
 
     def awaited(self, header: Header, settings: NodeConfig
-                ) -> Callable[[], tuple[CameraPose | None, RigidTransform | None]]:
+                ) -> Callable[[], tuple[CameraPose | None, RigidTransform | None, str]]:
         """
         Return a function that waits until `tf_timeout` from now for `camera_pose` and `to_target`.
 
-        Call it when the other work on the frame is done: transforms arrive meanwhile. If those of
-        the frame before were missing, they are awaited here, so that no work is done in vain.
+        It returns both, and why the second one is missing. Call it when the other work on the
+        frame is done: transforms arrive meanwhile. If those of the frame before were missing, they
+        are awaited here, so that no work is done in vain.
 
         Raises
         ------
         ValueError
-            A transform is not available in time; also raised by the function.
+            The first transform is not available in time; also raised by the function.
 
         """
         until_s = time.monotonic() + settings.tf_timeout
 
-        def wait() -> tuple[CameraPose | None, RigidTransform | None]:
+        def wait() -> tuple[CameraPose | None, RigidTransform | None, str]:
             self._was_missing = True
-            found = (self.camera_pose(header, settings, until_s - time.monotonic()),
-                     self.to_target(header, settings, until_s - time.monotonic()))
+            pose = self.camera_pose(header, settings, until_s - time.monotonic())
+            try:
+                to_target = self.to_target(header, settings, until_s - time.monotonic())
+            except ValueError as error:  # outputs in the frame of the image do not need it
+                return pose, None, str(error)
             self._was_missing = False
-            return found
+            return pose, to_target, ''
         if not self._was_missing:
             return wait
         found = wait()

@@ -75,8 +75,7 @@ def drops_to_msg(frame: DetectedFrame) -> PointCloud2 | None:
     found = frame.detection
     if found.drop_note:
         return None
-    points_m = frame.to_target.points(found.drops_m) if frame.to_target else found.drops_m
-    table = np.column_stack([points_m, found.drop_depths_m]).astype('<f4')
+    table = np.column_stack([frame.placed(found.drops_m), found.drop_depths_m]).astype('<f4')
     return cloud_msg(frame.target_header, DROP_DTYPE, table, 1, len(table))
 
 
@@ -105,7 +104,7 @@ def _geometry(frame: DetectedFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     """Return depth, slopes of columns and of rows, and the transform (3, 4), all float32."""
     step = frame.settings.points_decimation
     ray_x, ray_y = pixel_rays(frame.intrinsics)
-    turn = frame.to_target or RigidTransform.identity()
+    turn = frame.pose or RigidTransform.identity()
     moved = np.column_stack([turn.rotation, turn.translation_m]).astype(np.float32)
     return (_thinned(frame, frame.detection.depth_m, np.float32),
             np.ascontiguousarray(ray_x[::step]), np.ascontiguousarray(ray_y[::step]), moved)
@@ -170,8 +169,7 @@ def _pack_kept(geometry, is_kept, xyz_m):
 
 def planes_to_msg(frame: DetectedFrame) -> PointCloud2:
     """Return the coefficients: one point per plane, at its centroid; no plane: an empty cloud."""
-    detection, rectangles = frame.target_detection, frame.rectangles
-    planes = detection.planes
+    planes, rectangles = frame.planes, frame.rectangles
     table = np.zeros(len(planes), PLANE_DTYPE)
     _set(table, ('x', 'y', 'z'), planes.centroids_m)
     _set(table, ('normal_x', 'normal_y', 'normal_z'), planes.normals)
@@ -214,9 +212,8 @@ def shapes_to_msg(frame: DetectedFrame) -> PointCloud2:
     x y z is the centre of a sphere, the middle of a cylinder's axis, the apex of a cone; the axis
     is a unit vector, of a cone from the apex into it, and zero for a sphere.
     """
-    detection = frame.target_detection
-    table = np.zeros(len(detection.shapes), SHAPE_DTYPE)
-    for row, shape, label in zip(table, detection.shapes, shape_labels(detection), strict=True):
+    table = np.zeros(len(frame.shapes), SHAPE_DTYPE)
+    for row, shape, label in zip(table, frame.shapes, shape_labels(frame.detection), strict=True):
         row['x'], row['y'], row['z'] = shape.position_m
         row['axis_x'], row['axis_y'], row['axis_z'] = shape.axis
         row['radius'], row['half_angle'] = shape.radius_m, shape.half_angle_rad

@@ -33,7 +33,7 @@ def detections_to_msg(frame: DetectedFrame) -> Any:
     """
     header = frame.target_header
     found = []
-    for plane, rectangle in zip(frame.target_detection.planes, frame.rectangles, strict=True):
+    for plane, rectangle in zip(frame.planes, frame.rectangles, strict=True):
         turn, = quaternions(rectangle.rotation[None])
         hypothesis = ObjectHypothesisWithPose(hypothesis=ObjectHypothesis(
             class_id=PlaneClass(plane.plane_class).readable, score=float(plane.confidence)))

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,80 +12,29 @@ from std_msgs.msg import Header
 
 from plane_detector.config import NodeConfig
 from plane_detector.drawing import LabelPlace, label_places, overlay
-from plane_detector.geometry.rigid_transform import RigidTransform
-from plane_detector.planes.outline import (
-    Polygon,
-    Rectangle,
-    all_polygons,
-    enclosing_rectangle,
-    hulls,
-    row_ends,
-)
+from plane_detector.planes.placed import PlacedDetection
 from plane_detector.ros.calibration import NO_DISTORTION, Distortion
 from plane_detector.ros.outputs import messages
 from plane_detector.stage_timer import StageTimer
-from plane_detector.types import CameraIntrinsics, Detection
 
 
-@dataclass(frozen=True)
-class DetectedFrame:
-    """An image and what was found in it."""
+@dataclass(frozen=True, kw_only=True)
+class DetectedFrame(PlacedDetection):
+    """What was found in an image, with all else that messages are made from."""
 
     header: Header  # of the image message
     rgb: np.ndarray  # (H, W, 3) uint8, rectified
-    intrinsics: CameraIntrinsics  # of this image
-    detection: Detection  # in the frame of the image
     settings: NodeConfig  # for this frame
-    to_target: RigidTransform | None = None  # from the image's frame to the target; None: the same
+    pose_problem: str = ''  # why the pose in ``target_frame`` is not known; empty if it is
     distortion: Distortion = NO_DISTORTION  # that the image still has
     timer: StageTimer = field(default_factory=StageTimer)  # of the stages on this frame
 
     @cached_property
     def target_header(self) -> Header:
         """Header of the outputs in the target frame, with the stamp of the image."""
-        if self.to_target is None:
+        if self.pose is None:
             return self.header
         return Header(stamp=self.header.stamp, frame_id=self.settings.target_frame)
-
-    def in_target(self, points_m: np.ndarray) -> np.ndarray:
-        """Return points (..., 3) of the frame of the image in the target frame."""
-        return points_m if self.to_target is None else self.to_target.points(points_m)
-
-    @cached_property
-    def target_detection(self) -> Detection:
-        """The detection with planes and shapes in the target frame; depth is not changed."""
-        turn, found = self.to_target, self.detection
-        if turn is None:
-            return found
-        shapes = tuple(replace(shape, position_m=turn.points(shape.position_m),
-                               axis=turn.rotation @ shape.axis) for shape in found.shapes)
-        return replace(found, planes=found.planes.moved(turn), shapes=shapes)
-
-    @cached_property
-    def _row_ends(self) -> np.ndarray:
-        return row_ends(self.detection.labels, len(self.detection.planes))
-
-    @cached_property
-    def camera_polygons(self) -> tuple[tuple[Polygon, ...], ...]:
-        """Outlines of each plane in the frame of the image."""
-        found = self.detection
-        return all_polygons(found.labels, self._row_ends, self.intrinsics, found.planes)
-
-    @cached_property
-    def polygons(self) -> tuple[tuple[Polygon, ...], ...]:
-        """Outlines of each plane in the target frame."""
-        return tuple(tuple(replace(polygon, corners_m=self.in_target(polygon.corners_m))
-                           for polygon in of_plane) for of_plane in self.camera_polygons)
-
-    @cached_property
-    def rectangles(self) -> tuple[Rectangle, ...]:
-        """Smallest rectangle around the pixels of each plane in the target frame."""
-        around = hulls(self._row_ends, self.intrinsics, self.detection.planes)
-        return tuple(enclosing_rectangle(
-            self.in_target(np.vstack([corners_m, plane.centroid_m])),
-            turned.normal, turned.centroid_m)
-            for plane, turned, corners_m in zip(
-                self.detection.planes, self.target_detection.planes, around, strict=True))
 
     @cached_property
     def labels(self) -> np.ndarray:

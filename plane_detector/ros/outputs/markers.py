@@ -87,11 +87,11 @@ def _plane_markers(frame: DetectedFrame, blank: Marker, index: int, label: int,
                         plane.centroid_m + arrow_length_m(plane) * plane.normal])
     yield _marker(blank, ns='normal', id=label, type=Marker.ARROW, color=colour,
                   scale=Vector3(x=line_width_m, y=3 * line_width_m),
-                  points=_points(frame.in_target(arrow_m)))
+                  points=_points(frame.placed(arrow_m)))
     if caption is not None:
         yield _marker(blank, ns='caption', id=label, type=Marker.TEXT_VIEW_FACING, color=_WHITE,
                       scale=Vector3(z=caption.height_m), text=caption.text,
-                      pose=messages.pose_msg(frame.in_target(caption.position_m)))
+                      pose=messages.pose_msg(frame.placed(caption.position_m)))
 
 
 def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
@@ -99,7 +99,7 @@ def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
     if not outlines:
         return []
     corners_m = np.concatenate([outline.corners_m for outline in outlines])
-    corners = iter(_points(frame.in_target(_LIFTED * corners_m)))
+    corners = iter(_points(frame.placed(_LIFTED * corners_m)))
     ends = []
     for outline in outlines:
         around = list(islice(corners, len(outline.corners_m)))
@@ -110,9 +110,8 @@ def _segments(frame: DetectedFrame, outlines: Sequence[Polygon]) -> list[Point]:
 
 def _shape_markers(frame: DetectedFrame, blank: Marker) -> Iterator[Marker]:
     """Yield a marker of each shape: a sphere, a cylinder, or the triangles of a cone."""
-    found = frame.target_detection
-    for index, (shape, label) in enumerate(zip(found.shapes, messages.shape_labels(found).tolist(),
-                                               strict=True)):
+    labels = messages.shape_labels(frame.detection).tolist()
+    for index, (shape, label) in enumerate(zip(frame.shapes, labels, strict=True)):
         diameter_m = 2 * shape.radius_m
         kind, (x_m, y_m, z_m) = {
             ShapeType.CONE: (Marker.TRIANGLE_LIST, (1.0, 1.0, 1.0)),

@@ -41,13 +41,15 @@ from plane_detector.scale.estimate import RELATIVE
 
 class Output(NamedTuple):
     """
-    Type of a topic's messages, and the function that makes one.
+    Type of a topic's messages, and the function that makes one from the source of the table.
 
-    It returns None if the message is not available now.
+    It returns None if the message is not available now. Outputs that are ``placed`` are in the
+    target frame, and need its pose.
     """
 
     msg_type: Any
-    make: Callable[[DetectedFrame], Any]
+    make: Callable[[Any], Any]
+    is_placed: bool = True
 
 
 def frame_to_json(frame: DetectedFrame) -> str:
@@ -64,16 +66,18 @@ OUTPUTS: dict[str, Output] = {
     'boundaries': Output(PointCloud2, boundaries_to_msg),
     'planes_json': Output(String, lambda frame: String(data=frame_to_json(frame))),
     'plane_poses': Output(PoseArray, lambda frame: messages.poses_to_msg(
-        frame.target_header, frame.target_detection.planes)),
+        frame.target_header, frame.planes)),
     'markers': Output(MarkerArray, markers_to_msg),
-    'labels': Output(Image, lambda frame: messages.labels_to_msg(frame.header, frame.labels)),
+    'labels': Output(Image, lambda frame: messages.labels_to_msg(frame.header, frame.labels),
+                     is_placed=False),
     'depth': Output(Image, lambda frame: messages.depth_to_msg(
-        frame.header, frame.detection.depth_m)),
-    'overlay': Output(Image, lambda frame: messages.rgb_to_msg(frame.header, frame.overlay)),
+        frame.header, frame.detection.depth_m), is_placed=False),
+    'overlay': Output(Image, lambda frame: messages.rgb_to_msg(frame.header, frame.overlay),
+                      is_placed=False),
     'overlay/compressed': Output(CompressedImage, lambda frame: messages.jpeg_to_msg(
-        frame.header, frame.overlay)),
+        frame.header, frame.overlay), is_placed=False),
     'camera_info': Output(CameraInfo, lambda frame: camera_info_to_msg(
-        frame.header, frame.intrinsics, frame.distortion)),
+        frame.header, frame.intrinsics, frame.distortion), is_placed=False),
     'shapes': Output(PointCloud2, shapes_to_msg),
 }
 if Detection3DArray is not None:
@@ -81,18 +85,23 @@ if Detection3DArray is not None:
 
 
 class OutputPublishers:
-    """The publishers of a lifecycle node; none stays if one of them cannot be made."""
+    """
+    The publishers of a table of outputs; none stays if one of them cannot be made.
 
-    def __init__(self, node: LifecycleNode):
+    ``latched`` messages are kept for subscribers that come later.
+    """
+
+    def __init__(self, node: LifecycleNode, outputs: Mapping[str, Output], latched: bool = False):
         self._node = node
         # The executor would look at two events of each publisher before every message: as long as
         # at all its other entities. `misfits` finds what they would report.
         silent = PublisherEventCallbacks(use_default_callbacks=False)
         self._publishers: dict[str, Any] = {}
         try:
-            for name, output in OUTPUTS.items():
+            for name, output in outputs.items():
                 self._publishers[name] = node.create_lifecycle_publisher(
-                    output.msg_type, f'~/{name}', qos.output_profile(), event_callbacks=silent,
+                    output.msg_type, f'~/{name}', qos.output_profile(latched),
+                    event_callbacks=silent,
                     qos_overriding_options=qos.overriding_options())
         except Exception:  # a wrong qos_overrides parameter
             self.destroy()

@@ -22,7 +22,7 @@ from plane_detector.config import Config, DepthConfig
 from plane_detector.depth.estimator import DepthEstimator
 from plane_detector.pipeline import PlaneDetector
 from plane_detector.ros.diagnostics import Report, gap_of, planes_status, status_to_msg
-from plane_detector.ros.frame_processor import FrameProcessor
+from plane_detector.ros.frame_processor import FrameProcessor, placement_problem
 from plane_detector.ros.inputs.synchronizer import FrameSynchronizer, depth_use
 from plane_detector.ros.live_settings import load_kernels
 from plane_detector.ros.outputs.frame import DetectedFrame
@@ -245,7 +245,10 @@ def _process(bag: BagReader, topics: InputTopics, times_ns: tuple[int, int],
                 error = tally.add_error(raised)
             else:
                 tally.stage_seconds.update(found.timer.seconds)
-                facts |= tally.add(found.detection, config, options.outputs)
+                if problem := placement_problem(found, wanted):
+                    error = tally.add_error(ValueError(problem))
+                else:
+                    facts |= tally.add(found.detection, config, options.outputs)
             done_s = time.perf_counter()
             if found is not None:
                 files.write(index, found, messages)

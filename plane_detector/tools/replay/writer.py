@@ -232,6 +232,8 @@ class ReplayFiles:
                 write_ply(path, points_m, drawing.tint(result.rgb, result.labels), result.labels,
                           in_metres=result.detection.scale_method != RELATIVE)
         for name, (_, file) in self._tables.items():
+            if name not in messages:  # its pose is not known
+                continue
             csv.writer(file).writerows(
                 [index, stamp_text(result), *csv_row(fields)]
                 for fields in np.frombuffer(messages[name].data, _ROWS[name]))

@@ -104,3 +104,4 @@ def test_an_ancestor_without_data_is_no_obstacle(tmp_path, scenes, replay):
     assert code == 3
     assert f'1 frames skipped: no transform from {FRAME_ID} to odom' in text.splitlines()[-1]
     assert len(planes_of(target)) == len(scenes) - 1
+    assert len(read_bag(target)['/plane_detector/labels']) == len(scenes), 'in their own frame'
